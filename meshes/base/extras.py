@@ -17,4 +17,7 @@ def install_command(extra: str) -> str:
         listed = []
     mark = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
     found = [each.partition(";")[0].strip() for each in listed if mark.search(each)]
-    return " ".join(["pip install", *(f'"{each}"' for each in found or [f"tissue-sim[{extra}]"])])
+    if not found:
+        found = [f"tissue-sim[{extra}]"]
+    quoted = " ".join(f'"{each}"' for each in found)
+    return f"pip install {quoted}"

@@ -27,7 +27,7 @@ _LOOKED_AT = 50
 Lines at the start may be text of the instrument. The last line may be cut short.
 """
 _SPACES = "'’\u00a0\u202f"
-"""Marks between groups of three digits, next to point, comma and space."""
+"""Thousands separators in addition to point, comma and space."""
 _NUMBER = re.compile(
     rf"[+-]?(\d{{1,3}}([.,{_SPACES} ]\d{{3}})+([.,]\d*)?|\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?"
     r"|[+-]?(nan|inf)",
@@ -62,7 +62,7 @@ class TextTable:
     above
         Lines of text before the header.
     marks
-        Decimal mark and mark of thousands; the second may be empty.
+        Decimal mark, and thousands separator, which may be empty.
     notes
         Findings, in sentences.
     """
@@ -166,8 +166,17 @@ def _date_s(text: str) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def decoded_text(path: Path, what: str) -> str:
+def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> str:
     """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
+
+    Parameters
+    ----------
+    path
+        File.
+    what
+        Name of the file in errors.
+    remedy
+        Advice for a file that is not text.
 
     Raises
     ------
@@ -183,7 +192,7 @@ def decoded_text(path: Path, what: str) -> str:
             return content.decode(encoding, "replace")
     # text in other encodings has no zero bytes; the start of a binary file has some
     if b"\0" in content[:4096]:
-        raise InputError(what, "be text", f"other data in {path.name}", "export it as CSV")
+        raise InputError(what, "be text", f"other data in {path.name}", remedy)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -217,7 +226,7 @@ def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
         cells = [row[:-1] if len(row) == width else row for row in cells]
         width -= 1
     start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
-    _require_points(cells[:start], cells[start:], delimiter, path, what)
+    _require_decimal_points(cells[:start], cells[start:], delimiter, path, what)
     header, above, has_units = _header(cells[:start], width)
     notes = []
     if above and header:
@@ -307,7 +316,7 @@ def _is_data(row: list[str]) -> bool:
     return filled > 0 and 2 * _count(row) >= filled
 
 
-def _require_points(
+def _require_decimal_points(
     above: list[list[str]], rows: list[list[str]], delimiter: str, path: Path, what: str
 ) -> None:
     """Refuse decimal commas in a table whose separator is the comma.
@@ -326,12 +335,12 @@ def _require_points(
 
 
 def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tuple[str, str]:
-    """Return the decimal mark of the numbers and their mark of thousands, which may be empty."""
+    """Return the decimal mark and the thousands separator, which may be empty."""
     cells = [cell for row in rows for cell in row if "," in cell or cell.count(".") > 1]
     commas = [cell for cell in map(str.strip, cells) if _NUMBER.fullmatch(cell)]
     if not commas:
         return ".", ""
-    # the mark that comes last is the decimal one, and one that comes twice is of thousands
+    # the last of two marks is the decimal mark; a mark that comes twice separates thousands
     decimals = set[str]()
     for cell in commas:
         if "," in cell and "." in cell:

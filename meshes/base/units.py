@@ -61,7 +61,7 @@ def plain_unit(text: str) -> str:
 
 
 def _parts(header: str, quantity: str) -> tuple[str, str]:
-    """Return the name in a header and its unit, which is empty if it is none of a quantity."""
+    """Return the name and the unit in a header; the unit is empty if it is not of the quantity."""
     for pattern in (_IN_BRACKETS, _AT_END):
         found = pattern.search(header)
         if found and plain_unit(found[1]) in UNITS[quantity]:
@@ -70,12 +70,12 @@ def _parts(header: str, quantity: str) -> tuple[str, str]:
 
 
 def unit_of(header: str, quantity: str) -> str:
-    """Return the unit that a header states, if it is one of a quantity, else an empty text."""
+    """Return the unit in a header, or an empty text if it has no unit of the quantity."""
     return _parts(header, quantity)[1]
 
 
 def name_of(header: str, quantity: str) -> str:
-    """Return the name in a header without unit, in small letters: "Tool X [mm]" is "tool_x"."""
+    """Return the name in a header without its unit, in lower case: "Tool X [mm]" is "tool_x"."""
     return re.sub(r"[^a-z0-9]+", "_", _parts(header, quantity)[0].lower()).strip("_")
 
 

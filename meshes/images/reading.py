@@ -212,7 +212,7 @@ def vtk_voxels(file: Path) -> Answer:
     """
     import pyvista
 
-    from meshes.surfaces.triangle_files import read_vtk
+    from meshes.surfaces.vtk_files import read_vtk
 
     data = read_vtk(file)
     if not isinstance(data, pyvista.ImageData) or not data.array_names:

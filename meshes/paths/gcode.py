@@ -91,8 +91,8 @@ class Program:
     """
 
     file: Path
-    points_mm: list[list[float]] = field(default_factory=list)
-    feeds_mm_s: list[float] = field(default_factory=list)
+    points_mm: list[list[float]] = field(default_factory=list, init=False)
+    feeds_mm_s: list[float] = field(default_factory=list, init=False)
     _modes: dict[str, str] = field(
         # no motion before the first motion word, because the defaults of controllers differ
         default_factory=lambda: {
@@ -101,15 +101,16 @@ class Program:
             "unit": "",
             "distance": "G90",
             "centre": "G91.1",
-        }
+        },
+        init=False,
     )
-    _place: dict[str, float] = field(default_factory=dict)
-    _feed_mm_s: float = 0.0
-    _left_out: set[str] = field(default_factory=set)
-    _homes: set[str] = field(default_factory=set)
-    _offset: str = ""
-    _arcs: int = 0
-    _line: int = 0
+    _place: dict[str, float] = field(default_factory=dict, init=False)
+    _feed_mm_s: float = field(default=0.0, init=False)
+    _left_out: set[str] = field(default_factory=set, init=False)
+    _homes: set[str] = field(default_factory=set, init=False)
+    _offset: str = field(default="", init=False)
+    _arcs: int = field(default=0, init=False)
+    _line: int = field(default=0, init=False)
 
     def notes(self) -> tuple[str, ...]:
         """Return sentences on words that were left out, and on arcs."""
@@ -181,7 +182,7 @@ class Program:
         return numbers
 
     def _take(self, codes: list[str]) -> None:
-        """Take over the words G and M of a line."""
+        """Apply the words G and M of a line to the state."""
         groups = [_MODES[code] for code in codes if code in _MODES]
         if len(set(groups)) < len(groups):
             raise self._refused(
@@ -340,7 +341,8 @@ def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:
         If a word is not supported, or a line is incomplete.
     """
     program = Program(file)
-    for number, line in enumerate(decoded_text(file, "path").splitlines(), start=1):
+    text = decoded_text(file, "path", remedy="export it again")
+    for number, line in enumerate(text.splitlines(), start=1):
         if not program.read(line, number):
             break
     if not program.points_mm:

@@ -184,9 +184,9 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     Parameters
     ----------
     path
-        Table of text (.csv, .txt, .tsv) with the columns x_mm, y_mm, z_mm and, optionally,
-        feed_mm_s and axis_x, axis_y, axis_z, or with other units in the header, such as "X [m]"; a
-        curve as ``.mrk.json`` or points as ``.fcsv``; or G-code.
+        Table of text, markups of 3D Slicer (``.mrk.json``, ``.fcsv``) or G-code. A table (.csv,
+        .txt, .tsv) has the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y,
+        axis_z. Its header may state other units, such as "X [m]".
     coordinates
         ``LPS`` or ``RAS``: the frame of the numbers in CSV and G-code. Markups state their own.
 

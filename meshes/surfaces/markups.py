@@ -15,7 +15,12 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, as_vector, require_file
-from meshes.base.text_tables import number_or_nan, read_json, require_distinct_columns
+from meshes.base.text_tables import (
+    number_or_nan,
+    read_json,
+    read_text,
+    require_distinct_columns,
+)
 
 __all__ = ["TO_LPS", "Markup", "read_curve", "read_markups", "read_site"]
 
@@ -62,7 +67,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     file = Path(path)
     require_file(file, "markups")
     try:
-        text = file.read_text("utf-8-sig")
+        text = read_text(file)
         if file.suffix.lower() == ".fcsv":
             return (_point_list(text, file),)
         if not file.name.lower().endswith(".json"):

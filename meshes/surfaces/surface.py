@@ -11,6 +11,7 @@ import numpy as np
 from meshes.base.arrays import Array, Ints, Triangles, compact
 from meshes.base.errors import InputError, counted, require_positive
 from meshes.surfaces.repair import (
+    Holes,
     drop_debris,
     edge_counts,
     fill_holes,
@@ -180,6 +181,35 @@ def surface_from_triangles(
     vertices = np.asarray(vertices, dtype=np.float64)
     faces = np.asarray(faces, dtype=np.int64)
     require_triangles(vertices, faces, source)
+    _require_finite(vertices, source)
+    used, _ = compact(vertices, faces)
+    longest = float(np.ptp(used, axis=0).max())
+    _require_thickness(used, longest, source)
+    scale, guess = _unit(longest, scale_mm, source)
+    longest *= 1e-3 * scale
+    repairs = _rounding(used, scale)
+    vertices, faces = _merged(
+        1e-3 * scale * vertices, faces, longest, every_piece=every_piece, repairs=repairs
+    )
+    scanned = len(faces)
+    (vertices, faces), holes, volume = _closed(
+        vertices, faces, source, cut_off=cut_off, repairs=repairs
+    )
+    # A sheet of two sides has only rounding inside. Small pieces of a long structure may have less.
+    if volume <= (0.0 if every_piece else 1e-6 * longest**3):
+        raise InputError(
+            "surface",
+            "enclose a solid",
+            f"{1e9 * volume:.3g} mm3 inside {source}",
+            "close it in a mesh editor",
+        )
+    x, y, z = (1e3 * np.ptp(vertices, axis=0)).tolist()
+    report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs))
+    return Surface(vertices, faces, report, holes.caps, (vertices, faces[:scanned]))
+
+
+def _require_finite(vertices: Array, source: str) -> None:
+    """Refuse vertices that are not finite or implausibly far away."""
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(
@@ -188,14 +218,17 @@ def surface_from_triangles(
             f"{bad} of {len(vertices)} that are not in {source}",
             "export it again",
         )
-    used, _ = compact(vertices, faces)
-    longest = float(np.ptp(used, axis=0).max())
-    _require_thickness(used, longest, source)
-    scale, guess = _unit(longest, scale_mm, source)
-    longest *= 1e-3 * scale
-    repairs = _rounding(used, scale)
+
+
+def _merged(
+    vertices: Array, faces: Ints, longest: float, *, every_piece: bool, repairs: list[str]
+) -> Triangles:
+    """Return triangles with merged vertices and, unless every piece counts, without debris.
+
+    `longest` is the longest side [m]. Sentences on changes are appended to `repairs`.
+    """
     before = len(vertices)
-    vertices, faces = merge_vertices(1e-3 * scale * vertices, faces, _MERGE_TOLERANCE * longest)
+    vertices, faces = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
     if before > len(vertices):
         repairs.append(
             f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide "
@@ -206,6 +239,21 @@ def surface_from_triangles(
         if dropped:
             pieces = counted(len(dropped), "loose piece")
             repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
+    return vertices, faces
+
+
+def _closed(
+    vertices: Array, faces: Ints, source: str, *, cut_off: bool, repairs: list[str]
+) -> tuple[Triangles, Holes, float]:
+    """Return triangles that are wound outward and without holes, the holes, and the volume [m3].
+
+    Sentences on changes are appended to `repairs`.
+
+    Raises
+    ------
+    InputError
+        If a large hole is open and `cut_off` is False.
+    """
     faces, turned, inside_out, volume = orient(vertices, faces)
     if turned:
         repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
@@ -234,17 +282,7 @@ def surface_from_triangles(
         repairs.append(
             f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each."
         )
-    # A sheet of two sides has only rounding inside. Small pieces of a long structure may have less.
-    if volume <= (0.0 if every_piece else 1e-6 * longest**3):
-        raise InputError(
-            "surface",
-            "enclose a solid",
-            f"{1e9 * volume:.3g} mm3 inside {source}",
-            "close it in a mesh editor",
-        )
-    x, y, z = (1e3 * np.ptp(vertices, axis=0)).tolist()
-    report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs))
-    return Surface(vertices, faces, report, holes.caps, (vertices, faces[:scanned]))
+    return (vertices, faces), holes, volume
 
 
 def _require_thickness(points: Array, longest: float, source: str) -> None:

@@ -1,10 +1,4 @@
-"""Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK.
-
-VTK is read in a separate process by `meshes.base.isolated_parser`, because a damaged file can end
-the process. Its readers print errors to VTK's output window and continue with half-filled arrays.
-Every printed error thus counts as a failure. Cells are checked before any filter runs, because a
-filter would copy memory beyond the points.
-"""
+"""Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK."""
 
 import re
 from itertools import takewhile
@@ -15,20 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints, Triangles
-from meshes.base.errors import DamagedFileError, InputError, require_file
-from meshes.base.isolated_parser import Answer, parse_isolated
+from meshes.base.errors import InputError, require_file
+from meshes.base.isolated_parser import parse_isolated
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, whole_number_in
 
 __all__ = [
     "SURFACE_SUFFIXES",
-    "check_vtk",
-    "mesh_arrays",
     "read_triangles",
-    "read_vtk",
     "require_triangles",
-    "vtk_mesh",
-    "vtk_triangles",
 ]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
@@ -74,7 +63,7 @@ def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
         vertices, faces = read(file, [] if notes is None else notes)
         require_triangles(vertices, faces, file.name)
     except InputError:
-        _require_points(file)
+        _require_decimal_points(file)
         raise
     return vertices.astype(np.float64, copy=False), faces.astype(np.int64, copy=False)
 
@@ -86,8 +75,8 @@ _SEARCHED = 100_000
 """Bytes at the start of an unreadable file in which decimal commas are searched for."""
 
 
-def _require_points(file: Path) -> None:
-    """Name decimal commas as the reason why a file cannot be read."""
+def _require_decimal_points(file: Path) -> None:
+    """Raise an error that names decimal commas, if a file has them."""
     with file.open("rb") as stored:
         if found := _COMMAS.search(stored.read(_SEARCHED)):
             raise InputError(
@@ -99,7 +88,7 @@ def _require_points(file: Path) -> None:
 def _read_by_vtk(file: Path, notes: list[str]) -> _Stored:
     """Read a surface in a separate process."""
     _, arrays = parse_isolated(
-        "meshes.surfaces.triangle_files:vtk_triangles",
+        "meshes.surfaces.vtk_files:vtk_triangles",
         file,
         what=f"{file.suffix[1:].upper()} surface",
         remedy="export it again",
@@ -108,22 +97,33 @@ def _read_by_vtk(file: Path, notes: list[str]) -> _Stored:
 
 
 def _read_ply(file: Path, notes: list[str]) -> _Stored:
-    """Read a PLY file.
+    """Read a PLY file, by trimesh if it can.
 
-    trimesh refuses files with further bytes after the triangles, which VTK reads.
+    VTK also reads binary files with polygons of different sizes, and files with further bytes after
+    the triangles. It keeps coordinates in single precision only.
     """
+    if not _is_whole_ply(file):
+        reason = f"{file.name} has another length than its header states."
+    else:
+        try:
+            return _ply_by_trimesh(file)
+        except MemoryError:
+            raise
+        except Exception as problem:  # the reader raises many kinds, none documented
+            reason = f"trimesh does not read {file.name}: {problem or type(problem).__name__}"
+            reason = f"{reason.rstrip('.!')}."
+    found = _read_by_vtk(file, notes)
+    notes.append(f"{reason} VTK read it, with coordinates in single precision.")
+    return found
+
+
+def _ply_by_trimesh(file: Path) -> _Stored:
+    """Read a PLY file with trimesh."""
     import trimesh
 
-    try:
-        if _is_whole_ply(file):
-            # A PLY file may name a missing texture, for which trimesh would print a traceback.
-            mesh: Any = trimesh.load(file, force="mesh", process=False, skip_materials=True)
-            return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception:  # the reader raises many kinds, none documented
-        pass
-    found = _read_by_vtk(file, notes)
-    notes.append(f"{file.name} has another length than its header states.")
-    return found
+    # A PLY file may name a missing texture, for which trimesh would print a traceback.
+    mesh: Any = trimesh.load(file, force="mesh", process=False, skip_materials=True)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def _refusal(wanted: str, got: str) -> InputError:
@@ -181,7 +181,7 @@ _CORNER = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 def _read_text_stl(file: Path) -> _Stored:
     """Read the triangles of all solids of an STL file in text."""
-    text = decoded_text(file, "file")
+    text = decoded_text(file, "file", remedy="export it again")
     try:
         corners = np.array([[number_in(each) for each in row] for row in _CORNER.findall(text)])
     except ValueError as problem:
@@ -217,7 +217,7 @@ def _read_obj(file: Path, notes: list[str]) -> tuple[Array, Ints]:
 
     Polygons become fans about their first corner.
     """
-    text = decoded_text(file, "file")
+    text = decoded_text(file, "file", remedy="export it again")
     lines = text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
@@ -263,193 +263,3 @@ def _polygon(rest: str, count: int) -> list[int]:
     if min(numbers) < -count:
         raise ValueError(f"names vertex {min(numbers)} after {count} vertices")
     return [each - 1 if each > 0 else count + each for each in numbers]
-
-
-_TETRAHEDRON = 10
-_QUADRATIC_TETRAHEDRON = 24
-"""Types of cells in VTK."""
-_CORNERS = {
-    1: 1,
-    3: 2,
-    5: 3,
-    8: 4,
-    9: 4,
-    10: 4,
-    11: 8,
-    12: 8,
-    13: 6,
-    14: 5,
-    21: 3,
-    22: 6,
-    23: 8,
-    24: 10,
-    25: 20,
-    26: 15,
-}
-"""Points of a cell by its VTK type, where the type fixes them."""
-_HEADING = re.compile(
-    r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE
-)
-
-
-def read_vtk(file: Path) -> Any:
-    """Return the dataset that pyvista reads from a file, with its cells checked.
-
-    Raises
-    ------
-    DamagedFileError
-        If the reader complained, with its first complaint, or cells are not where the file states.
-    InputError
-        If a cell names a point that is not there.
-    """
-    import pyvista
-    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
-
-    window = vtkStringOutputWindow()
-    vtkOutputWindow.SetInstance(window)
-    data: Any = pyvista.read(file)
-    output = window.GetOutput() or ""
-    if "error" in output.lower():
-        raise DamagedFileError(
-            next(
-                (line for line in _HEADING.sub("", output).splitlines() if line.strip()),
-                "not whole",
-            )
-        )
-    for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
-        if isinstance(block, pyvista.PolyData):
-            for cells in (block.GetVerts(), block.GetLines(), block.GetPolys(), block.GetStrips()):
-                _require_cells(cells, file, block.n_points)
-        elif isinstance(block, pyvista.UnstructuredGrid):
-            _require_cells(block.GetCells(), file, block.n_points, np.asarray(block.celltypes))
-    return data
-
-
-def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
-    """Read files of a folder, and refuse those that are damaged or incomplete.
-
-    A file is incomplete if it lacks one of the arrays that it should hold.
-
-    Where ``layer`` is among them, it must count into the field ``layer_names``. The content is not
-    returned.
-    """
-    for name, wanted in arrays_by_file.items():
-        try:
-            data = read_vtk(folder / name)
-        except (InputError, DamagedFileError) as problem:
-            raise DamagedFileError(f"{name} is damaged: {problem}") from None
-        except Exception:  # the readers raise many kinds, none documented
-            raise DamagedFileError(f"{name} is damaged or cut off") from None
-        missing = [each for each in wanted if each not in data.cell_data and data.n_cells]
-        if missing:
-            raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
-        if "layer" in wanted and data.n_cells:
-            layers = np.asarray(data.cell_data["layer"])
-            names = data.field_data.get("layer_names", ())
-            if layers.dtype.kind not in "iu" or layers.min() < 0 or layers.max() >= len(names):
-                raise DamagedFileError(f"{name} has layers without a name")
-    return {}, {}
-
-
-def vtk_triangles(file: Path) -> Answer:
-    """Return the arrays of the surface of a file.
-
-    They are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
-    """
-    return {}, _triangles(read_vtk(file))
-
-
-def vtk_mesh(file: Path) -> Answer:
-    """Return the arrays of the mesh in a file, see `mesh_arrays`."""
-    import pyvista
-
-    data = read_vtk(file)
-    return mesh_arrays(data.combine() if isinstance(data, pyvista.MultiBlock) else data)
-
-
-def mesh_arrays(data: Any) -> Answer:
-    """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
-
-    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
-    had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,
-    ... here; ``parts``, the texts of the field ``part_names``.
-    """
-    kinds = np.asarray(getattr(data, "celltypes", ()))
-    if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
-        return {}, _triangles(data)
-    by_kind = data.cells_dict
-    present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
-    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
-    tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
-    names = [
-        name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"
-    ]
-    arrays: dict[str, Any] = {"points": np.asarray(data.points), "tets": tets}
-    arrays |= {
-        f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)
-    }
-    parts = (
-        np.asarray(data.field_data["part_names"])
-        if "part_names" in data.field_data
-        else np.zeros(0)
-    )
-    facts = {
-        "others": len(kinds) - len(order),
-        "quadratic": _QUADRATIC_TETRAHEDRON in present,
-        "names": names,
-        "parts": [str(part) for part in parts.ravel()] if parts.dtype.kind == "U" else [],
-    }
-    return facts, arrays
-
-
-def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
-    import pyvista
-
-    if not isinstance(data, pyvista.PolyData):
-        # Cells with a volume: only their outer faces enclose the solid.
-        data = data.extract_surface(algorithm="dataset_surface")
-    surface = data.triangulate()
-    return {
-        "points": np.asarray(surface.points),
-        "triangles": np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64),
-    }
-
-
-def _require_cells(
-    cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None
-) -> None:
-    """Refuse cells that name points which do not exist.
-
-    Also refuse cells with another number of points than their type.
-    """
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    offsets = vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)
-    points = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
-    sizes = np.diff(offsets)
-    if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points) or (sizes < 0).any()):
-        raise DamagedFileError("cells are not where their offsets point")
-    if kinds is not None:
-        if len(kinds) != len(sizes):
-            raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
-        # A type is one byte. Types without a fixed number of points, such as polygons, are not
-        # checked.
-        expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
-        short = np.flatnonzero((expected >= 0) & (sizes != expected))
-        if len(short):
-            k = short[0]
-            raise InputError(
-                f"cells of VTK type {kinds[k]}",
-                f"have {expected[k]} points",
-                f"{sizes[k]} in cell {k} of {file.name}, counted from 0",
-                "export it again",
-            )
-    wrong = np.flatnonzero((points < 0) | (points >= point_count))
-    if len(wrong):
-        cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
-        raise InputError(
-            "cells",
-            f"name points 0 to {point_count - 1} of the file",
-            f"{points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
-            "export it again",
-        )

@@ -15,8 +15,15 @@ from meshes.base.errors import InputError, by, names_of_caller, require_file, re
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.surfaces.triangle_files import mesh_arrays
-from meshes.tets.msh import MOST_PARTS, StoredMesh, is_old_text, part_name, read_msh
+from meshes.surfaces.vtk_files import mesh_arrays
+from meshes.tets.msh import (
+    MOST_PARTS,
+    StoredMesh,
+    broken_sections,
+    is_old_text,
+    part_name,
+    read_msh,
+)
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
@@ -89,11 +96,10 @@ def read_tets(
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
-    Gmsh text of versions 1 and 2 (``.msh``) is read here, other Gmsh files by meshio, and all else
-    by pyvista. Cells other than tetrahedra are
-    left out next to tetrahedra. An array of integers over the cells that is named as parts usually
-    are (``gmsh:physical``, ``part``, ``region``, ...) gives the parts; of ``part``, texts in the
-    field ``part_names`` are their names, counted from 0.
+    Gmsh text of versions 1 and 2 (``.msh``) is read here, other Gmsh files by meshio, and all other
+    formats by pyvista. In a file with tetrahedra, other cells are left out. The parts are an array
+    of integers over the cells with a usual name, such as ``gmsh:physical``, ``part`` or ``region``.
+    The field ``part_names`` holds the names of the numbers 0, 1, ... of the array ``part``.
 
     Parameters
     ----------
@@ -138,7 +144,7 @@ def _read_stored(file: Path) -> StoredMesh:
         found = read_msh(file) if is_old_text(file) else _read_by_meshio(file)
     else:
         facts, arrays = parse_isolated(
-            "meshes.surfaces.triangle_files:vtk_mesh",
+            "meshes.surfaces.vtk_files:vtk_mesh",
             file,
             what="mesh",
             remedy="export it as .vtu, .vtk, .msh or .stl",
@@ -167,12 +173,7 @@ def _read_by_meshio(file: Path) -> StoredMesh:
         except (InputError, MemoryError):
             raise
         except Exception as problem:  # meshio raises many kinds for a damaged file
-            raise InputError(
-                "file",
-                "hold whole sections of nodes and elements",
-                f"a broken one in {file.name}",
-                "export it again",
-            ) from problem
+            raise broken_sections(file) from problem
 
 
 def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
@@ -308,7 +309,7 @@ def _stored(mesh: object) -> StoredMesh:
 def _of_arrays(
     facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
 ) -> StoredMesh:
-    """Build a mesh from the arrays of `meshes.surfaces.triangle_files.mesh_arrays`."""
+    """Build a mesh from the arrays of `meshes.surfaces.vtk_files.mesh_arrays`."""
     tets = arrays.get("tets", np.zeros((0, 4), dtype=np.int64))
     known: dict[int, str] = {}
     for number, text in enumerate(facts.get("parts", [])):
@@ -338,12 +339,11 @@ def _of_blocks(mesh: Any) -> StoredMesh:
         name: np.concatenate([np.asarray(rows[k]) for k in chosen])
         for name, rows in (mesh.cell_data if chosen else {}).items()
     }
-    solids = {
-        int(row[0]): name
-        for name, row in (getattr(mesh, "field_data", None) or {}).items()
+    solids: dict[int, str] = {}
+    for name, row in (getattr(mesh, "field_data", None) or {}).items():
         # Gmsh names groups of any dimension by one number each.
-        if int(row[1]) == 3
-    }
+        if int(row[1]) == 3:
+            solids[int(row[0])] = part_name(name, solids, "physical volumes of the mesh")
     part, names = _parts(data, len(cells), solids)
     left = sum(len(block.data) for block in mesh.cells) - len(cells)
     notes = [f"Left out {left} elements that are not tetrahedra."] if left and len(cells) else []

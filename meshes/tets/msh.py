@@ -1,6 +1,7 @@
 """Meshes as files hold them, and Gmsh files of versions 1 and 2 in text.
 
-Libraries do not read version 1. meshio reads version 4 and binary files, see `meshes.tets.files`.
+meshio does not read version 1, and it is an optional package. It reads version 4 and binary files,
+see `meshes.tets.files`.
 """
 
 from collections.abc import Mapping
@@ -11,11 +12,19 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
+from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, visible, whole_number_in
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["MOST_PARTS", "StoredMesh", "is_old_text", "part_name", "read_msh"]
+__all__ = [
+    "MOST_PARTS",
+    "StoredMesh",
+    "broken_sections",
+    "is_old_text",
+    "part_name",
+    "read_msh",
+]
 
 _TRIANGLE = 2
 _TETRAHEDRON = 4
@@ -80,11 +89,7 @@ def read_msh(file: Path) -> StoredMesh:
     InputError
         If the file is of another version, binary, cut short, or names nodes it does not hold.
     """
-    content = file.read_bytes()
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
+    text = decoded_text(file, "file", remedy="save it with gmsh -format msh22")
     lines = [line.rstrip("\r") for line in text.split("\n")]
     version = _version(lines, file)
     try:
@@ -97,12 +102,7 @@ def read_msh(file: Path) -> StoredMesh:
     except InputError:
         raise
     except (ValueError, IndexError, OverflowError) as problem:
-        raise InputError(
-            "file",
-            "hold whole sections of nodes and elements",
-            f"a broken one in {file.name}",
-            "export it again",
-        ) from problem
+        raise broken_sections(file) from problem
     part = np.array([tag for kind, tag, _ in elements if kind == _TETRAHEDRON], dtype=np.int64)
     left = len(elements) - len(tets)
     notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
@@ -110,12 +110,24 @@ def read_msh(file: Path) -> StoredMesh:
     return StoredMesh(points, tets, triangles, part, names, notes)
 
 
+def broken_sections(file: Path) -> InputError:
+    """Return the error for a Gmsh file that is damaged or cut short."""
+    return InputError(
+        "file",
+        "hold whole sections of nodes and elements",
+        f"a broken one in {file.name}",
+        "export it again",
+    )
+
+
 def is_old_text(file: Path) -> bool:
-    """Return whether `read_msh` reads a file, by its first lines."""
+    """Return False for a Gmsh file of another version than 1 and 2 or in binary form."""
     with file.open("rb") as stored:
-        first, second = (stored.readline(_LONGEST_NAME).split() for _ in range(2))
-    is_newer = len(second) > 1 and (second[0][:1] != b"2" or second[1] != b"0")
-    return not (first == [b"$MeshFormat"] and is_newer)
+        first = stored.readline(_LONGEST_NAME).split()
+        second = stored.readline(_LONGEST_NAME).split()
+    if first != [b"$MeshFormat"] or len(second) < 2:
+        return True
+    return second[0].startswith(b"2") and second[1] == b"0"
 
 
 def _version(lines: list[str], file: Path) -> int:
@@ -173,7 +185,7 @@ def _of_kind(elements: list[tuple[int, int, list[int]]], kind: int, corners: int
 
 
 def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
-    """Return cells with the places of their nodes in place of the nodes' numbers."""
+    """Return cells with node indices in place of the node numbers of the file."""
     order = np.argsort(numbers)
     found = order[np.minimum(np.searchsorted(numbers, cells, sorter=order), len(numbers) - 1)]
     unknown = cells[numbers[found] != cells]

@@ -40,7 +40,10 @@ It is needed because some priors have a heavy tail towards zero. `FAR` is the li
 deviations of a prior; 0.3 % of constants lie beyond it by chance.
 """
 UNIT_TIMES = 100.0
-"""Ratio to the end of a cited range that suggests a wrong unit, whose factors are 1000."""
+"""Ratio of a value to the end of its cited range that suggests a wrong unit.
+
+Units such as N and kN differ by factors of 1000.
+"""
 
 
 @dataclass(frozen=True)

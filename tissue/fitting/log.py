@@ -34,11 +34,14 @@ FARTHEST_M = 10.0
 The position is then in another unit or damaged, and carving along such a jump would not end.
 """
 GAP = 5.0
-"""Time between two samples, in medians, that is a gap. A few lost samples are not reported."""
-SHORTEST_PATH_M = 5e-5
-"""Length of a path below which the unit of its positions is asked for [m].
+"""Ratio of a time step to the median step above which it is reported as a gap.
 
-A path of 50 mm in metres has it when it is read in millimetres.
+A few lost samples are not reported.
+"""
+SHORTEST_PATH_M = 5e-5
+"""Extent of the positions below which their unit must be given [m].
+
+A path of 50 mm whose positions are in metres has this extent if they are read in millimetres.
 """
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
@@ -226,7 +229,7 @@ def _checked(
 
 
 def _merge(taken: dict[str, Array], notes: list[str]) -> None:
-    """Average the samples of equal times, in place; of orientations the first is kept."""
+    """Average samples of equal times, in place. The first of their orientations is kept."""
     of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
     clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
     for name in taken:
@@ -269,7 +272,7 @@ PLATEAU = 10
 Noise makes as many equal neighbours unlikely.
 """
 SHARPER = 5
-"""Length of a row of equal values over the lengths of the rows before and after it.
+"""Ratio of the length of a plateau to the lengths of the plateaus before and after it.
 
 A peak in a signal with coarse steps stays below this ratio.
 """

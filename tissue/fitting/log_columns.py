@@ -46,7 +46,9 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zei
 EPOCH_S = 1e8
 """Times beyond it count from 1970 [s]. No log lasts three years."""
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
+"""Words in the header of a force, before its axis."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
+"""Words in the headers of other quantities with an axis, which are not positions."""
 
 
 def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> dict[str, str]:
@@ -66,7 +68,7 @@ def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> di
 
 
 def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -> dict[str, Array]:
-    """Return the available quantities in SI by name, and note the columns without a use."""
+    """Return the available quantities in SI by name, and note the unused columns."""
     values: dict[str, Array] = {}
     constants: dict[str, float] = {}
     used = set[str]()
@@ -75,9 +77,9 @@ def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) ->
         if fixed is not None:
             constants[name] = fixed
             continue
-        column, values_or_none = quantity(name, measure, asked.get(name), found, notes)
-        if values_or_none is not None:
-            values[name] = values_or_none
+        column, numbers = quantity(name, measure, asked.get(name), found, notes)
+        if numbers is not None:
+            values[name] = numbers
             used.add(column)
     rate_Hz = constants.pop("time_s", found.rate_Hz)
     if "time_s" not in values and rate_Hz and TIPS[2] in values:
@@ -120,9 +122,10 @@ def quantity(
         return "", None
     column, sign, unit = _column(name, asked, found.names)
     values = sign * found.numbers(column)
-    factor, remark = _factor(name, measure, column, unit)
     if measure == "time" and not unit and not unit_of(column, "time"):
         factor, remark = _clock(column, values)
+    else:
+        factor, remark = _factor(name, measure, column, unit)
     if remark:
         notes.append(remark)
     return column, factor * values
@@ -203,7 +206,7 @@ def _split(text: str) -> tuple[str, str]:
 
 
 def from_first(values: dict[str, Array], notes: list[str]) -> None:
-    """Count times since 1970 from the first of all times."""
+    """Subtract the first time from times since 1970, in place."""
     clocks = [name for name in ("time_s", "load_time_s") if len(values.get(name, ()))]
     start_s = min((float(values[name][0]) for name in clocks), default=0.0)
     if start_s > EPOCH_S:
@@ -219,7 +222,8 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
     depths = [each for each in names if unit_of(each, "length")]
     if set(TIPS) <= set(missing) and len(depths) == 1 and not found[TIPS[0]]:
         # a testing machine of one axis, whose depth grows downward
-        found |= dict(zip(TIPS, (["0"], ["0"], [f"-{depths[0]}"]), strict=True))
+        heights = (["0"], ["0"], [f"-{depths[0]}"])
+        found |= dict(zip(TIPS, heights, strict=True))
     flags = []
     for name, columns in found.items():
         column = columns[0] if len(columns) == 1 else "COLUMN[:UNIT]"
@@ -228,7 +232,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _is_like(name: str, header: str) -> bool:
-    """Return whether a header may be the header of a quantity along an axis, such as "Fx [mN]"."""
+    """Return whether a header, such as "Fx [mN]", may name a quantity along an axis."""
     measure = QUANTITIES[name]
     if measure not in ("length", "force"):
         return measure == "time" and bool(unit_of(header, "time"))

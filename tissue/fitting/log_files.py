@@ -18,7 +18,7 @@ from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.base.tables import read_table
 from meshes.base.text_tables import number_in
-from tissue.motion.replay import poses_group, read_drilling
+from tissue.motion.drilling_recording import poses_group, read_drilling
 
 __all__ = [
     "CHANNELS",
@@ -122,6 +122,7 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
 
     def numbers(name: str) -> Array:
+        """Return the numbers of a column, shape (n,)."""
         values = flat[name]
         if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise InputError(
@@ -184,7 +185,7 @@ def _h5(path: Path) -> LogColumns:
 def _structs(path: Path) -> LogColumns:
     """Return the columns of a MATLAB 7.3 file.
 
-    Columns of structs have the names of their fields if these are unique.
+    A column of a struct has the name of its field, if no other column has this name.
     """
     found = _h5(path)
     # MATLAB keeps its own data in groups such as #refs#

@@ -101,7 +101,8 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
         column = asked.get(name) or _column(name, found.names)
         if column is not None:
             _, numbers = quantity(name, measure, column, found, notes)
-            values |= {} if numbers is None else {name: numbers}
+            if numbers is not None:
+                values[name] = numbers
     for name in (DEPTH, FORCE):
         if name not in values:
             raise refuse(

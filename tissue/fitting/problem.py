@@ -241,6 +241,11 @@ MOST_SAMPLES = 2000
 """Samples of a log that a fit takes: noise that lasts for longer than a block is modelled, not
 averaged out.
 """
+ROUNDING_S = 1e-6
+"""Largest rounding error of a time between two samples [s].
+
+Times with six decimals have 1e-6 s, and seconds since 1970 in double precision have 2.4e-7 s.
+"""
 LEAST_BLOCK = 5
 """Ticks of a block.
 
@@ -282,7 +287,7 @@ def block_averages(
     """
     block_s = ticks * TICK_S
     # a sample at the start of a block may lie before it by rounding
-    place = np.floor((times_s - times_s[0]) / block_s + 1e-9).astype(np.int64)
+    place = np.floor((times_s - times_s[0] + ROUNDING_S) / block_s).astype(np.int64)
     count = int(place[-1]) + 1
     rate = float(np.median(np.diff(times_s)))
     known = np.isfinite(values)

@@ -67,6 +67,8 @@ class Motion(Protocol):
     """Values of these columns at the present tick."""
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
+    notes: tuple[str, ...] = ()
+    """Findings about the file from which the motion was read, in sentences."""
     balances: bool = False
     """True if the pose depends on the force at that pose.
 

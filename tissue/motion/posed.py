@@ -112,11 +112,11 @@ class PosedTool(Motion):
         self._velocity = np.zeros((2, 3))
 
     def sweep_m(self) -> Array:
-        """Return the present aim [m]."""
+        """Return the target position [m], shape (1, 3)."""
         return self._tip[None]
 
     def rotations(self) -> Array:
-        """Return the present orientation."""
+        """Return the target orientation, shape (1, 3, 3)."""
         return self._rotation[None]
 
     def begin(self, motion: ToolMotion) -> None:

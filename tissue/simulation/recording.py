@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.arrays import Array
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import FULL
-from tissue.motion.replay import EVENTS, POSES, SHAFT_TO_X
+from tissue.motion.drilling_recording import EVENTS, POSES, SHAFT_TO_X
 from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import CarvedRun
 from tissue.simulation.trace import RECORDING, write_trace

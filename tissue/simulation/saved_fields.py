@@ -128,7 +128,7 @@ def require_whole(saved: SavedRun) -> None:
     there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
     if there:
         parse_isolated(
-            "meshes.surfaces.triangle_files:check_vtk",
+            "meshes.surfaces.vtk_files:check_vtk",
             saved.path,
             what="folder of a run",
             remedy="run the scene again",

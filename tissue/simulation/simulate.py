@@ -343,15 +343,17 @@ def build(
         if compute not in known:
             raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
     motion = motion_of(scene, step_s=step_s)
-    coupling = {}
+    notes = {}
+    if motion.notes:
+        notes["motion"] = "; ".join(motion.notes)
     if scene.device is not None:
         from tissue.simulation.builders.hand import hand_motion
 
-        motion, coupling["coupling"] = hand_motion(scene, motion, allow_unstable=allow_unstable)
+        motion, notes["coupling"] = hand_motion(scene, motion, allow_unstable=allow_unstable)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=step_s, compute=compute, cores=cores, report=report
     )
-    parts.notes |= coupling
+    parts.notes |= notes
     if scene.materials:
         note_own_constants(scene, parts.tissue.layer_names, parts.notes)
     return parts

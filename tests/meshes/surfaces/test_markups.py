@@ -110,6 +110,13 @@ def test_point_lists(tmp_path, frame):
     assert marked.labels == ("F, 1",)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_point_lists_with_a_byte_order_mark(tmp_path, encoding):
+    path = tmp_path / "site.fcsv"
+    path.write_text(FCSV.format(frame="LPS", points="10,-20,30"), encoding)
+    assert read_markups(path)[0].points_mm.tolist() == [POINT]
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

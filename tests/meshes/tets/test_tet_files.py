@@ -143,6 +143,9 @@ def test_a_gmsh_file_of_version_4_has_the_same_parts(tmp_path: Path, capfd) -> N
     assert found.mesh.volumes_m3.sum() == pytest.approx(0.5e-3, rel=1e-12)
     assert found.mesh.part_names == ("liver tissue", "part 8")
     assert "Left out 1 elements that are not tetrahedra." in found.sentences
+    file.write_text(GMSH_4.replace("liver tissue", 61 * "x"))
+    with pytest.raises(InputError, match="have names that differ, of 1 to 60 characters"):
+        read_tets(file)
     file.write_text(GMSH_4[:-60])
     with pytest.raises(InputError, match="whole sections"):
         read_tets(file)

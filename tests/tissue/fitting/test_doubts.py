@@ -86,7 +86,7 @@ def test_clocks_that_contradict_their_prior_determine_nothing(tmp_path):
 
 
 def test_a_fit_of_keys_of_the_scene_alone_is_saved(tmp_path):
-    """The file of constants is then empty, and the keys stand in the report."""
+    """`fitted.toml` holds constants of materials only, so it is empty. `fit.json` lists the keys."""
     forward = coarse_slot()
     keys = ("organ.friction", "organ.young_kPa", "organ.exponent", "organ.share")
     renamed = [replace(one, name=key) for one, key in zip(forward.parameters, keys, strict=True)]

@@ -24,6 +24,22 @@ def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
     assert found.values[:, 0] == pytest.approx(3.0, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    "stamps_s",
+    [
+        lambda times_s: times_s + 1_772_359_200.0,
+        lambda times_s: np.round(times_s + 0.1234565, 6),
+    ],
+)
+def test_rounded_times_give_the_blocks_of_exact_times(stamps_s):
+    """Times since 1970 in double precision, and times with six decimals."""
+    times_s = np.arange(2000) * 1e-3
+    noise = np.random.default_rng(0).normal(size=(2000, 1))
+    exact = block_averages(times_s, noise, ("force_x_N",), 5)
+    rounded = block_averages(stamps_s(times_s), noise, ("force_x_N",), 5)
+    assert rounded.values == pytest.approx(exact.values, abs=1e-12)
+
+
 def test_a_long_log_has_two_thousand_samples():
     times = np.arange(0.0, 60.0, 1e-3)
     log = block_averages(times, times[:, None], ("force_x_N",), block_ticks(60.0, 1e-3))

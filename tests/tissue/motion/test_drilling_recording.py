@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
 from tissue.fitting.log import read_log
-from tissue.motion.replay import read_drilling, read_replay
+from tissue.motion.drilling_recording import read_drilling
+from tissue.motion.replay import read_replay
 
 h5py = pytest.importorskip("h5py")
 EPOCH_S = 1_700_000_000.0

@@ -181,6 +181,7 @@ def test_a_table_in_other_units_and_with_equal_times_is_read(tmp_path):
     tips, _, _, speeds = ticks(motion, 501)
     np.testing.assert_allclose(tips[[0, 500]], [[1e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
     np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
+    assert motion.notes == ("1 pose with the time of the pose before left out",)
 
 
 def test_a_path_of_one_point_is_refused():

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tissue import load_scene, simulate
-from tissue.motion.replay import EVENTS, POSES
+from tissue.motion.drilling_recording import EVENTS, POSES
 from tissue.simulation.recording import write_recording
 
 h5py = pytest.importorskip("h5py")

@@ -116,7 +116,7 @@ def _require_whole(saved: SavedRun) -> None:
     }
     if there:
         parse_isolated(
-            "meshes.surfaces.triangle_files:check_vtk",
+            "meshes.surfaces.vtk_files:check_vtk",
             saved.path,
             what="folder of a run",
             remedy="run the scene again",

@@ -20,9 +20,10 @@ from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
+from tissue.motion.drilling_recording import RECORDINGS, SHAFT_TO_X
 from tissue.motion.motion import FollowPath, Motion
 from tissue.motion.quaternion import Triple
-from tissue.motion.replay import RECORDINGS, SHAFT_TO_X, read_replay
+from tissue.motion.replay import read_replay
 from tissue.motion.thrust import PushAlongAxis
 from tissue.scene.coupling import Hardware
 from tissue.scene.registry import DEVICES, MOTIONS

@@ -71,3 +71,12 @@ def test_a_tool_that_is_deep_in_either_order_is_not_named(tmp_path):
     about_z = Rotation.from_euler("z", 40.0, degrees=True)
     parts, removed_mm3 = replayed(poses(tmp_path / "deep.csv", (-3.0, 0.0, -1.0), about_z))
     assert removed_mm3 > 5.0 and not named(parts)
+
+
+def test_a_repeated_pose_is_noted_in_the_run(tmp_path):
+    file = poses(tmp_path / "poses.csv", (-3.0, 0.0, -0.3), TILTED)
+    assert "motion" not in replayed(file)[0].notes
+    header, first, *rows = (tmp_path / "poses.csv").read_text().splitlines()
+    (tmp_path / "poses.csv").write_text("\n".join([header, first, first, *rows]))
+    parts, _ = replayed(file)
+    assert parts.notes["motion"] == "1 pose with the time of the pose before left out"

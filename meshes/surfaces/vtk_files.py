@@ -1,0 +1,208 @@
+"""VTK files read in a process of their own: surfaces, meshes of tetrahedra, and saved results.
+
+`meshes.base.isolated_parser` starts the process, because a damaged file can end it. VTK's readers
+print errors to VTK's output window and continue with half-filled arrays. Every printed error thus
+counts as a failure. Cells are checked before any filter runs, because a filter would copy memory
+beyond the points.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.isolated_parser import Answer
+
+__all__ = ["check_vtk", "mesh_arrays", "read_vtk", "vtk_mesh", "vtk_triangles"]
+
+_TETRAHEDRON = 10
+_QUADRATIC_TETRAHEDRON = 24
+"""Types of cells in VTK."""
+_CORNERS = {
+    1: 1,
+    3: 2,
+    5: 3,
+    8: 4,
+    9: 4,
+    10: 4,
+    11: 8,
+    12: 8,
+    13: 6,
+    14: 5,
+    21: 3,
+    22: 6,
+    23: 8,
+    24: 10,
+    25: 20,
+    26: 15,
+}
+"""Points of a cell by its VTK type, where the type fixes them."""
+_HEADING = re.compile(
+    r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE
+)
+
+
+def read_vtk(file: Path) -> Any:
+    """Return the dataset that pyvista reads from a file, with its cells checked.
+
+    Raises
+    ------
+    DamagedFileError
+        If the reader complained, with its first complaint, or cells are not where the file states.
+    InputError
+        If a cell names a point that is not there.
+    """
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+
+    window = vtkStringOutputWindow()
+    vtkOutputWindow.SetInstance(window)
+    data: Any = pyvista.read(file)
+    output = window.GetOutput() or ""
+    if "error" in output.lower():
+        raise DamagedFileError(
+            next(
+                (line for line in _HEADING.sub("", output).splitlines() if line.strip()),
+                "not whole",
+            )
+        )
+    for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
+        if isinstance(block, pyvista.PolyData):
+            for cells in (block.GetVerts(), block.GetLines(), block.GetPolys(), block.GetStrips()):
+                _require_cells(cells, file, block.n_points)
+        elif isinstance(block, pyvista.UnstructuredGrid):
+            _require_cells(block.GetCells(), file, block.n_points, np.asarray(block.celltypes))
+    return data
+
+
+def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
+    """Read files of a folder, and refuse those that are damaged or incomplete.
+
+    A file is incomplete if it lacks one of the arrays that it should hold.
+
+    Where ``layer`` is among them, it must count into the field ``layer_names``. The content is not
+    returned.
+    """
+    for name, wanted in arrays_by_file.items():
+        try:
+            data = read_vtk(folder / name)
+        except (InputError, DamagedFileError) as problem:
+            raise DamagedFileError(f"{name} is damaged: {problem}") from None
+        except Exception:  # the readers raise many kinds, none documented
+            raise DamagedFileError(f"{name} is damaged or cut off") from None
+        missing = [each for each in wanted if each not in data.cell_data and data.n_cells]
+        if missing:
+            raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
+        if "layer" in wanted and data.n_cells:
+            layers = np.asarray(data.cell_data["layer"])
+            names = data.field_data.get("layer_names", ())
+            if layers.dtype.kind not in "iu" or layers.min() < 0 or layers.max() >= len(names):
+                raise DamagedFileError(f"{name} has layers without a name")
+    return {}, {}
+
+
+def vtk_triangles(file: Path) -> Answer:
+    """Return the arrays of the surface of a file.
+
+    They are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
+    """
+    return {}, _triangles(read_vtk(file))
+
+
+def vtk_mesh(file: Path) -> Answer:
+    """Return the arrays of the mesh in a file, see `mesh_arrays`."""
+    import pyvista
+
+    data = read_vtk(file)
+    return mesh_arrays(data.combine() if isinstance(data, pyvista.MultiBlock) else data)
+
+
+def mesh_arrays(data: Any) -> Answer:
+    """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
+
+    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
+    had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,
+    ... here; ``parts``, the texts of the field ``part_names``.
+    """
+    kinds = np.asarray(getattr(data, "celltypes", ()))
+    if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
+        return {}, _triangles(data)
+    by_kind = data.cells_dict
+    present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
+    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
+    tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
+    names = [
+        name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"
+    ]
+    arrays: dict[str, Any] = {"points": np.asarray(data.points), "tets": tets}
+    arrays |= {
+        f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)
+    }
+    parts = (
+        np.asarray(data.field_data["part_names"])
+        if "part_names" in data.field_data
+        else np.zeros(0)
+    )
+    facts = {
+        "others": len(kinds) - len(order),
+        "quadratic": _QUADRATIC_TETRAHEDRON in present,
+        "names": names,
+        "parts": [str(part) for part in parts.ravel()] if parts.dtype.kind == "U" else [],
+    }
+    return facts, arrays
+
+
+def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
+    import pyvista
+
+    if not isinstance(data, pyvista.PolyData):
+        # Cells with a volume: only their outer faces enclose the solid.
+        data = data.extract_surface(algorithm="dataset_surface")
+    surface = data.triangulate()
+    return {
+        "points": np.asarray(surface.points),
+        "triangles": np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64),
+    }
+
+
+def _require_cells(
+    cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None
+) -> None:
+    """Refuse cells that name points which do not exist.
+
+    Also refuse cells with another number of points than their type.
+    """
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    offsets = vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)
+    points = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
+    sizes = np.diff(offsets)
+    if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points) or (sizes < 0).any()):
+        raise DamagedFileError("cells are not where their offsets point")
+    if kinds is not None:
+        if len(kinds) != len(sizes):
+            raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
+        # A type is one byte. Types without a fixed number of points, such as polygons, are not
+        # checked.
+        expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
+        short = np.flatnonzero((expected >= 0) & (sizes != expected))
+        if len(short):
+            k = short[0]
+            raise InputError(
+                f"cells of VTK type {kinds[k]}",
+                f"have {expected[k]} points",
+                f"{sizes[k]} in cell {k} of {file.name}, counted from 0",
+                "export it again",
+            )
+    wrong = np.flatnonzero((points < 0) | (points >= point_count))
+    if len(wrong):
+        cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
+        raise InputError(
+            "cells",
+            f"name points 0 to {point_count - 1} of the file",
+            f"{points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
+            "export it again",
+        )

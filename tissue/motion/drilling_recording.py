@@ -1,0 +1,251 @@
+"""Recordings of volumetric_drilling, the simulator of mastoidectomy of Johns Hopkins (HDF5)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.extras import install_command
+from meshes.base.file_limits import require_memory, require_regular
+from tissue.motion.motion import first_off_unit
+
+__all__ = [
+    "EVENTS",
+    "POSES",
+    "RECORDINGS",
+    "SHAFT_TO_X",
+    "DrillingRecording",
+    "PoseFile",
+    "poses_group",
+    "read_drilling",
+]
+
+
+POSES = "physics_data/continuous_data/high_frequency_poses"
+"""HDF5 group that contains one group of poses for each object."""
+EVENTS = "physics_data/intermittent_data"
+"""HDF5 group of intermittent events: removed voxels, burr changes and forces."""
+OLD_POSES = "high_frequency_poses"
+OLDEST_POSES = "data"
+"""Groups of the poses in files of older layouts, whose event groups lie at the root.
+
+Recordings of 2022 to 2025 have ``data/time`` and ``data/pose_OBJECT``, one clock for all objects.
+"""
+RECORDINGS = (".hdf5", ".h5")
+"""File name suffixes of HDF5 recordings."""
+SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
+"""Rotation from our tool frame to the recorded drill frame.
+
+The axis from tip to shank is z in our frame and x in the recorded frame.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class DrillingRecording:
+    """Content of a recording, in our tool's frame and with times that start at the first pose.
+
+    Attributes
+    ----------
+    times_s
+        Increasing times of the poses [s] from 0, shape (n,).
+    tips_m
+        Tips of the tool in the recording's world [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), the tool's z axis from tip to shank, shape (n, 4).
+    load_times_s
+        Times of the loads on the clock of the poses [s], shape (m,); None without recorded loads.
+    loads
+        Forces on the tool in the world [N], shape (m, 3). With torques [N m] that are not a copy of
+        the forces, shape (m, 6).
+    notes
+        Findings and assumptions, one sentence each.
+    """
+
+    times_s: Array
+    tips_m: Array
+    quaternions: Array
+    load_times_s: Array | None
+    loads: Array | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """File of poses.
+
+    Attributes
+    ----------
+    path
+        File.
+    what
+        Name of the file in errors, such as ``motion.file``.
+    """
+
+    path: Path
+    what: str
+
+    def error(self, requirement: str, got: object, remedy: str) -> InputError:
+        """Return the error for a value in the file."""
+        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
+
+    def require_unit(self, quaternions: Array) -> None:
+        """Check the length of quaternions (x, y, z, w), shape (n, 4)."""
+        if (wrong := first_off_unit(quaternions)) is not None:
+            length = float(np.linalg.norm(quaternions[wrong]))
+            raise self.error(
+                "hold unit quaternions",
+                f"one of length {length:.4g} for pose {wrong + 1}",
+                "use 0, 0, 0, 1 for no rotation",
+            )
+
+
+def read_drilling(path: Path, *, what: str) -> DrillingRecording:
+    """Read a recording of volumetric_drilling in the present or the older layout.
+
+    The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
+    by half the burr size if the file contains the size. Otherwise the recorded point is used as the
+    tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore sorted,
+    and the first sample of each time is kept. If the file contains one camera, forces are rotated
+    from its axes back into the world.
+
+    Parameters
+    ----------
+    path
+        HDF5 file.
+    what
+        Name of the file in errors, such as ``motion.file``.
+
+    Raises
+    ------
+    InputError
+        If h5py is not installed, or the file is not a complete recording of this kind.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(
+            what, "have what reads it installed", "no h5py", install_command("h5")
+        ) from None
+    require_regular(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return _drilling(file, PoseFile(path, what))
+    except (InputError, MemoryError):
+        raise
+    except Exception as problem:  # h5py raises a dozen kinds for a damaged file
+        raise InputError(
+            what,
+            "be a whole HDF5 file",
+            f"{path} ({' '.join(str(problem).split())})",
+            "export it again",
+        ) from None
+
+
+def poses_group(file: Any) -> str | None:
+    """Return the group of the poses of a drill in an HDF5 file, None in any other file."""
+    for group in (POSES, OLD_POSES):
+        if group in file:
+            return group
+    # many programs have a group of this name
+    if OLDEST_POSES in file and any("drill" in name for name in file[OLDEST_POSES]):
+        return OLDEST_POSES
+    return None
+
+
+def _drilling(file: Any, where: PoseFile) -> DrillingRecording:
+    """Return the content of an open recording."""
+    poses = poses_group(file)
+    events = EVENTS + "/" if poses == POSES else ""
+    if poses is None:
+        raise where.error(
+            "be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv"
+        )
+    names = list(file[poses])
+    drills = [name for name in names if "drill" in name]
+    if len(drills) != 1:
+        raise where.error(
+            "hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill"
+        )
+    notes = ["a recording of volumetric_drilling, in its world"]
+    # Position and quaternion: 7 numbers. A wrench has 6: force and torque.
+    times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
+    if len(times) < 2:
+        raise where.error("hold at least two poses", len(times), "record more")
+    where.require_unit(pose[:, 3:])
+    turns = Rotation.from_quat(pose[:, 3:]) * SHAFT_TO_X
+    tips = pose[:, :3]
+    if f"{events}burr_change" in file:
+        _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
+        if len(np.unique(sizes)) != 1 or sizes[0, 0] <= 0.0:
+            raise where.error(
+                "keep one burr",
+                f"sizes {sorted(set(sizes[:, 0].tolist()))} mm",
+                "cut it where it changes",
+            )
+        # From the centre of the burr to its tip: half the diameter, in metres.
+        tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
+    else:
+        notes.append("no size of the burr: the recorded point of the drill counts as its tip")
+    start = float(times[0])
+    load_times = None
+    loads = None
+    if f"{events}drill_force_feedback" in file:
+        load_times, loads = _samples(file, f"{events}drill_force_feedback", "wrench", 6, where)
+        cameras = [name for name in names if "camera" in name]
+        if len(cameras) == 1:
+            # volumetric_drilling.cpp, commit 001d332: the plugin publishes R^T F, with the
+            # orientation R of its main camera, as the force and again as the torque.
+            shown, seen = _samples(file, f"{poses}/{cameras[0]}", "pose", 7, where)
+            if len(shown) == 0:
+                raise where.error("hold poses", f"none for {cameras[0]}", "record it again")
+            where.require_unit(seen[:, 3:])
+            nearest = np.clip(np.searchsorted(shown, load_times), 0, len(shown) - 1)
+            camera = Rotation.from_quat(seen[nearest, 3:])
+            loads = np.hstack([camera.apply(loads[:, :3]), camera.apply(loads[:, 3:])])
+            notes.append("forces turned from the camera's axes to the world's")
+        if len(loads) and loads.any() and np.array_equal(loads[:, :3], loads[:, 3:]):
+            loads = loads[:, :3]
+            notes.append(
+                "torques left out: they are a copy of the forces, as the recorded program "
+                "sends them"
+            )
+        load_times = load_times - start
+    return DrillingRecording(times - start, tips, turns.as_quat(), load_times, loads, tuple(notes))
+
+
+def _samples(file: Any, group: str, name: str, width: int, where: PoseFile) -> tuple[Array, Array]:
+    """Return increasing times [s], shape (n,), and the values at these times, shape (n, width)."""
+    import h5py
+
+    found = []
+    # a pose of 2022 to 2025 is a dataset next to the times of all poses
+    is_bare = isinstance(file.get(group), h5py.Dataset)
+    pair = (
+        (f"{group.rpartition('/')[0]}/time", group)
+        if is_bare
+        else (f"{group}/time_stamp", f"{group}/{name}")
+    )
+    for each in pair:
+        dataset = file.get(each)
+        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
+            raise where.error(f"hold numbers as {each}", "none", "record it again")
+        # In memory as doubles, 8 bytes each, but first as stored.
+        size = max(dataset.dtype.itemsize, 8) * dataset.size
+        require_memory(size, where.path.name, f"{dataset.size:.3g} numbers as {each}")
+        found.append(np.asarray(dataset[()], dtype=np.float64))
+    times, values = found
+    values = values[:, None] if values.ndim == 1 and width == 1 else values
+    if times.ndim != 1 or values.shape != (len(times), width):
+        raise where.error(
+            f"hold {width} values of {group}/{name} at each time_stamp",
+            f"shapes {values.shape} and {times.shape}",
+            "record it again",
+        )
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise where.error("hold finite numbers", f"others for {group}", "cut them out")
+    order = np.unique(times, return_index=True)[1]
+    return times[order], values[order]
