@@ -189,7 +189,7 @@ class Loop:
         reach = usual_mm if reach_mm is None else reach_mm
         reach_m = 1e-3 * require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
         self._closing = ExitStack()
-        self._warned = 0
+        self._warned = set[str]()
         self._device: HandMotion | None = None
         self._session: PosedSession | None = None
         self._organ: LiverModel | None = None
@@ -213,6 +213,7 @@ class Loop:
             )
             above = start_above(tissue, along) if start_mm is None else start_mm
             start_m = 1e-3 * require_vector("start_mm", np.asarray(above, dtype=np.float64))
+            leave_out({"cores": cores}, "without a scene")
             fitting = fitted(tissue, tool, keep_clear)
             if device is None:
                 leave_out(options, "without a device")
@@ -406,9 +407,13 @@ class Loop:
     def _show(self) -> None:
         """Show the last row of the trace, and warn of limits that were passed."""
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
-        if self._limits is not None and len(self._limits.passed) > self._warned:
-            warn_of(list(self._limits.passed.values())[self._warned :])
-            self._warned = len(self._limits.passed)
+        if self._limits is None:
+            return
+        passed = self._limits.passed
+        # A reset clears the limits. Each limit is still warned of once.
+        if not passed.keys() <= self._warned:
+            warn_of([what for about, what in passed.items() if about not in self._warned])
+            self._warned |= passed.keys()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
         """Restore the tissue as it was when the loop was made, and set the time to 0.
@@ -505,10 +510,13 @@ class Loop:
     def trace(self) -> Trace:
         """Trace of the ticks so far, one row each: ``loop.trace["device_force_z_N"]``."""
         whole = self._loop.trace
-        rows = whole.rows[: self.ticks]
-        if self.ticks > self._most:
-            rows = np.roll(rows, -(self.ticks % self._most), axis=0)
-        return Trace(Table(whole.columns, rows, whole.layer_names))
+        return Trace(Table(whole.columns, self._in_order(whole.rows), whole.layer_names))
+
+    def _in_order(self, rows: Array) -> Array:
+        """Return the rows of the ticks so far, the oldest first."""
+        if self.ticks <= self._most:
+            return rows[: self.ticks]
+        return np.roll(rows, -(self.ticks % self._most), axis=0)
 
     @property
     def events(self) -> list[tuple[float, str]]:
@@ -519,8 +527,8 @@ class Loop:
 
     @property
     def tick_us(self) -> Any:
-        """Duration of each tick [µs], shape (n,)."""
-        return self._loop.timing["tick_us"][: self.ticks]
+        """Duration of each tick in the trace [µs], shape (n,)."""
+        return self._in_order(self._loop.timing["tick_us"])
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return the ticks so far as a table, one row each."""
