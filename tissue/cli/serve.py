@@ -12,14 +12,14 @@ def serve(
     set_: Overrides = (),
     address: str | None = None,
     ros2: Flag = False,
-    step_ms: int | None = None,
+    step_ms: int = 1,
     reach_mm: float | None = None,
 ) -> None:
     """Answer the poses of another program with the wrench of a scene's tissue.
 
-    Any robot simulator or game engine can so feel the tissue: it sends the pose of the tool and
-    receives force and torque on it. Each pose is one step of simulated time. Ctrl-C ends the
-    server. Not for clinical use.
+    A robot simulator or a game engine sends the pose of the tool and receives force and torque on
+    it. Each pose is one step of simulated time. The velocity of the tool is its change of pose in
+    that step. Ctrl-C ends the server. Not for clinical use.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def serve(
     ros2
         Serve the ROS 2 topic /tissue/servo_cp instead of an address.
     step_ms
-        Simulated time of a step, in whole milliseconds; default 1.
+        Simulated time of a step, in whole milliseconds.
     reach_mm
         Distance to the sides of the scene's path within which the tissue is prepared; default 2.
     """
@@ -45,9 +45,8 @@ def serve(
     if ros2:
         left_out("with --ros2", "remove it", address=address)
     with problems.status(f"building {scene}"):
-        loop = Loop(
-            load_scene(scene, parse_overrides(set_)), step_ms=step_ms or 1, reach_mm=reach_mm
-        )
+        loaded = load_scene(scene, parse_overrides(set_))
+        loop = Loop(loaded, step_ms=step_ms, reach_mm=reach_mm)
     for about, note in loop.notes.items():
         console.print(f"{about}: {note}", markup=False)
 
