@@ -18,8 +18,8 @@ def serve(
     """Answer the poses of another program with the wrench of a scene's tissue.
 
     A robot simulator or a game engine sends the pose of the tool and receives force and torque on
-    it. Each pose is one step of simulated time. Ctrl-C ends the
-    server. Not for clinical use.
+    it. Each pose is one step of simulated time. The velocity of the tool is its change of pose in
+    that step. Ctrl-C ends the server. Not for clinical use.
 
     Parameters
     ----------
@@ -44,7 +44,8 @@ def serve(
     if ros2:
         left_out("with --ros2", "remove it", address=address)
     with problems.status(f"building {scene}"):
-        loop = Loop(load_scene(scene, parse_overrides(set_)), step_ms=step_ms, reach_mm=reach_mm)
+        loaded = load_scene(scene, parse_overrides(set_))
+        loop = Loop(loaded, step_ms=step_ms, reach_mm=reach_mm)
     for about, note in loop.notes.items():
         console.print(f"{about}: {note}", markup=False)
 

@@ -435,7 +435,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def _prepare(self) -> None:
         """Restore the tissue and apply the values drawn for the episode."""
 
-    def _tick(self, command: Array, count: int = 1) -> Array:
+    def _tick(self, command: Array, count: int) -> Array:
         """Advance by ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
         self._command = command
         # No motion of an environment depends on the time.

@@ -57,6 +57,13 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
         if length < 1e-6:
             raise InputError("pose", "hold a unit quaternion", "a zero one", "use 0, 0, 0, 1")
         return 1e-3 * values[:3], matrix_of(values[3:] / length)
+    if (values[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        raise InputError(
+            "pose",
+            "have 0, 0, 0, 1 in the last row of its matrix",
+            values[3].tolist(),
+            "transpose a matrix whose last row is the tip",
+        )
     turn = values[:3, :3]
     error = float(np.abs(turn @ turn.T - np.eye(3)).max())
     if error > OFF_ROTATION or np.linalg.det(turn) < 0.0:

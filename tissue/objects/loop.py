@@ -12,17 +12,14 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import (
     InputError,
-    names_of_caller,
     require_direction,
-    require_positive,
     require_range,
     require_vector,
 )
 from tissue.cutters import Cutter
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import run_held
-from tissue.haptics.hand_motion import HandMotion, Script
-from tissue.materials.scene_constants import Materials
+from tissue.haptics.hand_motion import HandMotion
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, ToolMotion
 from tissue.models.tooth.model import ToothModel
@@ -30,8 +27,8 @@ from tissue.motion.motion import StaysAt, frame_along
 from tissue.objects.bone import Bone
 from tissue.objects.cut import saved_table
 from tissue.objects.cutting import Structures, clearance_of, warn_of
-from tissue.objects.loop_settings import ARGUMENTS, LoopOptions, constants_note, settings_of
-from tissue.objects.loop_start import fitted, leave_out, region, start_above
+from tissue.objects.loop_settings import LoopOptions, judged_device
+from tissue.objects.loop_start import LONGEST_S, Extent, fitted, leave_out, region, start_above
 from tissue.objects.organ import Organ
 from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
@@ -41,10 +38,7 @@ from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import require_known
-from tissue.simulation.builders.force_met import Met, Series, scale_for, slot_force_N
-from tissue.simulation.builders.hand import device_motion
-from tissue.simulation.builders.loop import LoopSettings
-from tissue.simulation.builders.parts import Parts, require_device
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.observer import WallClock
 from tissue.simulation.posed import PosedSession, Snapshot, posed_parts
 from tissue.simulation.trace import Table
@@ -55,18 +49,6 @@ if TYPE_CHECKING:
     from tissue.models.organ.model import LiverModel
 
 __all__ = ["Loop"]
-
-
-LONGEST_S = 3600.0
-"""Longest duration of a loop for which rows are allocated [s].
-
-An hour of 60 columns takes 1.7 GB.
-"""
-REACH_MM = 5.0
-SCENE_REACH_MM = 2.0
-"""Default reach around a tool, and around the path of a scene, which is prepared anyway [mm]."""
-MOST_TICKS = 1000
-"""Largest number of ticks in a step: a rate of 1 Hz."""
 
 
 class Loop:
@@ -179,17 +161,10 @@ class Loop:
                 type(tissue).__name__,
                 "make one of these",
             )
-        longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
-        self._most = round(longest / TICK_S)
-        ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
-        if ticks != round(ticks):
-            raise InputError("step_ms", "be a whole number of ticks of 1 ms", step_ms, "use 1")
-        usual_mm = SCENE_REACH_MM if isinstance(tissue, Scene) else REACH_MM
-        least_mm = 0.0 if isinstance(tissue, Scene) else 0.5
-        reach = usual_mm if reach_mm is None else reach_mm
-        reach_m = 1e-3 * require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
+        extent = Extent.of(tissue, longest_s=longest_s, step_ms=step_ms, reach_mm=reach_mm)
+        self._most = extent.rows
         self._closing = ExitStack()
-        self._warned = 0
+        self._warned = set[str]()
         self._device: HandMotion | None = None
         self._session: PosedSession | None = None
         self._organ: LiverModel | None = None
@@ -198,46 +173,32 @@ class Loop:
         if isinstance(tissue, Scene):
             given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
             leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
-            parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
-            placed = ToolMotion()
-            parts.motion.begin(placed)
-            start = placed.tip_m, placed.rotation
-            self._session = PosedSession(
-                parts, start, ticks=round(ticks), rows=self._most, region=prepared
-            )
-            self._loop = self._session.loop
-            self.notes |= parts.notes
+            self._loop = self._scene_loop(tissue, extent, cores)
         else:
+            leave_out({"cores": cores}, "without a scene")
             along = require_direction(
                 "axis", np.asarray((0.0, 0.0, 1.0) if axis is None else axis, dtype=np.float64)
             )
             above = start_above(tissue, along) if start_mm is None else start_mm
             start_m = 1e-3 * require_vector("start_mm", np.asarray(above, dtype=np.float64))
             fitting = fitted(tissue, tool, keep_clear)
+            judged = None
             if device is None:
                 leave_out(options, "without a device")
-            elif ticks != 1:
+            elif extent.ticks != 1:
                 raise InputError("step_ms", "be 1 with a device", step_ms, "leave it out")
             else:
-                self._loop_settings = self._held(tissue, fitting, device, start_m, along, options)
+                judged = judged_device(device, tissue, fitting, start_m, along, options)
+                self._device = judged.motion
             # A refused coupling leaves the bone as it was: the tissue is prepared after it.
-            parts = self._prepared(tissue, fitting, start_m, along, reach_m, keep_clear)
-            self.notes = dict(tissue.notes) | self.notes
-            if self._device is None:
-                turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
-                self._session = PosedSession(
-                    parts,
-                    (start_m, turn),
-                    ticks=round(ticks),
-                    rows=self._most,
-                    keep_ready=self._keep_ready,
-                    region=region(start_m, turn, reach_m) if self._organ else None,
-                )
-                self._loop = self._session.loop
+            parts = self._prepared(tissue, fitting, start_m, along, extent.reach_m, keep_clear)
+            self.notes = dict(tissue.notes)
+            if judged is None:
+                self._loop = self._posed_loop(parts, extent, start_m, along)
             else:
-                parts.motion = self._device
-                output = self._loop_settings.output
-                self._loop = engine.Loop(parts, ticks=self._most, output=output)
+                self.notes |= judged.notes
+                parts.motion = judged.motion
+                self._loop = engine.Loop(parts, ticks=self._most, output=judged.output)
                 self._loop.place()
         model = self._loop.parts.tissue
         milling = model.milling if isinstance(model, ToothModel) else model
@@ -245,55 +206,36 @@ class Loop:
         self._row = TickRow(self._loop.trace.columns)
         self._row.values_of_tick = self._loop.trace.rows[0]
 
-    def _held(
-        self,
-        tissue: Bone | Organ,
-        tool: Cutter | PressingTool,
-        device: Device,
-        start_m: Array,
-        along: Array,
-        options: LoopOptions,
-    ) -> LoopSettings:
-        """Judge the coupling of a device, keep its motion, and return the settings."""
-        if isinstance(device, type):
-            name = device.__name__
-            raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
-        require_device(device)
-        constants = Materials.of(options.get("materials"))
-        with names_of_caller(ARGUMENTS):
-            settings = settings_of(device, options, constants, cuts=isinstance(tissue, Bone))
-        scale = options.get("force_scale")
-        scale_note = ""
-        if isinstance(tissue, Bone) and scale is None:
-            assert isinstance(tool, Cutter)
-            usual_N = slot_force_N(tissue.voxel_bone, tool)
-            series = Series.of(settings.limits, settings.constants)
-            scale = scale_for(Met(usual_N), settings.limits, series)
-            scale_note = (
-                f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
-            )
-        x, y, z = along.tolist()
-        script = Script(
-            motion=StaysAt(start_m, (x, y, z)),
-            motion_scale=settings.coupling.motion_scale,
-            device_origin_m=start_m,
+    def _scene_loop(self, scene: Scene, extent: Extent, cores: int | None) -> engine.Loop:
+        """Make the session of a scene, and return its loop."""
+        parts, prepared = posed_parts(scene, reach_m=extent.reach_m, cores=cores)
+        placed = ToolMotion()
+        parts.motion.begin(placed)
+        self.notes = parts.notes
+        self._session = PosedSession(
+            parts,
+            (placed.tip_m, placed.rotation),
+            ticks=extent.ticks,
+            rows=extent.rows,
+            region=prepared,
         )
-        with names_of_caller(ARGUMENTS):
-            self._device, found = device_motion(
-                settings,
-                script,
-                lambda held, stiffness: device,
-                force_scale=(
-                    require_positive("force_scale", 1.0 if scale is None else scale, "use 1"),
-                    scale_note,
-                ),
-                # Only a perception draws, and a caller's loop has none.
-                rng=np.random.default_rng(0),
-                allow_unstable=options.get("allow_unstable", False),
-            )
-        self.notes = constants_note(constants, tissue, options)
-        self.notes["coupling"] = "; ".join(found)
-        return settings
+        return self._session.loop
+
+    def _posed_loop(
+        self, parts: Parts, extent: Extent, start_m: Array, along: Array
+    ) -> engine.Loop:
+        """Make the session of a bone or an organ without a device, and return its loop."""
+        x, y, z = along.tolist()
+        turn = frame_along((x, y, z))
+        self._session = PosedSession(
+            parts,
+            (start_m, turn),
+            ticks=extent.ticks,
+            rows=extent.rows,
+            keep_ready=self._keep_ready,
+            region=region(start_m, turn, extent.reach_m) if self._organ else None,
+        )
+        return self._session.loop
 
     def _prepared(
         self,
@@ -406,9 +348,13 @@ class Loop:
     def _show(self) -> None:
         """Show the last row of the trace, and warn of limits that were passed."""
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
-        if self._limits is not None and len(self._limits.passed) > self._warned:
-            warn_of(list(self._limits.passed.values())[self._warned :])
-            self._warned = len(self._limits.passed)
+        if self._limits is None:
+            return
+        passed = self._limits.passed
+        # A reset clears the limits. Each limit is still warned of once.
+        if not passed.keys() <= self._warned:
+            warn_of([what for about, what in passed.items() if about not in self._warned])
+            self._warned |= passed.keys()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
         """Restore the tissue as it was when the loop was made, and set the time to 0.
@@ -505,10 +451,13 @@ class Loop:
     def trace(self) -> Trace:
         """Trace of the ticks so far, one row each: ``loop.trace["device_force_z_N"]``."""
         whole = self._loop.trace
-        rows = whole.rows[: self.ticks]
-        if self.ticks > self._most:
-            rows = np.roll(rows, -(self.ticks % self._most), axis=0)
-        return Trace(Table(whole.columns, rows, whole.layer_names))
+        return Trace(Table(whole.columns, self._in_order(whole.rows), whole.layer_names))
+
+    def _in_order(self, rows: Array) -> Array:
+        """Return the rows of the ticks so far, the oldest first."""
+        if self.ticks <= self._most:
+            return rows[: self.ticks]
+        return np.roll(rows, -(self.ticks % self._most), axis=0)
 
     @property
     def events(self) -> list[tuple[float, str]]:
@@ -519,8 +468,8 @@ class Loop:
 
     @property
     def tick_us(self) -> Any:
-        """Duration of each tick [µs], shape (n,)."""
-        return self._loop.timing["tick_us"][: self.ticks]
+        """Duration of each tick in the trace [µs], shape (n,)."""
+        return self._in_order(self._loop.timing["tick_us"])
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return the ticks so far as a table, one row each."""

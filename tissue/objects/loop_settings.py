@@ -2,18 +2,25 @@
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TypedDict
 
-from meshes.base.errors import InputError
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, names_of_caller, require_positive
 from meshes.base.text_tables import unknown_name
+from tissue.cutters import Cutter
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
+from tissue.haptics.hand_motion import HandMotion, Script
 from tissue.materials.scene_constants import Materials
+from tissue.motion.motion import StaysAt
 from tissue.objects.bone import Bone
 from tissue.objects.organ import Organ
+from tissue.objects.tools import PressingTool
 from tissue.prediction.guard import GuardedMaker, Observes
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
@@ -21,10 +28,12 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output
 from tissue.scene.used_constants import used_of_device
 from tissue.simulation.builders.arguments import given_note, stated
+from tissue.simulation.builders.force_met import Met, Series, scale_for, slot_force_N
+from tissue.simulation.builders.hand import device_motion
 from tissue.simulation.builders.loop import LoopSettings, sampled
-from tissue.simulation.builders.parts import require_stated_rate
+from tissue.simulation.builders.parts import require_device, require_stated_rate
 
-__all__ = ["ARGUMENTS", "LoopOptions", "constants_note", "settings_of"]
+__all__ = ["JudgedDevice", "LoopOptions", "judged_device"]
 
 ARGUMENTS = {
     **{f"coupling.{key}": key for key in Coupling.model_fields},
@@ -52,7 +61,93 @@ class LoopOptions(TypedDict, total=False):
     allow_unstable: bool
 
 
-def settings_of(
+@dataclass(frozen=True)
+class JudgedDevice:
+    """Motion of a tool that is coupled to a device, after its coupling was judged.
+
+    Attributes
+    ----------
+    motion
+        Motion of the tool.
+    output
+        Options of the force that is played.
+    notes
+        Notes on constants and on the coupling, by subject.
+    """
+
+    motion: HandMotion
+    output: Output
+    notes: dict[str, str]
+
+
+def judged_device(
+    device: Device,
+    tissue: Bone | Organ,
+    tool: Cutter | PressingTool,
+    start_m: Array,
+    along: Array,
+    options: LoopOptions,
+) -> JudgedDevice:
+    """Judge the coupling of a device to a tool.
+
+    Parameters
+    ----------
+    device
+        Device, whose origin is the start.
+    tissue, tool
+        Tissue, and the tool that cuts or presses it.
+    start_m, along
+        Tip at the start [m] and direction of the tool from tip to shank, shape (3,) each.
+    options
+        Options of the caller.
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used, or the coupling is unstable and that is not allowed.
+    """
+    if isinstance(device, type):
+        name = device.__name__
+        raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
+    require_device(device)
+    constants = Materials.of(options.get("materials"))
+    with names_of_caller(ARGUMENTS):
+        settings = _settings_of(device, options, constants, cuts=isinstance(tissue, Bone))
+    scale = options.get("force_scale")
+    scale_note = ""
+    if isinstance(tissue, Bone) and scale is None:
+        assert isinstance(tool, Cutter)
+        usual_N = slot_force_N(tissue.voxel_bone, tool)
+        series = Series.of(settings.limits, settings.constants)
+        scale = scale_for(Met(usual_N), settings.limits, series)
+        scale_note = (
+            f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
+        )
+    x, y, z = along.tolist()
+    script = Script(
+        motion=StaysAt(start_m, (x, y, z)),
+        motion_scale=settings.coupling.motion_scale,
+        device_origin_m=start_m,
+    )
+    with names_of_caller(ARGUMENTS):
+        motion, found = device_motion(
+            settings,
+            script,
+            lambda held, stiffness: device,
+            force_scale=(
+                require_positive("force_scale", 1.0 if scale is None else scale, "use 1"),
+                scale_note,
+            ),
+            # Only a perception draws, and a caller's loop has none.
+            rng=np.random.default_rng(0),
+            allow_unstable=options.get("allow_unstable", False),
+        )
+    notes = _constants_note(constants, tissue, options)
+    notes["coupling"] = "; ".join(found)
+    return JudgedDevice(motion, settings.output, notes)
+
+
+def _settings_of(
     device: Device, options: LoopOptions, constants: Materials, *, cuts: bool
 ) -> LoopSettings:
     """Return the settings between a device and a tool, from a caller's options."""
@@ -129,7 +224,7 @@ def _limits(
     )
 
 
-def constants_note(given: Materials, tissue: Bone | Organ, options: LoopOptions) -> dict[str, str]:
+def _constants_note(given: Materials, tissue: Bone | Organ, options: LoopOptions) -> dict[str, str]:
     """Return a note on the constants of a named device and of the hand that come from a file."""
     limits = options.get("limits", "touch")
     layers = tissue.layer_names if isinstance(tissue, Bone) else ()

@@ -1,22 +1,80 @@
 """Tool, start and prepared region of a `tissue.Loop`."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, by
+from meshes.base.errors import InputError, by, require_range
 from tissue.cutters import Cutter, ball_burr
+from tissue.models.tissue_model import TICK_S
 from tissue.objects.bone import Bone
 from tissue.objects.cutting import Structures
 from tissue.objects.organ import Organ
 from tissue.objects.tools import PressingTool, ball
+from tissue.scene.scene import Scene
 from tissue.simulation.posed import Region
 
-__all__ = ["fitted", "leave_out", "region", "start_above"]
+__all__ = ["LONGEST_S", "Extent", "fitted", "leave_out", "region", "start_above"]
 
 CLEARANCE_MM = 2.0
 """Default height of the tool above the surface at the start [mm]."""
+LONGEST_S = 3600.0
+"""Longest duration of a loop for which rows are allocated [s].
+
+An hour of 60 columns takes 1.7 GB.
+"""
+REACH_MM = 5.0
+SCENE_REACH_MM = 2.0
+"""Default reach around a tool, and around the path of a scene, which is prepared anyway [mm]."""
+MOST_TICKS = 1000
+"""Largest number of ticks in a step: a rate of 1 Hz."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Size of a loop in time and space.
+
+    Attributes
+    ----------
+    rows
+        Number of ticks that the trace keeps.
+    ticks
+        Number of ticks in a step.
+    reach_m
+        Distance around the tool, or around the path of a scene, that is prepared [m].
+    """
+
+    rows: int
+    ticks: int
+    reach_m: float
+
+    @classmethod
+    def of(
+        cls,
+        tissue: Bone | Organ | Scene,
+        *,
+        longest_s: float,
+        step_ms: int,
+        reach_mm: float | None,
+    ) -> "Extent":
+        """Return the extent from the arguments of a `Loop`.
+
+        Raises
+        ------
+        InputError
+            If an argument is out of its range.
+        """
+        longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
+        ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
+        if ticks != round(ticks):
+            raise InputError("step_ms", "be a whole number of ticks of 1 ms", step_ms, "use 1")
+        usual_mm = SCENE_REACH_MM if isinstance(tissue, Scene) else REACH_MM
+        least_mm = 0.0 if isinstance(tissue, Scene) else 0.5
+        reach = usual_mm if reach_mm is None else reach_mm
+        checked_mm = require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
+        return cls(round(longest / TICK_S), round(ticks), 1e-3 * checked_mm)
 
 
 def leave_out(given: Mapping[str, object], when: str) -> None:

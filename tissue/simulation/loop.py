@@ -363,8 +363,9 @@ class Loop:
 
     def restore(self, state: State) -> None:
         """Return to a copied state."""
-        put_back(self, state["own"])
+        # The tissue comes first: a state that it refuses leaves the loop as it was.
         self._stepper.restore(state["stepper"])
+        put_back(self, state["own"])
         if self.parts.keep_clear is not None:
             self.parts.keep_clear.restore(state["keep_clear"])
         if self.ticks > 0:

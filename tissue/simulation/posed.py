@@ -22,6 +22,8 @@ __all__ = ["PosedSession", "Region", "Snapshot", "posed_parts"]
 
 ACROSS = 5
 """Number of copies of a scene's path across the tool's axis, in each direction; chosen."""
+LEFT_REGION = "the tool left the region in which the tissue is prepared: use a larger reach_mm"
+"""Event of a tool outside the prepared region."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +243,7 @@ class PosedSession:
         Raises
         ------
         InputError
-            If the snapshot is of another tissue.
+            If the snapshot is of another tissue, or needs bone that is not made here.
         """
         if snapshot.tissue != self._names:
             raise InputError(
@@ -252,14 +254,13 @@ class PosedSession:
             )
         self.loop.restore(snapshot.state)
         self._tool.put(self.loop.tool.tip_m, self.loop.tool.rotation)
+        self._left_region = any(what == LEFT_REGION for _, what in self.loop.events)
 
     def _watch(self, region: Region) -> None:
         """Report a tool that leaves the prepared region."""
         if not region.holds(self.loop.tool.tip_m):
             self._left_region = True
-            time_s = self.loop.ticks * TICK_S
-            what = "the tool left the region in which the tissue is prepared: use a larger reach_mm"
-            self.loop.events.append((time_s, what))
+            self.loop.events.append((self.loop.ticks * TICK_S, LEFT_REGION))
 
 
 def _velocity(velocity: ArrayLike) -> Array:

@@ -175,7 +175,7 @@ def test_a_pushed_bur_balances_thrust_inertia_damping_and_the_force_of_the_same_
     off, forces = [], []
     for _ in range(400):
         before = env._speed
-        force = float(env._tick(np.array([1.0]))[2])
+        force = float(env._tick(np.array([1.0]), 1)[2])
         if 0.0 < env._speed < 0.01:
             off.append(0.1 * (env._speed - before) / 1e-3 + 300.0 * env._speed + force - 3.0)
         forces.append(force)

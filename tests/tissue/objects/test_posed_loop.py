@@ -124,8 +124,70 @@ def test_a_turn_about_the_tip_gives_a_wrench_and_ends_at_the_pose():
 
 def test_a_tool_that_leaves_the_prepared_region_is_reported():
     loop = made("needle")
-    moved(loop, along([[0, 0, 5], [0, 0, -5], [0, 0, 5], [1, 0, 5]], 20))
-    assert any("left the region" in what for _, what in loop.events)
+    loop.reset([0, 0, 5])
+    moved(loop, along([[0, 0, 5], [0, 0, -5], [0, 0, 5]], 20))
+    inside = loop.snapshot()
+    for _ in range(2):  # a restored loop reports it again
+        assert not any("left the region" in what for _, what in loop.events)
+        moved(loop, along([[0, 0, 5], [1, 0, 5]], 20))
+        assert sum("left the region" in what for _, what in loop.events) == 1
+        loop.restore(inside)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("milling", {"voxels.spacing_mm": 0.4}),
+        ("palpation", {"anatomy.edge_mm": 7.5, "anatomy.touch_edge_mm": 7.5}),
+    ],
+)
+def test_a_snapshot_of_another_resolution_is_refused_and_changes_nothing(name, changes):
+    loop = made(name)
+    finer = tissue.Loop(tissue.load_scene(name, COARSE[name] | changes), reach_mm=0.0)
+    tips = along(PATHS[name], 30)
+    for each in (loop, finer):
+        each.reset(PATHS[name][0])
+        moved(each, tips[:40])
+    before = loop.snapshot()
+    moved(finer, tips[40:50])
+    with pytest.raises(ValueError, match="equal arguments"):
+        loop.restore(finer.snapshot())
+    assert loop.ticks == 40
+    after = moved(loop, tips[40:])
+    loop.restore(before)
+    np.testing.assert_array_equal(moved(loop, tips[40:]), after)
+
+
+def test_a_loop_does_not_restore_bone_that_a_later_tool_has_cut():
+    bone = tissue.Bone.block((8, 8, 4), spacing_mm=0.25)
+    first = tissue.Loop(bone, start_mm=(0, 0, 1))
+    snapshot = first.snapshot()
+    later = tissue.Loop(bone, start_mm=(0, 0, 1))
+    moved(later, along([[0, 0, 1], [0, 0, -0.5]], 100))
+    for call in (first.reset, first.snapshot, lambda: first.restore(snapshot)):
+        with pytest.raises(ValueError, match="later tool"):
+            call()
+    later.reset()
+    assert bone.removed.volume_mm3 == 0.0
+
+
+def test_the_newest_ticks_are_in_order_once_all_rows_are_used():
+    loop = tissue.Loop("wall", longest_s=0.01)
+    loop.reset([0, 0, 1])
+    moved(loop, along([[0, 0, 1], [0, 0, -1]], 13))
+    times = loop._loop.timing["tick_us"]
+    np.testing.assert_allclose(loop.trace["time_s"], 1e-3 * np.arange(3, 13), atol=1e-12)
+    np.testing.assert_array_equal(loop.tick_us, times[[*range(3, 10), *range(3)]])
+
+
+def test_a_limit_is_warned_of_after_a_reset_that_cleared_another():
+    loop = tissue.Loop(tissue.Bone.block((12, 8, 5), spacing_mm=0.25), start_mm=(-4, 0, 1))
+    for about in ("chips", "smooth surface"):
+        loop._limits.passed[about] = f"the limit of {about}"
+        with pytest.warns(UserWarning, match=about):
+            loop.step([-4, 0, 1])
+        loop.reset()
+        assert not loop._limits.passed
 
 
 def test_an_organ_is_pressed_and_reset():
@@ -158,6 +220,7 @@ def test_an_organ_with_a_law_is_pressed_but_has_no_snapshots():
         lambda loop: loop.step([0, 0, 5, 1, 0, 0, 0]),
         lambda loop: loop.step([0, 0, 5000]),
         lambda loop: loop.step(np.diag([2.0, 2.0, 2.0, 1.0])),
+        lambda loop: loop.step(np.eye(4) + 5.0 * (np.arange(16) == 14).reshape(4, 4)),
         lambda loop: loop.step([0, 0, 5], [1, 2]),
         lambda loop: loop.step(),
         lambda loop: loop.run(1.0),
@@ -166,6 +229,7 @@ def test_an_organ_with_a_law_is_pressed_but_has_no_snapshots():
         lambda loop: tissue.Loop("needle", step_ms=0),
         lambda loop: tissue.Loop("needle", step_ms=1.5),
         lambda loop: tissue.Loop("needle", hand="expert"),
+        lambda loop: tissue.Loop(tissue.Bone.block((4, 4, 2), spacing_mm=0.5), cores=1),
         lambda loop: tissue.Loop(3),
     ],
 )

@@ -58,8 +58,6 @@ HANDSHAKE_S = 2.0
 
 A program that only connects would otherwise hold a connection for as long as it likes.
 """
-WAIT_S = 2e-4
-"""Interval between two checks for a message of a WebSocket [s]: a fifth of a tick."""
 MOST_WAITING = 2
 """Largest number of packets that wait for the thread; a further wrench replaces the oldest.
 
@@ -176,6 +174,7 @@ class WebTransport:
         # also connections that are not WebSockets yet
         self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
         self._ready = threading.Event()
+        self._came = threading.Event()
         self._failed = list[OSError]()
         self.port = port
         self._loop = asyncio.new_event_loop()
@@ -193,8 +192,9 @@ class WebTransport:
         """Do nothing: the thread passes packets to the session."""
 
     def wait(self, seconds: float) -> None:
-        """Wait for a part of the time: the thread passes packets on as they come."""
-        sleep(min(seconds, WAIT_S))
+        """Wait for a message, for at most some seconds."""
+        self._came.wait(seconds)
+        self._came.clear()
 
     def send(self, peer: Hashable, data: bytes) -> None:
         """Queue a packet for the thread, in place of an older one that waits."""
@@ -280,6 +280,7 @@ class WebTransport:
                 reply = self._session.receive(
                     message if isinstance(message, bytes) else b"", connection.id
                 )
+                self._came.set()
                 if reply is not None:
                     await connection.send(reply)
         except ConnectionClosed:

@@ -247,7 +247,8 @@ class NetworkSession:
             if self.peer is None:
                 return None
             peer = self.peer
-            payload = sentence.encode()[:MOST_WORDS]
+            # A character that is cut in two is dropped.
+            payload = sentence.encode()[:MOST_WORDS].decode(errors="ignore").encode()
             data = packed(Kind.REFUSED, 0, echo=self._seen, time_s=0.0, payload=payload)
             self._forget()
             return peer, data

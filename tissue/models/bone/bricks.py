@@ -52,13 +52,23 @@ class BrickGrid:
     counts: tuple[int, ...]
     layer_names: tuple[str, ...]
 
+    def agrees(self, other: "BrickGrid") -> bool:
+        """Return whether equal brick positions are equal places of another lattice."""
+        return (
+            self.spacing_m == other.spacing_m
+            and self.counts == other.counts
+            and np.array_equal(self.origin_m, other.origin_m)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class BrickState:
-    """Copy of the bricks that tools have reached since `BrickStore.keep_base`.
+    """Copy of the bricks that a tool has reached since `BrickStore.keep_base`.
 
     Attributes
     ----------
+    grid
+        Lattice that the places refer to.
     places
         Grid position of each of these bricks, shape (n, 3).
     rows
@@ -67,6 +77,7 @@ class BrickState:
         Their flags, see `BrickStore.touched`.
     """
 
+    grid: BrickGrid
     places: Ints
     rows: dict[str, NDArray[Any]]
     flags: Bytes
@@ -135,6 +146,7 @@ class BrickStore:
         self.alive: Any = wp.empty(0, wp.uint64, device)
         self.touched: Any = wp.empty(0, wp.uint8, device)
         self._base: dict[str, NDArray[Any]] | None = None
+        self._owner: object = None
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
@@ -257,42 +269,64 @@ class BrickStore:
         if not array.device.is_cpu:
             array.assign(host)
 
-    def forget_base(self) -> None:
-        """Let the next `state` begin from the bricks of that time."""
+    def begin(self, owner: object) -> None:
+        """Reserve states for a cutter; the next `state` begins from the bricks of that time."""
+        self._owner = owner
         self._base = None
+
+    def _require_owner(self, owner: object) -> None:
+        """Refuse a cutter that a later one has replaced, which may have cut the bone."""
+        if self._owner is not owner:
+            raise InputError(
+                "bone",
+                "have no later tool to copy or restore its state",
+                "one",
+                "make a bone for each loop, for example by bone.uncut()",
+            )
 
     def keep_base(self) -> None:
         """Take the present bricks as the base that states are differences from."""
         count = len(self.places)
         self._base = {name: getattr(self, name).numpy()[:count].copy() for name in CHANGED}
-        self._send("touched", self._without_reached())
-
-    def _without_reached(self) -> Bytes:
-        """Return the flags after `kernels.bricks.REACHED` was removed from all of them."""
-        flags: Bytes = self.touched.numpy()
+        flags = self.touched.numpy()
         flags &= LOST
-        return flags
+        self._send("touched", flags)
 
-    def state(self) -> BrickState:
-        """Copy the bricks that tools have reached since the base was kept.
+    def state(self, owner: object) -> BrickState:
+        """Copy the bricks that a cutter has reached since the base was kept.
 
         The first call keeps the base. The cost is proportional to the number of these bricks.
+
+        Raises
+        ------
+        InputError
+            If another cutter began later.
         """
+        self._require_owner(owner)
         if self._base is None:
             self.keep_base()
         flags = self.touched.numpy()[: len(self.places)]
         rows = np.flatnonzero(flags & REACHED)
         changed = {name: getattr(self, name).numpy()[rows] for name in CHANGED}
-        return BrickState(self.places[rows], changed, flags[rows])
+        return BrickState(self.grid, self.places[rows], changed, flags[rows])
 
-    def restore(self, state: BrickState) -> None:
+    def restore(self, state: BrickState, owner: object) -> None:
         """Return to a copied state.
 
         Raises
         ------
         InputError
-            If the state has bricks that are not made here.
+            If another cutter began later, or the state has other voxels or bricks that are not made
+            here.
         """
+        self._require_owner(owner)
+        if not self.grid.agrees(state.grid):
+            raise InputError(
+                "snapshot",
+                f"be of the same region in voxels of {1e3 * self.grid.spacing_m:g} mm",
+                f"another region or voxels of {1e3 * state.grid.spacing_m:g} mm",
+                "make both loops from equal arguments",
+            )
         assert self._base is not None, "a state was copied before"
         rows = self.brick_of.numpy()[tuple(state.places.T)]
         if (rows < 0).any():

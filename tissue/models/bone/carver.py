@@ -147,7 +147,7 @@ class Carver:
         grid = store.grid
         layers = len(grid.layer_names)
         spacing = grid.spacing_m
-        store.forget_base()
+        store.begin(self)
         self.store = store
         self.removed_steps = np.zeros(layers, np.int64)
         self.changes = 0
@@ -278,7 +278,7 @@ class Carver:
     def state(self) -> CarverState:
         """Copy the state between two motions."""
         return CarverState(
-            self.store.state(),
+            self.store.state(self),
             np.vstack([self._pose.host, self._motions]),
             self._marks.copy(),
             self._travelled,
@@ -288,8 +288,8 @@ class Carver:
 
     def restore(self, state: CarverState) -> None:
         """Return to a copied state; the counted removal stays."""
+        self.store.restore(state.bricks, self)
         self.changes += 1
-        self.store.restore(state.bricks)
         self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
         self._motions[:] = state.poses[1 + 2 * PHASES :]
         self._marks[:] = state.marks

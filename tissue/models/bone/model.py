@@ -177,9 +177,9 @@ class BoneModel:
 
     def restore(self, state: State) -> None:
         """Return to a copied state."""
+        self.carver.restore(state["carver"])
         self._found = None
         self._summed = b""
-        self.carver.restore(state["carver"])
         self.removed_steps[:] = state["removed_steps"]
         put_back(self._recent, state["recent"])
         put_back(self.limits, state["limits"])

@@ -428,9 +428,26 @@ class SurfaceContact:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Return to a copied state.
+
+        Raises
+        ------
+        InputError
+            If the state is of a contact with another number of nodes or points.
+        """
+        kept = state["arrays"]
+        if any(
+            array.numpy().shape != kept[f"{part}.{name}"].shape
+            for part, name, array in self._arrays()
+        ):
+            raise InputError(
+                "snapshot",
+                "be of an organ and a tool with as many nodes",
+                "one with another number",
+                "make both loops from equal arguments",
+            )
         for part, name, array in self._arrays():
-            array.assign(state["arrays"][f"{part}.{name}"])
+            array.assign(kept[f"{part}.{name}"])
         gather_all_again(self._patch)
         self._pose.host[:] = state["pose"]
         self._results.host[:] = state["results"]

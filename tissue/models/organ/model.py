@@ -266,8 +266,8 @@ class LiverModel:
 
     def restore(self, state: State) -> None:
         """Return to a copied state."""
-        put_back(self, state["own"])
         self.contact.restore(state["contact"])
+        put_back(self, state["own"])
         self._crept_N[:] = state["crept_N"]
         for each, kept in zip(self._integrals(), state["creep"], strict=True):
             put_back(each, kept)
