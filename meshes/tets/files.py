@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, by, names_of_caller, require_file, require_positive
+from meshes.base.extras import install_command
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
@@ -163,7 +164,7 @@ def _read_by_meshio(file: Path) -> StoredMesh:
     except ImportError:
         raise InputError(
             f"file: {file.name} is a Gmsh file of version 4 or binary, which meshio reads, but "
-            "meshio is not installed. Run pip install meshio, or save the file with "
+            f"meshio is not installed. Run {install_command('gmsh')}, or save the file with "
             "gmsh -format msh22."
         ) from None
     # meshio prints warnings, such as missing physical groups

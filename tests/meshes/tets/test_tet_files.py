@@ -3,6 +3,7 @@
 The tests cover the real livers, other formats, parts, units, and files that cannot be used.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,14 @@ def test_a_gmsh_file_of_version_4_has_the_same_parts(tmp_path: Path, capfd) -> N
     with pytest.raises(InputError, match="whole sections"):
         read_tets(file)
     assert capfd.readouterr() == ("", "")
+
+
+def test_without_meshio_the_packages_to_install_are_named(tmp_path: Path, monkeypatch) -> None:
+    file = tmp_path / "organ.msh"
+    file.write_text(GMSH_4)
+    monkeypatch.setitem(sys.modules, "meshio.gmsh", None)
+    with pytest.raises(InputError, match='Run pip install "meshio>='):
+        read_tets(file)
 
 
 @pytest.mark.parametrize("version", ["2.2", "4.1"])
