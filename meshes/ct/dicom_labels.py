@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Flags, Numbers
 from meshes.base.errors import InputError, by, is_file, is_folder
@@ -45,7 +46,7 @@ and across it in pixels; headers round positions."""
 _OFF_STATED = 0.01
 """Largest relative difference of the distance of planes from the stated one: 2/3 mm as 0.67 mm."""
 _FLAT_MM = 0.05
-"""Largest extent of an outline along z; files round coordinates."""
+"""Largest difference of the heights in one plane; files round coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,8 +339,7 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
     centres = origin[2] + spacing[2] * np.arange(planes_of_image)
     for number, polygons in outlines.polygons.items():
         heights = np.array([each[:, 2].mean() for each in polygons])
-        planes, member = np.unique(np.round(heights / _FLAT_MM), return_inverse=True)
-        places = planes * _FLAT_MM
+        places, member = _planes_of(heights)
         gap = float(np.median(np.diff(places))) if len(places) > 1 else float(spacing[2])
         reach = 0.5 * max(gap, float(spacing[2])) + _FLAT_MM
         for k, centre in enumerate(centres):
@@ -351,6 +351,18 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
                 inside ^= _within(polygons[index][:, :2], origin[:2], spacing[:2], shape)
             if inside.any():
                 yield number, k, inside
+
+
+def _planes_of(heights: Array) -> tuple[Array, NDArray[np.integer]]:
+    """Return the heights of planes [mm], and the plane of each outline.
+
+    Outlines lie in one plane if their heights differ by at most `_FLAT_MM` from a neighbour.
+    """
+    order = np.argsort(heights)
+    is_next = np.diff(heights[order]) > _FLAT_MM
+    member = np.zeros(len(heights), dtype=np.int64)
+    member[order[1:]] = np.cumsum(is_next)
+    return np.bincount(member, weights=heights) / np.bincount(member), member
 
 
 def _within(points: Array, origin: Array, spacing: Array, shape: tuple[int, int]) -> Flags:

@@ -105,14 +105,25 @@ def along_lps(
     If the axes are those of LPS in any order and direction, the array is transposed and flipped
     without interpolation. Other images are resampled, grey values by cubic splines and labels to
     the nearest, with a note. Voxels outside the stored image take its lowest value (labels: 0).
-    Labels that are resampled at the voxel centres of another image, `lattice`, fit that image
-    without a second resampling. The lattice is continued as far as the labels reach.
+
+    Parameters
+    ----------
+    stored
+        Image along the axes of its file.
+    source
+        Name of the file in messages and notes.
+    labels
+        Whether the values are labels.
+    lattice
+        Image along LPS. Oblique labels are resampled at its voxel centres, which are continued
+        beyond its faces as far as the labels reach. The labels then need no second resampling to
+        lie on this image. None: a grid of the spacing of `stored`.
 
     Raises
     ------
     InputError
-        If the spacing or origin is not a length, the axes lie in one plane, or the resampled image
-        would not be workable.
+        If the spacing or origin is not a length, if the axes lie in one plane, or if the resampled
+        image would be too large.
     """
     _require_frame(stored, source)
     order = _nearest_axes(stored.directions)

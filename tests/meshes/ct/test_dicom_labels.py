@@ -191,6 +191,19 @@ def test_outlines_are_drawn_on_the_voxels_of_the_ct(tmp_path, step):
     assert np.diff(planes).max() == 1
 
 
+@pytest.mark.parametrize("apart_mm", [0.0, 0.01])
+@pytest.mark.parametrize("start_mm", [35.02, 35.045])
+def test_rounded_heights_of_outlines_are_one_plane(tmp_path, start_mm, apart_mm):
+    ct = image(tmp_path)
+    heights = start_mm + np.arange(10.0)
+    whole = [box((-20.0, -10.0), (-4.0, 2.0), z) for z in heights]
+    holes = [box((-14.0, -6.0), (-10.0, -2.0), z + apart_mm) for z in heights]
+    labels = read_labels(write_structures(tmp_path / "rs.dcm", {"bone": whole + holes}), image=ct)
+    areas = 0.5 * 0.5 * labels.mask("bone").sum(axis=(0, 1))
+    assert areas[areas > 0] == pytest.approx(16 * 12 - 4 * 4)
+    assert np.count_nonzero(areas) == len(heights)
+
+
 def test_outlines_need_their_ct(tmp_path):
     path = write_structures(tmp_path / "rs.dcm", outlines())
     with pytest.raises(InputError, match="give the CT that they were drawn on too"):

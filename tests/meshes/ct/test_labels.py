@@ -200,6 +200,23 @@ def test_labels_outside_the_image_are_reported(tmp_path):
     assert "of the labels of a.nii.gz lie outside" in on_grid_of(labels, image).image.notes[-1]
 
 
+@pytest.mark.parametrize("rounding_mm", [-1e-3, 0.0, 1e-3])
+def test_labels_of_a_part_of_an_image_keep_all_voxels(tmp_path, rounding_mm):
+    """The label fills its volume to the faces, and files round positions."""
+    part = np.full((3, 2, 2), 2, dtype=np.uint8)
+    labels = read_labels(write_nifti(tmp_path / "a.nii.gz", part))
+    x, y, z = labels.image.spacing_mm
+    corner = np.array(labels.image.origin_mm) - (2 * x, y, 3 * z) + rounding_mm
+    image = replace(
+        labels.image, values=np.zeros((8, 6, 7), np.int16), origin_mm=tuple(corner.tolist())
+    )
+    placed = on_grid_of(labels, image)
+    expected = np.zeros((8, 6, 7), dtype=bool)
+    expected[2:5, 1:3, 3:5] = True
+    assert np.array_equal(placed.mask("label 2"), expected)
+    assert placed.image.notes == labels.image.notes
+
+
 def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
     fine = np.kron(volume(), np.ones((2, 2, 2), dtype=np.uint8))
     affine = np.diag([-1.0, -0.5, 0.75, 1.0])
