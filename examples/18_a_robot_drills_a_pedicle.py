@@ -4,8 +4,9 @@ A robot drills a pedicle
 
 A robot arm in MuJoCo drills the pedicle of a lumbar vertebra. `tissue.Loop` gives the force on the
 drill in every millisecond, and MuJoCo moves the arm under it. The arm is under admittance control:
-it feeds the drill as the thrust allows. It stops when the drill breaks through the cortex, goes on
-to 15 mm, and never comes closer than 1 mm to the spinal canal. Needs ``pip install mujoco``.
+it feeds the drill as the thrust allows. It pauses when the drill breaks through the cortex, and
+then continues to 15 mm. It stops the drill 1 mm before the spinal canal. Needs ``pip install
+mujoco``.
 """
 
 from pathlib import Path
@@ -121,7 +122,9 @@ FASTEST_M_S = 2.5e-3
 LOW_PASS = 1.0 - np.exp(-1.0 / 5.0)
 FALLS_TO = 0.4
 HOLD_TICKS = 300
+"""Time for which the drill is held after an event [ms]."""
 CLEAR_MM = 1.0
+"""Distance from the canal at which the drill stops [mm]."""
 
 
 def drill(
@@ -158,9 +161,11 @@ def drill(
         rows.append([thrust, 1e3 * feed, depth, canal, aside])
         most = max(most, thrust)
         if "through" not in events and most > 0.5 * THRUST_N and thrust < FALLS_TO * most:
-            events["through"], hold = tick, HOLD_TICKS
+            events["through"] = tick
+            hold = HOLD_TICKS
         if "end" not in events and (canal < CLEAR_MM or depth >= depth_mm):
-            events["end"], hold = tick, HOLD_TICKS
+            events["end"] = tick
+            hold = HOLD_TICKS
         wanted = 0.0 if hold else THRUST_N - thrust
         feed += 1e-3 * (wanted - DAMPING_N_S_M * feed) / MASS_KG
         feed = 0.0 if hold else min(max(feed, 0.0), FASTEST_M_S)
@@ -174,11 +179,12 @@ def drill(
 
 def tilted(degrees: float) -> Floats:
     """Axes of a drill that is tilted towards the canal."""
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    cosine = np.cos(np.radians(degrees))
+    sine = np.sin(np.radians(degrees))
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-# Voxels of 0.15 mm instead of 0.1 mm: the thrust is the same within 1 %, and less is to be built.
+# Voxels of 0.15 mm instead of 0.1 mm: the thrust is the same within 1 %, with fewer voxels.
 scene = tissue.load_scene("pedicle", {"voxels.spacing_mm": 0.15})
 loop = tissue.Loop(scene, reach_mm=6.0)
 arm = Arm()

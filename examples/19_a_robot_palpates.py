@@ -118,9 +118,9 @@ while place_m < TO_M:
     rows.append([*tip_mm, wrench[2], slide])
 
 # %%
-# Expected: the force stays within 3 % of 0.1 N while the finger slides, 2.6 mm deep beside the
-# nodule and 2.3 mm above it. The nodule is where the finger floats highest: the mean place of the
-# highest quarter is within 2 mm of its centre.
+# Expected: the force stays within 3 % of 0.1 N while the finger slides. The finger is 2.6 mm deep
+# next to the nodule and 2.3 mm deep above it. The nodule is where the finger floats highest: the
+# mean place of the highest quarter is within 2 mm of its centre.
 
 x_mm, _, z_mm, force_N, slides = np.array(rows).T
 slid = slides > 0.0

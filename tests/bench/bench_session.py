@@ -1,11 +1,12 @@
 """Throughput and latency of loops that a program moves, and of the environments.
 
-python tests/bench/bench_session.py [--part loops|rates|environments|server] [--seconds S]
+python tests/bench/bench_session.py [--part loops|rates|environments|solves|server] [--seconds S]
 
 ``loops``: time of a tick, a snapshot and a restore, and size of the snapshot. ``rates``: force with
 steps of 2 to 20 ms against steps of 1 ms, along a circle in bone and under a thrust.
-``environments``: steps a second in one process and in two, each with random actions. ``server``:
-round trip of a pose over UDP. The times are medians, 99th percentiles and maxima.
+``environments``: steps a second in one process and in two, each with random actions. ``solves``:
+error of the loads of `Palpation`, which is not solved in every tick. ``server``: round trip of a
+pose over UDP. The times are medians, 99th percentiles and maxima.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from time import perf_counter
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT / "examples"))
 sys.path.insert(0, str(ROOT / "examples/clients"))
 
 import numpy as np  # noqa: E402
@@ -149,6 +151,44 @@ def environments(seconds):
         print(f"{name:12} {found[0]:12.0f} {found[1]:18.0f}")
 
 
+def solves():
+    """Print the error of the mean loads of `Palpation` against a solve in every tick."""
+    from learning.experts import PalpationExpert
+
+    from tissue.environments.palpation import Palpation
+
+    class EveryTick(Palpation):
+        solve_ticks = 1
+
+    usual = Palpation()
+    exact = EveryTick()
+    print("palpation: RMS error of the mean loads, four episodes, and largest error of a score")
+    for name in ("expert", "random actions"):
+        loads = {usual: [], exact: []}
+        scores = []
+        rng = np.random.default_rng(0)
+        for seed in range(4):
+            observation, _ = usual.reset(seed=seed)
+            exact.reset(seed=seed)
+            expert = PalpationExpert(usual)
+            action = np.zeros(usual.action_count)
+            ended = False
+            while not ended:
+                if name == "expert":
+                    action = expert(observation)
+                else:
+                    action = np.clip(0.9 * action + 0.5 * rng.normal(size=action.shape), -1.0, 1.0)
+                exact.step(action)
+                observation, _, terminated, truncated, _ = usual.step(action)
+                ended = terminated or truncated
+                for env, found in loads.items():
+                    found.append(env._loads[:3].copy())
+            scores.append(abs(usual.score - exact.score))
+        wanted = np.array(loads[exact])
+        error = np.linalg.norm(np.array(loads[usual]) - wanted) / np.linalg.norm(wanted)
+        print(f"  {name}: {100 * error:.2f} % of the force, score {max(scores):.5f}")
+
+
 def server():
     """Print the round trip of a pose."""
     print("scene       round trip / us: median 99 % max   (UDP on this machine, with its tick)")
@@ -182,11 +222,11 @@ def server():
 def main():
     """Run the parts that are asked for."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--part", choices=("loops", "rates", "environments", "server"))
+    parser.add_argument("--part", choices=("loops", "rates", "environments", "solves", "server"))
     parser.add_argument("--seconds", type=float, default=10.0)
     asked = parser.parse_args()
     print(machine())
-    for part in (loops, rates, server):
+    for part in (loops, rates, solves, server):
         if asked.part in (None, part.__name__):
             part()
     if asked.part in (None, "environments"):

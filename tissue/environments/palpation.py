@@ -106,8 +106,8 @@ class Palpation(ContactEnvironment):
     usual_duration_s = 6.0
     usual_force_limit_N = 0.4
     # The linear organ remembers nothing but friction, so that a path of 5 ms is solved at once.
-    # Mean loads of a step are then off by 0.2 % (expert) and 0.5 % (random actions), RMS over four
-    # episodes, against a solve in every tick.
+    # The mean force of a step is then off by 0.2 % (expert) and 0.4 % (random actions), RMS over
+    # four episodes, against a solve in every tick (tests/bench/bench_session.py --part solves).
     solve_ticks = 5
     episode = ("tip_m", "nodule_m", "_turn", "_velocity_m_s", "_touched", "_path")
 

@@ -1,12 +1,14 @@
 """Copies of the internal state of a model, for snapshots."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from typing import Any
 
 import numpy as np
 
-__all__ = ["State", "copied", "put_back"]
+from meshes.base.errors import InputError
+
+__all__ = ["State", "copied", "put_back", "require_shapes"]
 
 State = dict[str, Any]
 """State of an object by name: numbers, arrays and plain objects that can be pickled."""
@@ -32,3 +34,21 @@ def put_back(owner: object, state: State) -> None:
             present[...] = value
         else:
             setattr(owner, name, value)
+
+
+def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
+    """Refuse copied arrays whose shapes differ from those of the present arrays of a model.
+
+    Raises
+    ------
+    InputError
+        If a shape differs: the copy is of a model with another mesh.
+    """
+    for name, array in present.items():
+        if array.shape != kept[name].shape:
+            raise InputError(
+                "snapshot",
+                f"be of the same mesh and tool ({len(array)} entries of {name})",
+                f"another one ({len(kept[name])} entries)",
+                "make both loops from equal arguments",
+            )

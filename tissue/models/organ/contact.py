@@ -33,7 +33,7 @@ from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.probe import ProbeShape, ShellProbe
-from tissue.models.state import State
+from tissue.models.state import State, require_shapes
 
 __all__ = [
     "ContactOutcome",
@@ -418,9 +418,8 @@ class SurfaceContact:
 
         Rows of the compliance are not part of it, because they are gathered again.
         """
-        arrays = {f"{part}.{name}": array.numpy().copy() for part, name, array in self._arrays()}
         return {
-            "arrays": arrays,
+            "arrays": {name: array.numpy().copy() for name, array in self._arrays().items()},
             "pose": self._pose.host.copy(),
             "results": self._results.host.copy(),
             "placed": self._placed,
@@ -428,26 +427,11 @@ class SurfaceContact:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state.
-
-        Raises
-        ------
-        InputError
-            If the state is of a contact with another number of nodes or points.
-        """
-        kept = state["arrays"]
-        if any(
-            array.numpy().shape != kept[f"{part}.{name}"].shape
-            for part, name, array in self._arrays()
-        ):
-            raise InputError(
-                "snapshot",
-                "be of an organ and a tool with as many nodes",
-                "one with another number",
-                "make both loops from equal arguments",
-            )
-        for part, name, array in self._arrays():
-            array.assign(kept[f"{part}.{name}"])
+        """Return to a copied state, if it has as many nodes."""
+        arrays = self._arrays()
+        require_shapes({name: each.numpy() for name, each in arrays.items()}, state["arrays"])
+        for name, array in arrays.items():
+            array.assign(state["arrays"][name])
         gather_all_again(self._patch)
         self._pose.host[:] = state["pose"]
         self._results.host[:] = state["results"]
@@ -456,13 +440,13 @@ class SurfaceContact:
         self._shifted = state["shifted"]
         self._read(self._results.host)
 
-    def _arrays(self) -> list[tuple[str, str, Any]]:
-        """Return the device arrays of the state: part, name and array."""
-        return [
-            (part, name, getattr(getattr(self, f"_{part}"), name))
+    def _arrays(self) -> dict[str, Any]:
+        """Return the device arrays of the state by name."""
+        return {
+            f"{part}.{name}": getattr(getattr(self, f"_{part}"), name)
             for part, names in STATE_ARRAYS.items()
             for name in names
-        ]
+        }
 
     def scale_compliance(self, factor: float) -> None:
         """Multiply the compliance by a factor.
