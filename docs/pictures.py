@@ -25,7 +25,7 @@ os.environ.update(MPLBACKEND="Agg", PYVISTA_BUILDING_GALLERY="true", PYVISTA_OFF
 
 
 def plotted() -> Iterator[object]:
-    """What was plotted since the last call."""
+    """Yield the plots made since the last call."""
     import pyvista
     from matplotlib import pyplot
     from pyvista.plotting.plotter import _ALL_PLOTTERS

@@ -18,9 +18,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+import pyvista
 from numpy.typing import NDArray
 
 import tissue
+from tissue.show.viewer.window import write_movie
 
 Floats = NDArray[np.float64]
 FIGURES = Path("figures")
@@ -89,6 +91,13 @@ class Arm:
         mujoco.mj_jacSite(self.model, self.data, self.columns[:3], self.columns[3:], self.tip.id)
         return self.columns
 
+    def poses(self) -> Floats:
+        """Poses of the arm's parts in the frame of the scene [mm], shape (parts, 4, 4)."""
+        poses = np.tile(np.eye(4), (self.model.ngeom, 1, 1))
+        poses[:, :3, :3] = self.data.geom_xmat.reshape(-1, 3, 3)
+        poses[:, :3, 3] = 1e3 * (self.data.geom_xpos - ENTRY_M)
+        return poses
+
     def error(self, tip_m: Floats, turn: Floats) -> Floats:
         """Distance [m] and small rotation [rad] from the tip to a pose, shape (6,)."""
         now = self.tip.xmat.reshape(3, 3)
@@ -130,13 +139,18 @@ CLEAR_MM = 1.0
 """Distance from the canal at which the drill stops [mm]."""
 
 
+FRAME_TICKS = 100
+"""Time between two pictures of the movie [ms]. The movie plays at twice the speed."""
+
+
 def drill(
     arm: Arm, loop: tissue.Loop, entry_mm: Floats, turn: Floats, depth_mm: float
-) -> tuple[Floats, dict[str, int]]:
-    """Drill from 1 mm above an entry to a depth; return the record and the ticks of events.
+) -> tuple[Floats, dict[str, int], list[Floats]]:
+    """Drill from 1 mm above an entry to a depth; return the record, ticks of events and poses.
 
-    A row holds thrust [N], feed [mm/s], depth [mm], distance from the canal [mm] and distance of
-    the tip from the planned axis [mm].
+    A row of the record holds thrust [N], feed [mm/s], depth [mm], distance from the canal [mm] and
+    distance of the tip from the planned axis [mm]. Poses are those of the arm's parts in each
+    picture of the movie, shape (parts, 4, 4) [mm].
     """
     axis = turn[:, 2]
     above_m = 1e-3 * entry_mm + 1e-3 * axis
@@ -151,6 +165,7 @@ def drill(
 
     loop.reset(seen())
     rows: list[list[float]] = []
+    poses: list[Floats] = []
     events: dict[str, int] = {}
     thrust = feed = travel_m = most = 0.0
     hold = 0
@@ -162,6 +177,8 @@ def drill(
         aside = float(np.linalg.norm(np.cross(moved_mm, axis)))
         canal = loop.row["distance_canal_mm"]
         rows.append([thrust, 1e3 * feed, depth, canal, aside])
+        if tick % FRAME_TICKS == 0:
+            poses.append(arm.poses())
         most = max(most, thrust)
         if "through" not in events and most > 0.5 * THRUST_N and thrust < FALLS_TO * most:
             events["through"] = tick
@@ -177,7 +194,7 @@ def drill(
             break
         travel_m += 1e-3 * feed
         arm.step(ENTRY_M + above_m - travel_m * axis, -feed * axis, turn, wrench)
-    return np.array(rows), events
+    return np.array(rows), events, poses
 
 
 def tilted(degrees: float) -> Floats:
@@ -191,9 +208,11 @@ def tilted(degrees: float) -> Floats:
 scene = tissue.load_scene("pedicle", {"voxels.spacing_mm": 0.15})
 loop = tissue.Loop(scene, reach_mm=6.0)
 arm = Arm()
-planned, events = drill(arm, loop, np.zeros(3), tilted(0.0), 15.0)
+vertebra = loop.surface()
+planned, events, poses = drill(arm, loop, np.zeros(3), tilted(0.0), 15.0)
 shape = np.array([arm.data.xpos[body] for body in range(1, arm.model.nbody)] + [arm.tip.xpos])
-aimed, guarded = drill(arm, loop, np.array([2.0, 0.0, 0.0]), tilted(20.0), 20.0)
+drilled = loop.surface()
+aimed, guarded, _ = drill(arm, loop, np.array([2.0, 0.0, 0.0]), tilted(20.0), 20.0)
 
 # %%
 # Expected: the thrust in the cortex is 23 to 25 N. It is below the wanted 30 N because of the
@@ -248,3 +267,56 @@ for panel, label in zip(
 panels[2].set_xlabel("time / s")
 panels[2].legend(loc="upper right")
 figure.savefig(FIGURES / "18_robot.png", dpi=150)
+
+# %%
+# The movie shows the whole arm, and the rear half of the vertebra's surface with the drill. It ends
+# with the drilled bone.
+
+
+def movie(vertebra: Any, drilled: Any, poses: list[Floats], record: Floats) -> None:
+    """Write the movie of the planned drilling."""
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[1000, 680])
+    parts: list[Any] = []
+    bones: list[Any] = []
+    for view in range(2):
+        plotter.subplot(0, view)
+        shown = vertebra if view == 0 else vertebra.clip("-y", origin=(0.0, 0.0, 0.0))
+        bones.append(plotter.add_mesh(shown, color="#E8D9B5", smooth_shading=view == 0))
+        for part in range(arm.model.ngeom):
+            radius, half = 1e3 * arm.model.geom_size[part, :2]
+            rod = pyvista.Cylinder(direction=(0, 0, 1), radius=radius, height=2 * half)
+            last = part == arm.model.ngeom - 1
+            colour = "#D55E00" if last else "#8899AA"
+            parts.append(plotter.add_mesh(rod, color=colour, show_edges=False))
+    plotter.subplot(0, 0)
+    plotter.camera_position = [(300, -1500, 450), (-250, 0, 250), (0, 0, 1)]
+    plotter.subplot(0, 1)
+    plotter.camera_position = [(8, -75, 18), (0, 0, -6), (0, 0, 1)]
+    text = plotter.add_text("", position="upper_left", font_size=14, color="black")
+
+    def picture() -> Any:
+        plotter.render()
+        return plotter.screenshot(return_img=True)
+
+    def pictures() -> Any:
+        """Pictures of the drilling, then half a second of the drilled bone."""
+        for index, pose in enumerate(poses):
+            for actor, matrix in zip(parts, [*pose, *pose], strict=True):
+                actor.user_matrix = matrix
+            thrust, _, depth, canal, _ = record[FRAME_TICKS * index]
+            text.set_text(
+                "upper_left",
+                f"thrust {thrust:.0f} N\ndepth {depth:.1f} mm\ncanal {canal:.1f} mm away",
+            )
+            yield picture()
+        bones[1].mapper.dataset = drilled.clip("-y", origin=(0.0, 0.0, 0.0))
+        for actor in parts[len(parts) // 2 :]:
+            actor.visibility = False
+        for _ in range(10):
+            yield picture()
+
+    write_movie(FIGURES / "18_robot.gif", pictures())
+    plotter.close()
+
+
+movie(vertebra, drilled, poses, planned)

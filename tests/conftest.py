@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-# Before anything loads NumPy: tests run beside each other, and threads that wait for a core cost
+# Before anything loads NumPy: tests run side by side, and threads that wait for a core cost
 # more than they save.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
@@ -35,7 +35,7 @@ def pytest_collection_finish():
 def anatomy() -> Path:
     """Return the folder of real anatomical data next to the checkout; skip tests without it."""
     if not ANATOMY.is_dir():
-        pytest.skip("real anatomy is not there: ../shared/anatomy beside the checkout")
+        pytest.skip("real anatomy is not there: ../shared/anatomy next to the checkout")
     return ANATOMY
 
 

@@ -1,4 +1,4 @@
-"""Heat of drilling bone: closed form of a heated hole, and the published rise beside a hole.
+"""Heat of drilling bone: closed form of a heated hole, and the published rise next to a hole.
 
 The published cells are those of Pourgiv 2024 (doi 10.1016/j.heliyon.2024.e26248, table 2): ovine
 vertebra, 4 mm drill, 22 degC at the start. The peak 0.5 mm from the wall is 25.0 to 28.2 degC over
@@ -21,7 +21,7 @@ from tissue.simulation.simulate import simulate
 CONDUCTIVITY, CAPACITY, SHARE = 0.58, 1800.0 * 1300.0, 0.1
 """Cited constants of bone [W/(m K)], [J/(m3 K)], and the share of the power; typed in."""
 RADIUS_M = 2e-3
-BESIDE_M = 2.5e-3
+FROM_HOLE_M = 2.5e-3
 """Distance of the thermocouple from the axis [m], half a millimetre from the wall."""
 
 
@@ -79,7 +79,7 @@ def test_the_wall_of_a_hole_with_a_constant_flux():
     body.advance(power, time_s)
     centres = 0.5 * (edges[1:] + edges[:-1])
     rise = RegularGridInterpolator((centres, centres), body.rise_K[:, :, 0].astype(float))
-    for radius in (BESIDE_M, 3e-3, 4e-3):
+    for radius in (FROM_HOLE_M, 3e-3, 4e-3):
         found = rise(radius * around[:, :2]).mean()
         exact = heated_hole(radius, time_s, wall_m=RADIUS_M, flux=flux)
         wall = heated_hole(RADIUS_M, time_s, wall_m=RADIUS_M, flux=flux)
@@ -204,7 +204,7 @@ def drilled(feed_mm_min, rpm, diameter_mm=4.0):
 
     Returns
     -------
-    Thrust [N] and torque [N mm] of the whole drill, the rise beside the hole [K] and the run.
+    Thrust [N] and torque [N mm] of the whole drill, the rise next to the hole [K] and the run.
     """
     feed_mm_s = feed_mm_min / 60.0
     scene = load_scene(
@@ -230,7 +230,7 @@ def drilled(feed_mm_min, rpm, diameter_mm=4.0):
     centres = [0.5 * (edges[1:] + edges[:-1]) for edges in tissue.heat.grid.edges_m]
     peak = RegularGridInterpolator(centres, tissue.peak_K)
     angle = np.linspace(0.0, 2.0 * pi, 48, endpoint=False)
-    probe_m = 5e-4 * diameter_mm + BESIDE_M - RADIUS_M
+    probe_m = 5e-4 * diameter_mm + FROM_HOLE_M - RADIUS_M
     around = np.column_stack([probe_m * np.cos(angle), probe_m * np.sin(angle)])
     heights = np.linspace(-3.5e-3, -2e-3, 7)
     rises = [peak(np.column_stack([around, np.full(len(angle), z)])).mean() for z in heights]
@@ -241,13 +241,13 @@ def drilled(feed_mm_min, rpm, diameter_mm=4.0):
 
 @cache
 def independent(feed_mm_min, rpm, *, radius=RADIUS_M, conductivity=CONDUCTIVITY):
-    """Return torque [N mm] and the rise beside the hole [K] by the finite differences."""
+    """Return torque [N mm] and the rise next to the hole [K] by the finite differences."""
     drill = Drill(feed_mm_min / 6e4, rpm, radius=radius)
     peak, r, z, power_W = finite_differences(
         drill, depth_m=1e-3 * DEPTH_MM, rest_s=REST_S, conductivity=conductivity
     )
     rows = np.flatnonzero((z > 2e-3) & (z < 3.5e-3))
-    probe_m = drill.radius + BESIDE_M - RADIUS_M
+    probe_m = drill.radius + FROM_HOLE_M - RADIUS_M
     rises = [np.interp(probe_m, r, peak[:, row]) for row in rows]
     return 1e3 * power_W / drill.omega, float(np.mean(rises))
 

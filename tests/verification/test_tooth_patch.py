@@ -83,7 +83,7 @@ def test_bars_in_series_are_exact():
     effective = height / (parts * edge / moduli).sum()
     assert force == pytest.approx(effective * area * stretch / height, rel=1e-10)
     stress = particle_stress(body.cells, found.displacement_m)[:, 2]
-    # where 2 MPa lies beside 84 GPa, rounding of the stiff layer's displacement (1e-16 of it) is
+    # where 2 MPa lies next to 84 GPa, rounding of the stiff layer's displacement (1e-16 of it) is
     # 4e-12 of its strain
     assert np.allclose(stress, effective * stretch / height, rtol=1e-6)
 

@@ -21,7 +21,7 @@ from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import run_held
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S, ToolMotion
+from tissue.models.tissue_model import TICK_S, HasVoxels, ToolMotion
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import StaysAt, frame_along
 from tissue.objects.bone import Bone
@@ -45,6 +45,7 @@ from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
     import pandas
+    import pyvista
 
     from tissue.models.organ.model import LiverModel
 
@@ -470,6 +471,25 @@ class Loop:
     def tick_us(self) -> Any:
         """Duration of each tick in the trace [µs], shape (n,)."""
         return self._in_order(self._loop.timing["tick_us"])
+
+    def surface(self) -> "pyvista.PolyData":
+        """Return the present surface of a scene's bone or tooth [mm], with cell data ``layer``.
+
+        `tissue.Bone.surface` returns it for a bone. Not for use within a tick: it takes up to 1 s.
+
+        Raises
+        ------
+        InputError
+            If the scene has no voxels.
+        """
+        from tissue.simulation.bone_surface import bone_surface, with_layers
+
+        parts = self._loop.parts
+        if parts.volume is None or not isinstance(parts.tissue, HasVoxels):
+            raise InputError(
+                "surface", "be of a scene with voxels", "none", "use tissue.Bone.surface for a bone"
+            )
+        return with_layers(bone_surface(parts.volume, parts.tissue.remaining()), parts.volume)
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return the ticks so far as a table, one row each."""

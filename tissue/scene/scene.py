@@ -367,7 +367,7 @@ class Scene(Part):
         yield "seed", not is_held, nothing, "set device = touch"
         yield "output.cue_N", not is_held, "without a device", "set device = touch"
         if is_held:
-            wall = "for a wall, which goes on for ever"
+            wall = "for a wall, which has no end"
             is_wall = isinstance(self.anatomy, WallAnatomy)
             yield "device.coupling.roam_mm", is_wall, wall, "set motion.points_mm"
             yield (

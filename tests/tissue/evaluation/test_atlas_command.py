@@ -13,7 +13,7 @@ def test_an_atlas_of_two_pages_is_written_whole(command, here):
     html = (folder / "index.html").read_text("utf-8")
     assert html.startswith("<!doctype html>") and html.count("<section") == 2
     assert html.count("data:image/png;base64,") == 2 and "prefers-color-scheme: dark" in html
-    # Nothing is fetched from anywhere: every link is a page of the atlas or a file beside it.
+    # Nothing is fetched from anywhere: every link is a page of the atlas or a file next to it.
     links = re.findall(r'(?:href|src)="([^"]*)"', html)
     others = [link for link in links if not link.startswith(("#", "data:"))]
     assert others and all((folder / link).is_file() for link in others)

@@ -31,7 +31,7 @@ class Sampled:
 
 @pytest.fixture
 def at_rate(tmp_path):
-    """Makes the changes of a scene in which the Touch has another rate."""
+    """Function that returns the changes of a scene in which the Touch has another rate."""
 
     def changes(rate_Hz):
         path = tmp_path / f"{rate_Hz}.toml"

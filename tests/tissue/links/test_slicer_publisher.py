@@ -91,7 +91,7 @@ def pressed():
 
 @pytest.fixture
 def stage(tmp_path):
-    """Makes stages, and closes them."""
+    """Function that returns stages and closes them at the end."""
     made = []
 
     def make(run, shared=None, **options):

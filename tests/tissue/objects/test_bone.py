@@ -254,7 +254,7 @@ def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
         np.asarray(surface.points, float),
         np.asarray(surface.point_data["Normals"], float),
     )
-    outside = np.linalg.norm(points[:, :2], axis=1) > 4.5  # beside the slot
+    outside = np.linalg.norm(points[:, :2], axis=1) > 4.5  # next to the slot
     away = points[outside] / np.linalg.norm(points[outside], axis=1)[:, None]
     angle = np.degrees(np.arccos(np.clip((away * normals[outside]).sum(axis=1), -1.0, 1.0)))
     print(f"\n{np.quantile(angle, [0.5, 0.99]).round(1)} degrees")

@@ -171,6 +171,21 @@ def test_a_loop_does_not_restore_bone_that_a_later_tool_has_cut():
     assert bone.removed.volume_mm3 == 0.0
 
 
+def test_the_surface_shrinks_by_the_removed_volume():
+    loop = made("milling")
+    loop.reset(PATHS["milling"][0])
+    before_mm3 = loop.surface().volume
+    moved(loop, along(PATHS["milling"], 100))
+    removed_mm3 = loop.row["removed_mm3"]
+    assert removed_mm3 > 1.0
+    assert before_mm3 - loop.surface().volume == pytest.approx(removed_mm3, rel=0.05)
+
+
+def test_an_organ_has_no_surface_of_voxels():
+    with pytest.raises(tissue.InputError, match="voxels"):
+        made("wall").surface()
+
+
 def test_the_newest_ticks_are_in_order_once_all_rows_are_used():
     loop = tissue.Loop("wall", longest_s=0.01)
     loop.reset([0, 0, 1])

@@ -103,7 +103,7 @@ def growth_while_running(
     damped = of("damping_N_s_m") + of("hand_damping_N_s_m")
     steps = []
     for behind, lengths in ((whole + 1, part), (whole, tick - part)):
-        # A loop with a whole delay has an empty first part beside loops without one. A step of
+        # A loop with a whole delay has an empty first part alongside loops without one. A step of
         # 1e-12 s changes nothing.
         given = (mass, damped, held, of("amplifier_Hz"), np.maximum(lengths, 1e-12))
         rows = [plant_step(*each) for each in zip(*(each.tolist() for each in given), strict=True)]

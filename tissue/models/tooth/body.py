@@ -262,7 +262,7 @@ class ParticleBody:
                 )
             self._filled = filled
             self.cells.set_live(live)
-            # A cell with too little material beside a live cell is not loose: it rests on its
+            # A cell with too little material next to a live cell is not loose: it rests on its
             # neighbour.
             borders = np.zeros_like(live)
             pairs = self.grid.face_pairs

@@ -182,7 +182,7 @@ SHARES = (
     ("cutting_N", "cutting", "#E69F00"),
     ("friction_N", "friction along the shaft", "#009E73"),
 )
-BESIDE = 0.15
+SIDE_BY_SIDE = 0.15
 """Share of the depth range within which a puncture's name is placed above the previous one."""
 
 
@@ -214,7 +214,7 @@ def draw_insertion(run: Run, path: Path) -> None:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
             # points above the curve; a line of text is 14 points high
-            height = height + 14 if depth[row] - last_mm < BESIDE * np.ptp(depth) else 10
+            height = height + 14 if depth[row] - last_mm < SIDE_BY_SIDE * np.ptp(depth) else 10
             last_mm = depth[row]
             over_depth.annotate(
                 what.partition(" is punctured")[0].removeprefix("the "),

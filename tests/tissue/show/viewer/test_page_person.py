@@ -170,7 +170,7 @@ def test_a_person_presses_the_wall_pauses_and_begins_again(opened, tmp_path):
 
     person.tab.click("#pause")
     person.state("paused")
-    assert person.until(lambda: still(person, "time")), "time goes on in a pause"
+    assert person.until(lambda: still(person, "time")), "time continues in a pause"
     before = person.number("time"), person.number("force")
     mouse.move(400, 420)
     mouse.wheel(0, 500)
