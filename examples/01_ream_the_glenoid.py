@@ -2,13 +2,18 @@
 Ream a glenoid and read the force
 =================================
 
-A built-in scene is simulated, its trace is read by the names of its columns, and the bone is shown
-after reaming. Expected of a glenoid reamed 2 mm deep: 234 mm3 of subchondral bone are removed, the
-thrust peaks at 94 N and the torque at 0.90 N m.
+This example runs a built-in scene, reads its trace by column names, and shows the bone after
+reaming.
 
-The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they
-are plausible, not validated. Over the cited ranges, 90 % of the values lie between 41 and 361 N,
-and between 0.38 and 3.5 N m (`tissue run glenoid --band 4096`).
+Expected for a glenoid reamed 2 mm deep:
+
+- 234 mm3 of subchondral bone are removed,
+- the thrust peaks at 94 N,
+- the torque peaks at 0.90 N m.
+
+The figures depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). They
+are plausible, not validated. Over the cited ranges, 90 % of the peaks lie between 41 and 361 N, and
+between 0.38 and 3.5 N m (`tissue run glenoid --band 4096`).
 """
 
 from pathlib import Path
@@ -22,7 +27,7 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
 # %%
-# A scene holds bone, tool and path; `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})`
+# A scene contains bone, tool and path. `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})`
 # would change one of its keys. A run has a row for each tick of 1 ms.
 
 run = tissue.simulate(tissue.load_scene("glenoid"))
@@ -36,7 +41,7 @@ assert abs(thrust - 94.5) < 1.0
 assert abs(torque - 0.901) < 0.01
 
 # %%
-# Thrust and torque grow as the reamer's face meets more of the bone's, until the feed ends 2 mm
+# Thrust and torque grow with the contact area between reamer and bone, until the feed ends 2 mm
 # deep.
 
 depth = -run.trace["tool_z_mm"]
@@ -56,8 +61,8 @@ panels[2].set_xlabel("depth of the reamer / mm")
 figure.savefig(FIGURES / "01_force.png", dpi=150)
 
 # %%
-# The carved surface is a mesh of pyvista; each of its points knows how much bone was removed over
-# it.
+# The carved surface is a mesh of pyvista. Each of its points has the depth of the bone that was
+# removed above it.
 
 surface = run.surface()
 plotter = pyvista.Plotter(off_screen=True, window_size=[1000, 800])

@@ -2,11 +2,15 @@
 Sub-voxel against binary removal
 ================================
 
-Sub-voxel removal costs a slower tick. This example shows the gain in accuracy. A ball burr mills a
-slot 0.25 mm deep and returns 0.1 mm deeper, at several voxel sizes. One run removes the part of a
-voxel inside the tool, the other removes whole voxels. The volume is compared with the exact volume
-of the slot, the force with the force on voxels of 0.03 mm. Expected at 0.1 mm: volume within 0.5 %
-for sub-voxel removal, beyond 1 % for binary removal.
+Sub-voxel removal makes a tick slower. This example shows how much accuracy it gains.
+
+A ball burr mills a slot 0.25 mm deep and returns 0.1 mm deeper, at several voxel sizes. One run
+removes the part of a voxel that is inside the tool. The other run removes whole voxels. The volume
+is compared with the exact volume of the slot. The force is compared with the force on voxels of
+0.03 mm.
+
+Expected at 0.1 mm: the volume is within 0.5 % for sub-voxel removal, and more than 1 % off for
+binary removal.
 """
 
 from math import acos, pi, sin
@@ -28,12 +32,12 @@ SPACINGS_MM = (0.4, 0.2, 0.1, 0.05)
 REFERENCE_MM = 0.03
 
 # %%
-# The slot is the built-in milling scene with another path: plunge, draw the burr along x, go
-# deeper, come back.
+# The slot is the built-in milling scene with another path: plunge, move along x, go deeper, come
+# back.
 
 
 def mill(spacing_mm: float, removal: str) -> tissue.Run:
-    """The slot on voxels of one size."""
+    """Simulate the slot on voxels of one size."""
     half, (first, second) = LENGTH_MM / 2, DEPTHS_MM
     path = [
         # starts 0.1 mm above the bone
@@ -46,9 +50,9 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
     changes = {
         "voxels.spacing_mm": spacing_mm,
         "voxels.removal": removal,
-        # just enough bone around a burr of 6 mm on a path of 4 mm
+        # the smallest block around a burr of 6 mm on a path of 4 mm
         "anatomy.size_mm": [12, 8, 2],
-        # the same elements of the burr on all voxels, so that only the voxels differ
+        # equal elements of the burr on all voxels, so that only the voxels differ
         "tool.shell_spacing_mm": 0.1,
         "motion.points_mm": path,
         "motion.feed_mm_s": FEED_MM_S,
@@ -65,8 +69,8 @@ def steady_force(run: tissue.Run) -> NDArray[np.float64]:
 
 
 # %%
-# Two halves of a spherical cap, and a circular segment over the length, are the slot's exact
-# volume.
+# The exact volume of the slot is the sum of a spherical cap, in two halves, and a circular segment
+# over the length.
 
 depth = DEPTHS_MM[1]
 angle = 2.0 * acos(1.0 - depth / RADIUS_MM)
@@ -92,8 +96,8 @@ assert at[0.1, "subvoxel"] < 0.005
 assert at[0.1, "binary"] > 0.01
 
 # %%
-# On the same voxels, sub-voxel removal is nearer to the exact volume throughout. The force is the
-# same with both, for it comes from distances to the tool and not from what is left in the voxels.
+# On the same voxels, sub-voxel removal is always nearer to the exact volume. The force is equal
+# with both. It depends on distances from the tool, not on the remaining volume of the voxels.
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained")
 for kind, colour, look in (("subvoxel", "#0072B2", "o-"), ("binary", "#D55E00", "s--")):

@@ -2,14 +2,18 @@
 Drill through the layers of a tooth
 ===================================
 
-A bur moves straight down through enamel into dentin and stops above the pulp. The layers are read
-from the force. Expected: the bur is pushed back with 1.12 N in enamel and 0.136 N in dentin, 8.2
-times less. Both forces lie within the 0.1 to 4.9 N that are published for preparing teeth. The
-force falls halfway at 1.40 mm; the voxels end enamel at 1.35 mm under the fossa. 0.60 mm of dentin
-are left over the pulp, after a warning at 1 mm.
+A bur moves straight down through enamel into dentin and stops above the pulp. The layers are
+identified from the force.
 
-The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they
-are plausible, not validated. Over the cited ranges 90 % of the values lie between 0.3 and 5.4 N in
+Expected:
+
+- The axial force is 1.12 N in enamel and 0.136 N in dentin, 8.2 times less. Both lie within the 0.1
+  to 4.9 N that are published for preparing teeth.
+- The force falls halfway at a depth of 1.40 mm. In the voxels, enamel ends 1.35 mm below the fossa.
+- 0.60 mm of dentin are left above the pulp, after a warning at 1 mm.
+
+The figures depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). They
+are plausible, not validated. Over the cited ranges, 90 % of the values lie between 0.3 and 5.4 N in
 enamel, and between 0.05 and 0.6 N in dentin (`bench_band.py --published`).
 """
 
@@ -28,8 +32,8 @@ LAYERS = ("enamel", "dentin")
 PUBLISHED_N = (0.1, 4.9)
 
 # %%
-# The built-in molar, straight down, without its stress and with as little tooth around as the pulp
-# needs.
+# The bur moves straight down into the built-in molar. Stress is switched off, and the margin is
+# only as large as the pulp needs.
 
 changes = {
     "voxels.margin_mm": 1.5,
@@ -44,8 +48,8 @@ force = run.trace["model_force_z_N"]
 layer = run.trace["layer"]
 
 # %%
-# In each layer: the mean axial force in the middle half of the ticks in which the bur meets mostly
-# that layer.
+# For each layer, take the ticks in which the bur cuts mostly that layer. The mean axial force is
+# computed over the middle half of them.
 
 levels_N = {}
 for name in LAYERS:
@@ -62,7 +66,8 @@ assert all(PUBLISHED_N[0] < level < PUBLISHED_N[1] for level in levels_N.values(
 assert abs(enamel / dentin - 8.2) < 0.1
 
 # %%
-# Where the force has fallen halfway for good, against the lowest enamel voxel under the fossa.
+# Compare two depths: where the force has fallen halfway for the last time, and the lowest enamel
+# voxel below the fossa.
 
 felt_mm = float(depth[np.flatnonzero(force > 0.5 * (enamel + dentin))[-1]])
 volume = run.volume
@@ -79,7 +84,7 @@ assert abs(left_mm - 0.60) < 0.02
 assert [event for _, event in run.events] == ["less than 1 mm of dentin is left over the pulp"]
 
 # %%
-# The force over depth, the layers behind it.
+# Plot the force over depth, with the layers behind it.
 
 figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
 ends = (0.0, true_mm, DEPTH_MM)

@@ -2,17 +2,21 @@
 Carious or healthy by the force alone
 =====================================
 
-A round bur moves straight down the fossa of two molars that differ by a lesion 3 mm deep. A
-threshold on the axial force classifies each tick as carious or sound. The example gives the best
-share of right calls, and the probability that a carious tick pushes back less than a sound one.
-Then the sound tooth is drilled at half the feed.
+A round bur moves straight down the fossa of two molars. One of them has a lesion 3 mm deep. A
+threshold on the axial force classifies each tick as carious or sound. The example computes the best
+share of correct classifications, and the probability that the force of a carious tick is smaller
+than that of a sound one. Then the sound tooth is drilled at half the feed.
 
-Expected: over the lesion the carious tooth pushes back with 0.16 of the sound tooth's force, in
-enamel with 0.09, in dentin with 0.59. The best threshold is right in 95 % of all ticks, since
-decayed enamel is at first harder than sound dentin. It is right in all ticks in dentin. But it
-holds for one feed: at half of it all sound dentin is called carious. The forces have no noise and
-rest on coefficients of low confidence (`tissue/materials/cutting.toml`). The example does not show
-how well a hand would discriminate.
+Expected:
+
+- The force in the carious tooth is 0.16 of the force in the sound tooth over the whole lesion, 0.09
+  in enamel and 0.59 in dentin.
+- The best threshold classifies 95 % of all ticks correctly, because decayed enamel is at first
+  harder than sound dentin. In dentin it classifies all ticks correctly.
+- The threshold holds for one feed only. At half the feed all sound dentin is classified as carious.
+
+The forces have no noise and depend on coefficients of low confidence
+(`tissue/materials/cutting.toml`). The example does not show how well a hand would discriminate.
 """
 
 from pathlib import Path
@@ -30,12 +34,12 @@ DEPTH_MM = 3.4
 FEED_MM_S = 1.5
 
 # %%
-# Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the
-# teeth's stress.
+# There are three runs: sound, carious, and sound at half the feed. The voxels are 0.1 mm large, and
+# stress is switched off.
 
 
 def drill(scene: str, feed_mm_s: float) -> tissue.Run:
-    """A built-in tooth drilled straight down."""
+    """Drill straight down into a built-in tooth."""
     changes = {
         # twice the spacing of the scene, an eighth of its voxels
         "voxels.spacing_mm": 0.1,
@@ -52,8 +56,9 @@ carious = drill("caries", FEED_MM_S).trace
 slow = drill("molar", 0.5 * FEED_MM_S).trace
 
 # %%
-# The threshold that calls most ticks rightly, where carious and sound ticks count alike, and the
-# area under the ROC: the chance that a carious tick's force is below a sound one's.
+# The best threshold classifies the most ticks correctly. Carious and sound ticks have equal weight.
+# The area under the ROC is the probability that the force of a carious tick is below that of a
+# sound one.
 
 
 def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
@@ -97,8 +102,8 @@ for name, ratio, right in zip(parts, (0.159, 0.094, 0.592), (0.953, 0.974, 1.0),
 assert alarms > 0.9
 
 # %%
-# Sound dentin at half the feed lies below the threshold that parts sound from carious at the full
-# one.
+# At half the feed, the force in sound dentin is below the threshold that separates sound from
+# carious at full feed.
 
 figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
 shaded = -carious["tool_z_mm"][lesion]

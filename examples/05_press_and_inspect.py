@@ -2,16 +2,20 @@
 Press a liver and look inside
 =============================
 
-A ball presses a liver, and the inside is inspected: force over depth, displacement, stress.
-Expected: 0.285 N at 5 mm with a ball of 20 mm on 5.4 kPa, which is 0.86 of the Hertz force for a
-half-space (the surface is a dome that yields, and Hertz's parabola is steeper than the ball). The
-tissue under the ball moves down nearly as far as the ball. The von Mises stress is largest within a
-radius under it.
+A ball presses a liver. The example shows force over depth, displacement and stress.
 
-The scene's cells are quadratic and fine under the ball only: halving the fine ones or the coarse
-ones elsewhere moves the force by about 1 %. The run reports the depth from which linear elasticity
+Expected:
+
+- The force is 0.285 N at 5 mm, with a ball of 20 mm on tissue of 5.4 kPa. This is 0.86 of the Hertz
+  force for a half-space: the surface is a dome that yields, and Hertz's parabola is steeper than
+  the ball.
+- The tissue under the ball moves down nearly as far as the ball.
+- The von Mises stress is largest within one radius below the ball.
+
+The cells of the scene are quadratic, and fine only under the ball. Halving either the fine or the
+coarse cells changes the force by about 1 %. The run reports the depth from which linear elasticity
 is 5 % off. The modulus comes from a cited range of 2 to 15 kPa. The force is proportional to it, so
-that nine in ten livers lie between 0.11 and 0.79 N.
+nine of ten livers have a force between 0.11 and 0.79 N.
 """
 
 from pathlib import Path
@@ -30,7 +34,8 @@ YOUNG_PA = 5.4e3
 POISSON = 0.49
 
 # %%
-# The built-in liver with the linear law, straight down, with a frame of its fields at the end.
+# A ball presses the built-in liver with the linear law, straight down. The last frame has the
+# fields.
 
 changes = {
     "organ.material": "liver",
@@ -58,7 +63,8 @@ assert abs(ratio - 0.86) < 0.03
 assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]
 
 # %%
-# The mesh of the last frame, in pyvista: displacement over its points, stress over its cells.
+# The mesh of the last frame is a pyvista mesh, with displacement at its points and stress in its
+# cells.
 
 mesh = run.dataset()
 moved = mesh.point_data["displacement_mm"]
@@ -71,7 +77,7 @@ assert abs(-moved[under, 2] - DEPTH_MM) < 1.0
 assert away < RADIUS_MM
 
 # %%
-# Force over depth, compared with Hertz's solution.
+# Plot the force over depth, compared with Hertz's solution.
 
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
 axes.plot(depth, force, color="#0072B2", linewidth=2.2, label="liver")
@@ -90,7 +96,7 @@ axes.set_title(f"Ball of {2 * RADIUS_MM:g} mm on the dome of a liver of {1e-3 * 
 figure.savefig(FIGURES / "05_force.png", dpi=150)
 
 # %%
-# The liver cut open through the ball, as it is bent; the displacement fades over a few radii.
+# Show the deformed liver, cut open through the ball. The displacement fades over a few radii.
 
 bent = mesh.warp_by_vector("displacement_mm")
 half = bent.clip("y", origin=(0.0, 0.0, 0.0), invert=False)

@@ -2,14 +2,20 @@
 A hand on a stiff wall
 ======================
 
-A hand touches a rigid wall of 2 kN/m through three renderers, presses, and is jerked off it. The
+A hand touches a rigid wall of 2 kN/m with three renderers, presses, and is jerked off it. The
 device has six degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers of 300 Hz)
-and is held by an expert. Its eigenvalues allow 2906 N/m in that hand, so the wall is judged stable
-with a margin of 31 %. Released, it would be stable up to 262 N/m only, and the wall is refused.
+and is held by an expert. The eigenvalues allow 2906 N/m in that hand, so the wall is stable with a
+margin of 31 %. Without the hand the device would be stable up to 262 N/m only, and the wall would
+be refused.
 
-Expected: the penalty and the proxy renderer give the hand 2.3 mJ more than they took, and the force
-still ripples by 0.09 N, 0.3 to 0.5 s after the jerk. On a flat wall the two are one law. The
-passivity renderer takes 0.3 mJ and is quiet. All three hold the device at the same depth, 0.65 mm.
+Expected:
+
+- The penalty and the proxy renderer give the hand 2.3 mJ more than they took. The force still
+  oscillates by 0.09 N, 0.3 to 0.5 s after the jerk. On a flat wall both renderers have the same
+  law.
+- The passivity renderer takes 0.3 mJ, and its force does not oscillate.
+- All three hold the device at the same depth, 0.65 mm.
+
 Numbers of hand and device are priors (`tissue/materials`).
 """
 
@@ -25,7 +31,7 @@ FIGURES.mkdir(exist_ok=True)
 STIFFNESS_N_M = 2000.0
 
 # %%
-# Stable or not is known before anything runs.
+# Stability is computed before the run.
 
 held = tissue.stability.judge(tissue.stability.wall_loop("six-dof", STIFFNESS_N_M, hand="expert"))
 free = tissue.stability.judge(tissue.stability.wall_loop("six-dof", STIFFNESS_N_M))
@@ -35,8 +41,8 @@ assert held.stable and abs(held.critical_N_m - 2906.0) < 2.0 and abs(held.margin
 assert not free.stable and free.nearest_N_m == 261.0
 
 # %%
-# The hand moves onto the wall, holds, and is jerked off it by 2 N for 20 ms, once with each force
-# law.
+# The hand moves onto the wall and presses. A pull of 2 N for 20 ms jerks it off. This is repeated
+# with each force law.
 
 RENDERERS = ("penalty", "passivity", "proxy")
 runs = {
@@ -58,8 +64,8 @@ assert (
 assert abs(runs["penalty"].ripple_N(0.2) - 0.09) < 0.01 and runs["passivity"].ripple_N(0.2) < 1e-3
 
 # %%
-# Force over time, and the energy taken as if commands acted at once; what the lag gives back comes
-# on top.
+# Plot the force over time, and the energy that the renderer took. The energy is computed as if
+# commands acted at once. The energy that the lag gives back is not included.
 
 figure, panels = plt.subplots(2, 1, figsize=(8, 5.4), sharex=True, layout="constrained")
 styles = {"penalty": ("#0072B2", "-"), "passivity": ("#E69F00", "-"), "proxy": ("0.1", ":")}

@@ -2,16 +2,21 @@
 Limits of a 1 kHz haptic loop
 =============================
 
-A wall that feels hard needs about 1 kN/m. This example finds the rate that plays it on a device
-that nobody holds. Expected: without delay and amplifier lag the six-degree-of-freedom device (75 g,
-0.4 N s/m) is stable up to 801 N/m at 1 kHz and 1601 N/m at 2 kHz, so 1 kHz is not enough and 2 kHz
-is. With half a millisecond of delay and an amplifier of 300 Hz it is stable up to 262 N/m at 1 kHz
-and 371 N/m at 10 kHz. Then no rate is enough. Only the damping of a hand is: it allows 2906 N/m at
-1 kHz. If a model responds at 100 Hz and its force is held in the meantime, that hand is stable up
-to 770 N/m only, at any rate of the loop.
+A wall that feels hard needs a stiffness of about 1 kN/m. This example computes the rate that a
+device needs to play it while nobody holds the device.
 
-Every figure comes from an eigenvalue. A loop that runs 5 % above it grows, and one 5 % below it
-fades. The 0.8 to 1 kN/m are from Choi and Tan (2004), the device's damping is a prior.
+Expected for the six-degree-of-freedom device (75 g, 0.4 N s/m):
+
+- Without delay and amplifier lag it is stable up to 801 N/m at 1 kHz and 1601 N/m at 2 kHz. A rate
+  of 1 kHz is not enough, and 2 kHz is.
+- With half a millisecond of delay and an amplifier of 300 Hz it is stable up to 262 N/m at 1 kHz
+  and 371 N/m at 10 kHz. No rate is enough.
+- In a hand, it is stable up to 2906 N/m at 1 kHz, because of the damping of the hand.
+- If a model responds at 100 Hz and its force is held in the meantime, the device in that hand is
+  stable up to 770 N/m only, at any rate of the loop.
+
+Every figure comes from an eigenvalue. Oscillations of a loop grow 5 % above it and fade 5 % below
+it. The 0.8 to 1 kN/m are from Choi and Tan (2004). The damping of the device is a prior.
 """
 
 from collections.abc import Iterable
@@ -30,8 +35,8 @@ HARD_N_M = 1000.0
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0)
 
 # %%
-# The device at each rate: without lag, as it is, and held by an expert. A loop is a dataclass of
-# plain numbers.
+# Compute the device at each rate: without lag, as it is, and held by an expert. A loop is a
+# dataclass of plain numbers.
 
 real = [
     replace(tissue.stability.wall_loop("six-dof", HARD_N_M), tick_s=1.0 / rate) for rate in RATES_HZ
@@ -49,7 +54,7 @@ critical = {
 
 
 def listed(numbers: Iterable[float]) -> str:
-    """Numbers in a line."""
+    """Format numbers in one line."""
     return ", ".join(f"{number:.0f}" for number in numbers)
 
 
@@ -76,8 +81,8 @@ assert abs(held[at_1_khz] - 2906.0) < 2.0
 assert abs(slow_critical - 770.0) < 2.0
 
 # %%
-# What eigenvalues state, a loop that is left to run for four seconds does: 5 % above it grows, 5 %
-# below it fades.
+# A simulated loop confirms the eigenvalues. In four seconds its oscillation grows 5 % above the
+# critical stiffness, and fades 5 % below it.
 
 for loop in (*(row[at_1_khz] for row in loops.values()), slow):
     limit = tissue.stability.critical_stiffness_N_m(loop)
@@ -91,7 +96,7 @@ for loop in (*(row[at_1_khz] for row in loops.values()), slow):
     assert above > 1.0 > below
 
 # %%
-# Above the shaded stiffness a wall feels hard.
+# Plot the critical stiffness over the rate. Walls above the shaded stiffness feel hard.
 
 figure, axes = plt.subplots(figsize=(7.5, 4.6), layout="constrained")
 for (name, row), colour, marker in zip(

@@ -2,16 +2,20 @@
 Latency hidden by prediction
 ============================
 
-The force is played 4 ms late and has an error of nearly 4 % on a stiff wall. This example shows how
-much of the error a prediction can remove. Three hands, one of each group, push a ball onto a wall
-with 4 ms of latency between the force and the device. Errors are ||F - ideal|| / ||ideal|| over a
-run where the motor acts. The ideal force is the force of a loop without delay at the device's true
-position.
+A force that is played 4 ms late has an error of nearly 4 % on a stiff wall. This example shows how
+much of the error a prediction can remove.
 
-Expected: without prediction, the force is off by 3.7 % of its size. A straight line through the
-last ten milliseconds leaves 1.6 %. The wall's own law, at the end of the path that an operator over
-delayed positions predicts, leaves 0.6 %. A perfect prediction of the force from the encoders' steps
-would leave 0.3 %.
+Three hands, one of each expertise group, push a ball onto a wall with 4 ms of latency between the
+force and the device. Errors are ||F - ideal|| / ||ideal|| over a run, at the motor. The ideal force
+is the force of a loop without delay at the true position of the device.
+
+Expected errors:
+
+- 3.7 % without prediction,
+- 1.6 % with a straight line through the last ten milliseconds,
+- 0.6 % with the law of the wall at the end of the path that an operator on delayed positions
+  predicts,
+- 0.3 % with a perfect prediction from the encoder steps.
 """
 
 from pathlib import Path
@@ -33,8 +37,8 @@ PREDICTIONS = {
 LATENCY_MS = 4
 
 # %%
-# Every hand with every prediction; `tissue.motor_forces` gives what was played and what should have
-# been.
+# Run every hand with every prediction. `tissue.motor_forces` returns the played and the ideal
+# force.
 
 runs: dict[str, list[tissue.Run]] = {}
 for kind in PREDICTIONS:
@@ -75,7 +79,7 @@ assert (
 assert predicted < 0.5 * linear and linear < 0.6 * none
 
 # %%
-# The first touch of the novice: ideal and played force, as it comes and with prediction.
+# Plot the first touch of the novice: ideal force, and played force with and without prediction.
 
 figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True, layout="constrained")
 for panel, kind in zip(panels, ("none", "koopman-look-ahead"), strict=True):

@@ -2,11 +2,16 @@
 Calibrate an observer
 =====================
 
-This example shows how well 120 comparisons and 24 numbers measure a person's perception. Expected:
-a simulated person with a Weber fraction of 7 % and Stevens' exponent 1.7 is estimated at 7.7 % and
-1.71, with the truth in both 95 % intervals. A session that is cut off after 50 trials and continued
-from its log ends with the same observer, bit for bit. Over 200 such people one session is off by
-about 15 %. This is the limit of 120 answers: the answer to a comparison is one bit.
+This example shows how well 120 comparisons and 24 numbers measure the perception of a person.
+
+Expected:
+
+- A simulated person with a Weber fraction of 7 % and a Stevens exponent of 1.7 is estimated at 7.7
+  % and 1.71. Both true values are in the 95 % intervals.
+- A session that is interrupted after 50 trials and continued from its log ends with the same
+  observer, bit for bit.
+- Over 200 such people one session is off by about 15 %. This is the limit of 120 answers, because
+  the answer to a comparison is one bit.
 """
 
 import tempfile
@@ -32,9 +37,9 @@ TRUTH = {
 }
 
 # %%
-# A session asks what shows most, and keeps every answer in a log before it asks the next. Anything
-# that answers may be asked: here a simulated person, elsewhere a function that plays two forces on
-# a device and reads a key.
+# A session chooses the most informative question, and writes every answer to a log before the next
+# question. Here a simulated person answers. In a real session, a function plays two forces on a
+# device and reads a key.
 
 answer = tissue.calibration.simulated_answers(tissue.calibration.alike(1, **TRUTH), seed=1)
 with tempfile.TemporaryDirectory() as folder:
@@ -52,7 +57,7 @@ assert abs(weber / WEBER - 1.0) < 0.35 and abs(numbers.mean[1] / EXPONENT - 1.0)
 assert (again.observer("a").mean == done.observer("a").mean).all()
 
 # %%
-# One session each with 200 people of the same truth shows what a session cannot resolve.
+# One session each with 200 people who have the same true values shows the scatter of a session.
 
 found = tissue.calibration.estimated_webers(tissue.calibration.alike(PEOPLE, **TRUTH))
 spread = float(np.log(found / WEBER).std())
@@ -60,7 +65,7 @@ print(f"scatter of the Weber fraction over {PEOPLE} people: {100 * spread:.0f} %
 assert 0.12 < spread < 0.19
 
 # %%
-# What one session concludes, what sessions with 200 people conclude, and the numbers given to
+# Plot the result of one session, the results of sessions with 200 people, and the numbers given to
 # forces.
 
 figure, panels = plt.subplots(1, 3, figsize=(12, 4.0), layout="constrained")

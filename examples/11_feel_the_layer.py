@@ -2,18 +2,24 @@
 Feel the layer of a liver
 =========================
 
-This example tests whether a hand can discriminate a liver's capsule from the parenchyma under it,
-and whether it helps to know the hand. Expected: in the tenth of a second before the puncture the
-needle is held back by 2.1 N, in the tenth after it by 1.6 N. 100 simulated people of each group
-discriminate the two with an error below 10 %. A force scaled for each person, after 24 numbers from
-that person, changes their right answers by less than 3 %. A mapping that rises with the force and
-keeps its end points also keeps the number of just noticeable differences between them. It gains in
-one band of forces what it loses in another. Scaling spreads the difference for people whose
-exponent lies below the reference exponent and narrows it for the others. For an observer equal to
-the reference it changes nothing at all.
+This example tests whether a hand can discriminate the capsule of a liver from the parenchyma below
+it. It also tests whether a force that is scaled for the person helps.
 
-The tissue itself scatters by more than any of this: the force at which a capsule breaks lies
-between 1.7 and 2.9 N. People's exponents and thresholds are priors.
+Expected:
+
+- In the tenth of a second before the puncture the mean force on the needle is 2.1 N, and 1.6 N in
+  the tenth of a second after it. 100 simulated people of each group discriminate the two forces
+  with an error below 10 %.
+- The force is scaled for each person, after 24 numbers from that person. This changes the correct
+  answers by less than 3 %.
+
+A mapping that rises with the force and keeps its end points also keeps the number of just
+noticeable differences between them. It gains in one band of forces what it loses in another.
+Scaling increases the difference for people whose exponent is below the reference exponent, and
+decreases it for the others. For an observer equal to the reference it changes nothing.
+
+The scatter of the tissue is larger than any of these effects: a capsule breaks at a force between
+1.7 and 2.9 N. Exponents and thresholds of people are priors.
 """
 
 from pathlib import Path
@@ -27,10 +33,10 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 PEOPLE = 100
 GROUPS = ("novice", "intermediate", "expert")
-WINDOW_S = 0.1  # as long as a person averages a force
+WINDOW_S = 0.1  # time over which a person averages a force
 
 # %%
-# The needle's run, and the mean force in a window on either side of the puncture.
+# Run the needle, and compute the mean force in a window on either side of the puncture.
 
 run = tissue.simulate(tissue.load_scene("needle", {"duration_s": 1.5}))
 time_s = run.trace["time_s"]
@@ -46,7 +52,7 @@ print(f"capsule {capsule:.2f} N, parenchyma {parenchyma:.2f} N")
 assert 1.9 < capsule < 2.3 and 1.5 < parenchyma < 1.8
 
 # %%
-# People of each group compare the two forces, as they are and scaled for each of them.
+# People of each group compare the two forces, unscaled and scaled for each person.
 
 errors = {}
 for group in GROUPS:
@@ -70,7 +76,7 @@ print(f"reference: right answers change by {100 * abs(scaled - plain).max():.1f}
 assert (plain == scaled).all()
 
 # %%
-# The two windows in the run, and how often people are wrong.
+# Plot the two windows in the run, and the share of wrong answers.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.0), layout="constrained")
 left.plot(time_s, force_N, color="0.15", linewidth=1.6)

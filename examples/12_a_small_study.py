@@ -3,10 +3,15 @@ A small study
 =============
 
 This example tests whether predicting the force hides the latency of a contact with a wall.
-Expected: over two trials of each group, the played force lies 5 % off the prompt force without
-prediction. Prediction by a Koopman operator leaves less than 0.85 of that error and removes more
-than two of six milliseconds of lag. A trial that runs alone gives the same numbers to the last bit.
-People are simulated.
+
+Expected over two trials of each group:
+
+- Without prediction, the played force is 5 % off the force without latency.
+- Prediction by a Koopman operator leaves less than 0.85 of that error, and removes more than two of
+  six milliseconds of lag.
+- A trial that runs alone gives the same numbers to the last bit.
+
+The people are simulated.
 """
 
 import tempfile
@@ -21,8 +26,8 @@ FIGURES = Path("figures")
 PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
 
 # %%
-# The trials run on two worker processes, which import this script: what starts them stands under
-# its main guard.
+# The trials run on two worker processes, which import this script. The code that starts them is
+# therefore under the main guard.
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
@@ -47,7 +52,7 @@ if __name__ == "__main__":
     assert plain["latency_ms"] - predicted["latency_ms"] > 2.0
 
 # %%
-# A trial alone, by its name: what a study holds can be looked at one by one.
+# Run a single trial by its name, to look at one trial of a study.
 
 if __name__ == "__main__":
     alone = tissue.study.trial(PLAN, "T2-expert-0001").rows[1]
@@ -56,7 +61,7 @@ if __name__ == "__main__":
     print(f"trial T2-expert-0001 alone: the same {100 * inside:.3f} %")
 
 # %%
-# Each line is a trial under both methods.
+# Plot each trial under both methods as a line.
 
 if __name__ == "__main__":
     figure, panels = plt.subplots(1, 2, figsize=(8.0, 4.0), layout="constrained")

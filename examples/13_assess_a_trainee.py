@@ -2,14 +2,23 @@
 Assess a trainee against an expert
 ==================================
 
-A novice presses a wall, and the run is compared with an expert's. Both hands hold the same
-simulated device (Touch), with the same seed. The score measures how steady the hand is: 0 for the
-tremor of a novice, 100 for that of an expert. The two runs are aligned by place, so that pace is no
-error. The other measures are the distance from the path, the force and the depth. Expected: the
-novice has a score near 0 and the expert one near 100. The novice strays by 3.6 mm where the expert
-moved straight, presses the wall with 35 N against 27 (of which the device plays a small share), and
-passes the limit of force once, 0.6 s after the start. Hands differ by priors (`tissue/materials`),
-so this shows the method, not people.
+A novice presses a wall, and the run is compared with that of an expert. Both hands hold the same
+simulated device (Touch), with the same seed.
+
+The score measures how steady the hand is: 0 for the tremor of a novice, 100 for that of an expert.
+The other measures are the distance from the path, the force and the depth. The two runs are aligned
+by place, so a different pace is not an error.
+
+Expected:
+
+- The novice has a score near 0, and the expert a score near 100.
+- The novice deviates by 3.6 mm from the straight path of the expert.
+- The novice presses the wall with 35 N, the expert with 27 N. The device plays a small share of
+  this.
+- The novice exceeds the force limit once, 0.6 s after the start.
+
+The differences between hands are priors (`tissue/materials`). The example shows the method, not
+people.
 """
 
 from pathlib import Path
@@ -22,8 +31,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
 # %%
-# Two runs of one scene; `tissue.assess` takes runs, or the folders that `run.save` and `tissue run`
-# write.
+# Simulate two runs of one scene. `tissue.assess` takes runs, or the folders that `run.save` and
+# `tissue run` write.
 
 novice, expert = (
     tissue.simulate(tissue.load_scene("wall", {"device": "touch", "hand": hand, "seed": 3}))
@@ -42,8 +51,8 @@ assert hands[0] is not None and hands[0].score < 40.0
 assert hands[1] is not None and hands[1].score > 80.0
 
 # %%
-# Over time, the trainee, the reference at the same place, and the limits with the spans in which
-# they were passed.
+# Plot the trainee over time, the reference at the same place, and the limits. The spans in which a
+# limit was exceeded are marked.
 
 quantities = (found.deviation, found.force, found.depth)
 figure, panels = plt.subplots(3, 1, figsize=(8.0, 6.4), sharex=True, layout="constrained")

@@ -2,11 +2,16 @@
 Your bone, your toolpath
 ========================
 
-A closed surface becomes bone of two densities, a burr follows a path of points at two feeds, and
-the four cuts are compared and written for MATLAB. Expected: twice the feed multiplies the mean
-force by 1.19 only, because chips are thin and the edge force does not grow with them. A density
-1.5 times higher multiplies the force by 1.84, by the power 1.5 in the cutting coefficients. All
-four cuts remove 12.5 mm3.
+A closed surface becomes bone of two densities. A burr follows a path of points at two feeds. The
+four cuts are compared and written for MATLAB.
+
+Expected:
+
+- Twice the feed multiplies the mean force by 1.19 only. Chips are thin, and the edge force does not
+  grow with them.
+- A density 1.5 times higher multiplies the force by 1.84, the power 1.5 of the cutting
+  coefficients.
+- All four cuts remove 12.5 mm3.
 """
 
 import tempfile
@@ -22,8 +27,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
 # %%
-# Any closed STL, OBJ, PLY or VTK file in millimetres will do; here a shaft with a thicker end is
-# written first.
+# Use any closed STL, OBJ, PLY or VTK file in millimetres. Here the example first writes a shaft
+# with a thicker end.
 
 z = np.linspace(-20.0, 20.0, 60)
 profile = np.column_stack([8.0 + 2.0 * (z / 20.0) ** 2, np.zeros(60), z])
@@ -33,7 +38,7 @@ shaft = shaft.extract_surface(algorithm=None).triangulate().clean().rotate_y(90.
 burr = tissue.cutters.ball_burr(diameter_mm=4.0, flutes=6, spin_rpm=2_000)
 
 # %%
-# The path goes along the shaft with three waves, 0.4 mm below its highest line.
+# The path follows the shaft in three waves, 0.4 mm below its highest line.
 
 x = np.linspace(-8.0, 8.0, 81)
 path_mm = np.column_stack(
@@ -69,7 +74,7 @@ assert abs(by_feed - 1.19) < 0.02 and abs(by_density - 1.84) < 0.02
 assert all(abs(cut.removed_mm3[-1] - 12.5) < 0.2 for cut in cuts.values())
 
 # %%
-# Force over the place along the shaft, of the four cuts.
+# Plot the force of the four cuts over the position along the shaft.
 
 figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
 for ((density, feed), cut), line in zip(cuts.items(), ("--", "-", "--", "-"), strict=True):
@@ -85,7 +90,7 @@ axes.legend(ncols=2)
 figure.savefig(FIGURES / "14_cuts.png", dpi=150)
 
 # %%
-# The bone as it is now.
+# Show the bone after the cuts.
 
 plotter = pyvista.Plotter(off_screen=True, window_size=[1000, 560])
 plotter.add_mesh(bone.surface(), color="#E8DCC8", smooth_shading=True, split_sharp_edges=True)

@@ -2,11 +2,14 @@
 Your organ with a stiff cyst
 ============================
 
-A kidney of 10 kPa with a cyst of 60 kPa inside is made from two closed surfaces and pressed at five
-places to locate the cyst. Expected: 3 mm deep a ball of 20 mm is pushed back with about 0.3 N, and
-over the cyst with 0.56 to 0.67 N, twice as much. The tetrahedra differ from one meshing to the
-next. The cells are linear, for speed, so that forces are somewhat too large (use `order=2` for
-figures). Moduli are made up.
+A kidney of 10 kPa with a cyst of 60 kPa is made from two closed surfaces. It is pressed at five
+places to locate the cyst.
+
+Expected 3 mm deep with a ball of 20 mm: a force of about 0.3 N, and 0.56 to 0.67 N above the cyst,
+twice as much.
+
+The tetrahedra differ from one meshing to the next. The cells are linear, for speed, so forces are
+somewhat too large (use `order=2` for figures). The moduli are made up.
 """
 
 from pathlib import Path
@@ -21,7 +24,7 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
 # %%
-# Surfaces of your own come from files or from pyvista; here a bean and a ball in it.
+# Your own surfaces come from files or from pyvista. Here they are a bean and a ball inside it.
 
 kidney = pyvista.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
 x, y, z = np.asarray(kidney.points).T
@@ -43,7 +46,7 @@ organ = organ.refined(edge_mm=3.0, near_mm=places_mm)
 print(organ)
 
 # %%
-# The same organ is pressed at each place from rest; it does not remember.
+# The organ is pressed at each place from rest. It has no memory of earlier presses.
 
 ball = tissue.ball(diameter_mm=20.0)
 presses = [
@@ -57,7 +60,7 @@ assert np.argmax(forces) == 3 and 1.6 < forces[3] / np.median(elsewhere) < 2.5
 assert 0.5 < forces[3] < 0.75 and np.all(np.abs(elsewhere - 0.31) < 0.06)
 
 # %%
-# Force over depth at the five places.
+# Plot the force over depth at the five places.
 
 figure, axes = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
 for place, press, colour in zip(
@@ -79,8 +82,8 @@ axes.legend()
 figure.savefig(FIGURES / "15_force.png", dpi=150)
 
 # %%
-# Cut open through the places, pressed over the cyst: the stress goes through the cyst, which hardly
-# yields.
+# Show the organ pressed above the cyst, cut open through the places. The stress passes through the
+# cyst, which hardly deforms.
 
 half = presses[3].mesh.clip("x", origin=(-6.0, 0.0, 0.0), crinkle=True)
 plotter = pyvista.Plotter(off_screen=True, window_size=[1100, 620])

@@ -2,9 +2,10 @@
 Your device and your predictor
 ==============================
 
-A device of two methods, `read` and `command`, presses a soft block behind 4 ms of latency, and a
-predictor of two methods, `observe` and `predict`, hides it. Expected: without the predictor the
-force is off by 4.2 % of its size, and with it by 1.5 %.
+A device with two methods, `read` and `command`, presses a soft block with 4 ms of latency. A
+predictor with two methods, `observe` and `predict`, hides the latency.
+
+Expected: the error of the force is 4.2 % of its size without the predictor, and 1.5 % with it.
 """
 
 from pathlib import Path
@@ -21,9 +22,9 @@ FIGURES.mkdir(exist_ok=True)
 LATENCY_MS = 4
 
 # %%
-# A device gives its position in metres when it is read and takes forces in newtons. This one is a
-# motor that moves up and down whatever it is commanded, so that runs can be compared; one with
-# hardware has the same two methods.
+# A device returns its position in metres and takes forces in newtons. This device is a motor that
+# moves up and down for any command, so that runs can be compared. A device with hardware has the
+# same two methods.
 
 
 class Shaker:
@@ -42,13 +43,13 @@ class Shaker:
         )
 
     def command(self, force_N: Floats, torque_Nm: Floats) -> None:
-        """Take what is to be played."""
+        """Take the force to play."""
         self.last_N = force_N.copy()
 
 
 # %%
-# A predictor sees what every tick brought, and gives the force some ticks later: here along the
-# force's last slope.
+# A predictor observes every tick, and returns the force some ticks later. This one continues the
+# last slope of the force.
 
 
 class Slope:
@@ -59,7 +60,7 @@ class Slope:
         self.slope_N = np.zeros(3)
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
-        """Take in a tick; a slow model answers in some only."""
+        """Observe a tick. A slow model has a force in some ticks only."""
         if force_N is not None:
             # the mean over about 5 ticks, so that single encoder steps do not count
             self.slope_N = 0.8 * self.slope_N + 0.2 * (force_N - self.force_N)
@@ -71,8 +72,8 @@ class Slope:
 
 
 # %%
-# The loop is judged for stability, then runs for a second: prompt, late, and late with the
-# predictor.
+# The stability of the loop is checked. The loop then runs for a second: without latency, with
+# latency, and with latency and the predictor.
 
 block = tissue.Organ.block(
     (40.0, 40.0, 20.0), modulus_kPa=20.0, poisson_ratio=0.45, edge_mm=3.0, order=1
@@ -94,7 +95,7 @@ def played(delay_ms: int, predictor: Slope | None) -> Floats:
         delay_ms=delay_ms,
         predictor=predictor,
     )
-    # with latency, the coupling is judged alike with and without the predictor
+    # with latency, the stability check is the same with and without the predictor
     if predictor is not None or not delay_ms:
         print(loop.notes["coupling"])
     return loop.run(1.0).trace["device_force_z_N"]
@@ -113,7 +114,7 @@ print(
 assert abs(errors[0] - 0.042) < 0.004 and abs(errors[1] - 0.015) < 0.004
 
 # %%
-# One press: prompt, late, and predicted.
+# Plot one press: without latency, late, and predicted.
 
 figure, axes = plt.subplots(figsize=(8.0, 4.2), layout="constrained")
 time_ms = np.arange(len(prompt))

@@ -2,9 +2,14 @@
 Learn to palpate
 ================
 
-The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`. They are the depth
-of the press, the distance from the start, the speed of sliding around, and the radial range of
-motion around the place with the largest force. Needs ``pip install ".[rl]"``.
+The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`:
+
+- the depth of the press,
+- the distance from the start,
+- the speed of sliding around,
+- the radial range of motion around the place with the largest force.
+
+Needs ``pip install ".[rl]"``.
 """
 
 from pathlib import Path
@@ -29,21 +34,21 @@ HIGH = np.array([-0.3, 20.0, 60.0, 0.9])
 """
 
 # %%
-# The policy goes around a circle, then out and in where it felt most, and lifts where that was
-# hardest. It sees the observation alone: what a place resists is the force over the depth to the
-# power of 3/2, as under any ball.
+# The policy slides around a circle. It then moves out and in where the resistance was largest, and
+# lifts at the hardest place. It uses the observation alone. The resistance of a place is the force
+# over the depth to the power of 3/2, as for any ball.
 
 
 def hardest(felt: list[Floats]) -> Floats:
-    """Mean of the places felt, by how much harder than most they are [mm]."""
+    """Return the mean of the touched places, weighted by their excess hardness [mm]."""
     x, y, hard = np.array(felt).T
-    # only the hardest quarter counts; 1e-12 is for places that are all alike
+    # only the hardest quarter counts; 1e-12 avoids a division by zero if all places are equal
     weight = np.clip(hard - np.quantile(hard, 0.75), 0.0, None) ** 2 + 1e-12
     return np.array([weight @ x, weight @ y]) / weight.sum()
 
 
 def score(env: Any, policy: Floats, seed: int) -> float:
-    """Score of an episode by a policy of height, radius, speed and share of the radius."""
+    """Return the score of an episode by a policy: height, radius, speed and share of radius."""
     height, radius, speed, share = np.clip(policy, LOW, HIGH)
     observation, _ = env.reset(seed=seed)
     # corners of 15 degrees, back to the first
@@ -88,7 +93,7 @@ def score(env: Any, policy: Floats, seed: int) -> float:
 def learn(
     env: Any, rng: np.random.Generator, *, generations: int = 5, count: int = 16, episodes: int = 3
 ) -> Floats:
-    """Mean and spread of the policies of every generation, shape (generations + 1, 2, 4)."""
+    """Return mean and spread of the policies of every generation, shape (generations + 1, 2, 4)."""
     # a first guess that presses too lightly (score 0.12), and a third of the bounds around it
     mean = np.array([-0.6, 7.0, 15.0, 0.1])
     spread = 0.3 * (HIGH - LOW)
@@ -101,15 +106,16 @@ def learn(
         scores = [np.mean([score(env, policy, int(seed)) for seed in seeds]) for policy in policies]
         best = np.clip(policies[np.argsort(scores)[-count // 4 :]], LOW, HIGH)
         mean = best.mean(axis=0)
-        # 2 % of the bounds are always left, since the best of few may agree by chance
+        # keep a spread of 2 % of the bounds, since the best of few may agree by chance
         spread = best.std(axis=0) + 0.02 * (HIGH - LOW)
         history.append(np.array([mean, spread]))
     return np.array(history)
 
 
 # %%
-# Scores of twenty episodes that learning has not seen, by its first guess, after each generation,
-# and at random. The name has the module before it, so that gymnasium imports what knows it.
+# Compute the scores of twenty episodes that were not used for learning: with the first guess, after
+# each generation, and with random actions. The name starts with the module, so that gymnasium
+# imports the module that registers it.
 
 env = gymnasium.make("tissue.environments:tissue/Palpation-v0")
 history = learn(env, np.random.default_rng(0))

@@ -3,10 +3,13 @@ A robot drills a pedicle
 ========================
 
 A robot arm in MuJoCo drills the pedicle of a lumbar vertebra. `tissue.Loop` gives the force on the
-drill in every millisecond, and MuJoCo moves the arm under it. The arm is under admittance control:
-it feeds the drill as the thrust allows. It pauses when the drill breaks through the cortex, and
-then continues to 15 mm. It stops the drill 1 mm before the spinal canal. Needs ``pip install
-mujoco``.
+drill in every millisecond, and MuJoCo moves the arm under it.
+
+The arm is under admittance control: it feeds the drill as the thrust allows. It pauses when the
+drill breaks through the cortex, and then continues to 15 mm. It stops the drill 1 mm before the
+spinal canal.
+
+Needs ``pip install mujoco``.
 """
 
 from pathlib import Path
@@ -201,7 +204,7 @@ def tilted(degrees: float) -> Floats:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-# Voxels of 0.15 mm instead of 0.1 mm: the thrust is the same within 1 %, with fewer voxels.
+# Voxels of 0.15 mm instead of 0.1 mm change the thrust by less than 1 %.
 scene = tissue.load_scene("pedicle", {"voxels.spacing_mm": 0.15})
 loop = tissue.Loop(scene, reach_mm=6.0)
 arm = Arm()
@@ -212,10 +215,11 @@ drilled = loop.surface()
 aimed, guarded, _ = drill(arm, loop, np.array([2.0, 0.0, 0.0]), tilted(20.0), 20.0)
 
 # %%
-# Expected: a thrust of 23 to 25 N in the cortex, below the wanted 30 N by the damping of the feed;
-# a stop at the break-through, 1.2 to 1.6 mm below the entry; 15 mm of depth with the canal 6 mm
-# away and the tip within 0.02 mm of its axis. The drill that was aimed 20 degrees wrong meets the
-# cortex of the canal at 12.5 mm and stops 1 mm before the canal.
+# Expected: the thrust in the cortex is 23 to 25 N. It is below the wanted 30 N because of the
+# damping of the feed. The drill stops at the break-through, 1.2 to 1.6 mm below the entry. It
+# reaches 15 mm of depth, 6 mm from the canal and within 0.02 mm of its axis. The drill that was
+# aimed 20 degrees wrong reaches the cortex of the canal at 12.5 mm, and stops 1 mm before the
+# canal.
 
 through, end = events["through"], events["end"]
 stopped = planned[through + HOLD_TICKS - 1]

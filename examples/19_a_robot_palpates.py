@@ -2,8 +2,9 @@
 A robot palpates soft tissue
 ============================
 
-A SCARA robot in MuJoCo slides a fingertip over soft tissue under a constant force, and finds a
-stiff nodule by the depth at which it floats. MuJoCo and `tissue.Loop` both take steps of 2 ms.
+A SCARA robot in MuJoCo slides a fingertip over soft tissue under a constant force. It finds a stiff
+nodule, because the finger floats higher there. MuJoCo and `tissue.Loop` both take steps of 2 ms.
+
 Needs ``pip install mujoco``.
 """
 
@@ -119,8 +120,8 @@ while place_m < TO_M:
 
 # %%
 # Expected: the force stays within 3 % of 0.1 N while the finger slides. The finger is 2.6 mm deep
-# next to the nodule and 2.3 mm deep above it. The nodule is where the finger floats highest: the
-# mean place of the highest quarter is within 2 mm of its centre.
+# next to the nodule and 2.3 mm deep above it. The finger is highest above the nodule: the mean
+# place of the highest quarter is within 2 mm of its centre.
 
 x_mm, _, z_mm, force_N, slides = np.array(rows).T
 slid = slides > 0.0

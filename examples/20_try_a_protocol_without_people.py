@@ -2,16 +2,20 @@
 Try a protocol without people
 =============================
 
-Before people are invited, the files and the analysis of a study are tried with simulated people.
-The question here: do people press a wall harder if the device plays a quarter of the force? Twelve
-people press the wall under both conditions, half of them with the weak force first. The folders are
-those of a study with a real device (see the guide, "A study with participants"), and the analysis
-reads only these folders.
+Before you invite people, try the files and the analysis of a study with simulated people. The
+question of this study: do people press a wall harder if the device plays a quarter of the force?
 
-Expected: with the weak force, the peak force at the tool is larger in every one of the twelve
-people, by 19 N on average (95 % interval 16 to 21 N). Sign flips of the twelve differences
-give p = 0.0005, the smallest value that twelve differences can have. The order of the conditions
-has no effect, because a simulated person does not learn.
+Twelve people press the wall under both conditions, half of them with the weak force first. The
+folders are those of a study with a real device (see the guide, "Run a study with participants").
+The analysis reads only these folders.
+
+Expected:
+
+- With the weak force, the peak force at the tool is larger in every one of the twelve people, by 19
+  N on average (95 % interval 16 to 21 N).
+- Sign flips of the twelve differences give p = 0.0005, the smallest value that twelve differences
+  can have.
+- The order of the conditions has no effect, because a simulated person does not learn.
 """
 
 import tempfile
@@ -65,8 +69,9 @@ with tempfile.TemporaryDirectory() as folder:
     found = tissue.rank(people, reference)
 
 # %%
-# The measure was chosen before: the peak force at the tool. The mean over the attempts of each
-# person and condition gives one difference for each person. Their signs decide.
+# The measure was chosen before the study: the peak force at the tool. The mean over the attempts of
+# each person and condition gives one difference for each person. The test flips the signs of these
+# differences.
 
 measured = {
     person.name: {
@@ -88,7 +93,7 @@ assert abs(differences.mean() - 18.7) < 1.5 and (differences > 0.0).all()
 assert abs(tested.pvalue - 2.0 / 2**PEOPLE) < 1e-9
 
 # %%
-# One line for each person.
+# Plot one line for each person.
 
 figure, axes = plt.subplots(figsize=(5.0, 4.0), layout="constrained")
 for each in measured.values():

@@ -22,7 +22,7 @@ from tissue.haptics.real.network_session import (
     unpacked,
 )
 
-PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"
+PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_protocol.md"
 LAST = 2**32 - 1
 PUSH = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 SAMPLE = HardwareSample(
