@@ -18,7 +18,7 @@ from pathlib import Path
 GUIDE = Path(__file__).resolve().parent / "guide"
 sys.path.insert(0, str(GUIDE.parent / "_ext"))
 
-from page_code import blocks_of, run_commands  # noqa: E402, beside this file
+from page_code import blocks_of, run_commands  # noqa: E402, next to this file
 from PIL import Image  # noqa: E402, what matplotlib writes with
 
 os.environ.update(MPLBACKEND="Agg", PYVISTA_BUILDING_GALLERY="true", PYVISTA_OFF_SCREEN="true")

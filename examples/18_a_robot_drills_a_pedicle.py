@@ -22,7 +22,6 @@ import pyvista
 from numpy.typing import NDArray
 
 import tissue
-from tissue.show.viewer.window import write_movie
 
 Floats = NDArray[np.float64]
 FIGURES = Path("figures")
@@ -275,7 +274,7 @@ figure.savefig(FIGURES / "18_robot.png", dpi=150)
 
 def movie(vertebra: Any, drilled: Any, poses: list[Floats], record: Floats) -> None:
     """Write the movie of the planned drilling."""
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[1000, 680])
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[700, 480])
     parts: list[Any] = []
     bones: list[Any] = []
     for view in range(2):
@@ -292,30 +291,23 @@ def movie(vertebra: Any, drilled: Any, poses: list[Floats], record: Floats) -> N
     plotter.camera_position = [(300, -1500, 450), (-250, 0, 250), (0, 0, 1)]
     plotter.subplot(0, 1)
     plotter.camera_position = [(8, -75, 18), (0, 0, -6), (0, 0, 1)]
-    text = plotter.add_text("", position="upper_left", font_size=14, color="black")
+    text = plotter.add_text("", position="upper_left", font_size=10, color="black")
 
-    def picture() -> Any:
-        plotter.render()
-        return plotter.screenshot(return_img=True)
-
-    def pictures() -> Any:
-        """Pictures of the drilling, then half a second of the drilled bone."""
-        for index, pose in enumerate(poses):
-            for actor, matrix in zip(parts, [*pose, *pose], strict=True):
-                actor.user_matrix = matrix
-            thrust, _, depth, canal, _ = record[FRAME_TICKS * index]
-            text.set_text(
-                "upper_left",
-                f"thrust {thrust:.0f} N\ndepth {depth:.1f} mm\ncanal {canal:.1f} mm away",
-            )
-            yield picture()
-        bones[1].mapper.dataset = drilled.clip("-y", origin=(0.0, 0.0, 0.0))
-        for actor in parts[len(parts) // 2 :]:
-            actor.visibility = False
-        for _ in range(10):
-            yield picture()
-
-    write_movie(FIGURES / "18_robot.gif", pictures())
+    plotter.open_gif(FIGURES / "18_robot.gif", fps=20)
+    for index, pose in enumerate(poses):
+        for actor, matrix in zip(parts, [*pose, *pose], strict=True):
+            actor.user_matrix = matrix
+        thrust, _, depth, canal, _ = record[FRAME_TICKS * index]
+        text.set_text(
+            "upper_left",
+            f"thrust {thrust:.0f} N\ndepth {depth:.1f} mm\ncanal {canal:.1f} mm away",
+        )
+        plotter.write_frame()
+    bones[1].mapper.dataset = drilled.clip("-y", origin=(0.0, 0.0, 0.0))
+    for actor in parts[len(parts) // 2 :]:
+        actor.visibility = False
+    for _ in range(10):
+        plotter.write_frame()
     plotter.close()
 
 
