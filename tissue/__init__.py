@@ -138,8 +138,8 @@ def _require_siblings() -> None:
         found = Path(spec.origin).resolve().parent if spec is not None and spec.origin else None
         if found != root / name:
             raise ImportError(
-                f"tissue needs its own package {name} at {root / name}, got {found}: "
-                f"uninstall the other {name} or reinstall tissue-sim in a fresh environment"
+                f"tissue needs its own package {name} at {root / name}, got {found}. "
+                f"Uninstall the other {name} or reinstall tissue-sim in a fresh environment"
             )
 
 

@@ -38,6 +38,10 @@ _LONGEST_PATH = 500
 """Longest path in an error message [characters]; the middle of a longer one is left out."""
 
 
+PRESENT = "it"
+"""Value of an argument whose presence is wrong, such as a flag. The message does not repeat it."""
+
+
 class InputError(ValueError):
     """Input that cannot be used.
 
@@ -78,8 +82,15 @@ class InputError(ValueError):
         message = self.argument
         if self.requirement:
             value = f"{self.value} {self.unit}" if self.unit else self.value
-            message = f"{message} must {self.requirement}, got {value}: {self.remedy}"
+            received = "" if value == PRESENT else f", got {value}"
+            message = f"{message} must {self.requirement}{received}. {_sentence(self.remedy)}"
         return message.replace("\n", "\\n")
+
+
+def _sentence(remedy: str) -> str:
+    """Return a remedy with a capital letter, unless it begins with a name of code."""
+    first = remedy.split(" ", 1)[0]
+    return remedy if not first.isalpha() else remedy[:1].upper() + remedy[1:]
 
 
 class DamagedFileError(Exception):

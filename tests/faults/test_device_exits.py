@@ -138,7 +138,7 @@ def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
     """
     device = kind(block, where=where)
     with pytest.raises(
-        DeviceError, match=rf"device\.{where} must .*, got no answer for .* s: check the device"
+        DeviceError, match=rf"device\.{where} must .*, got no answer for .* s. Check the device"
     ):
         pressed(device, out=tmp_path / "run")
     assert device.blocked.is_set() and not device.freed.is_set()

@@ -202,12 +202,12 @@ def here(tmp_path, monkeypatch):
     [
         (
             ("run", "wall", "--cores", "2"),
-            "--cores must be left out for a wall, which no kernel computes, got 2: remove it",
+            "--cores must be left out for a wall, which no kernel computes, got 2. Remove it",
         ),
         (
             ("run", "milling", "--allow-unstable"),
             (
-                "--allow-unstable must be left out without a device, got it: set device = touch, "
+                "--allow-unstable must be left out without a device. Set device = touch, "
                 "or remove it"
             ),
         ),
@@ -215,7 +215,7 @@ def here(tmp_path, monkeypatch):
             ("run", "milling", "--seed", "3"),
             (
                 "seed must be left out without a device, for nothing is drawn at random then, "
-                "got 3: set device = touch, or remove it"
+                "got 3. Set device = touch, or remove it"
             ),
         ),
         (
@@ -235,35 +235,35 @@ def here(tmp_path, monkeypatch):
         (
             ("run", "liver-press", "--fidelity", "force_error=0.1", "--set", "organ.order=1"),
             (
-                "organ.order must be left out with fidelity, which chooses it, got 1: leave "
+                "organ.order must be left out with fidelity, which chooses it, got 1. Leave "
                 "fidelity out, or remove it"
             ),
         ),
         (
             ("run", "wall", "--slicer"),
             (
-                "--slicer must be left out without --live, got it: give --live, or open the "
+                "--slicer must be left out without --live. Give --live, or open the "
                 "files of a run that has ended"
             ),
         ),
         (
             ("run", "wall", "--live", "--slicer-port", "5"),
             (
-                "--slicer-port must be left out without --slicer, got 5: give --live --slicer, "
+                "--slicer-port must be left out without --slicer, got 5. Give --live --slicer, "
                 "or remove it"
             ),
         ),
         (
             ("run", "wall", "--live", "--slicer-drives"),
             (
-                "--slicer-drives must be left out without --slicer, got it: give --live "
+                "--slicer-drives must be left out without --slicer. Give --live "
                 "--slicer, or remove it"
             ),
         ),
         (
             ("run", "wall", "--web"),
             (
-                "--web must be left out without --live, got it: give --live, or see a run that "
+                "--web must be left out without --live. Give --live, or see a run that "
                 "has ended by `tissue view DIR --web`"
             ),
         ),
@@ -277,42 +277,42 @@ def here(tmp_path, monkeypatch):
         ),
         (
             ("run", "wall", "--live", "--web", "--band", "20"),
-            "--band must be left out with --live, got 20: run the scene without it",
+            "--band must be left out with --live, got 20. Run the scene without it",
         ),
         (
             ("chart", "wall", "--trials", "5"),
             (
-                "--trials must be left out unless predictors are charted, got 5: add prediction "
+                "--trials must be left out unless predictors are charted, got 5. Add prediction "
                 "before the scenes, or remove it"
             ),
         ),
         (
             ("chart", "perception", "--quick"),
-            "--quick must be left out with perception, got it: remove it",
+            "--quick must be left out with perception. Remove it",
         ),
         (
             ("calibrate", "--population", "x", "--trials", "5"),
             (
                 "--trials must be left out with --population, which fits sessions that are over, "
-                "got 5: remove it"
+                "got 5. Remove it"
             ),
         ),
         (
             ("study", "run", "--only", "T1-novice-0001", "--workers", "2"),
             (
                 "--workers must be left out with --only, which runs one trial here and keeps "
-                "nothing, got 2: remove it"
+                "nothing, got 2. Remove it"
             ),
         ),
         (
             ("assess", "a", "--against", "b", "--overwrite"),
-            "--overwrite must be left out without --out, for nothing is written, got it: remove it",
+            "--overwrite must be left out without --out, for nothing is written. Remove it",
         ),
         (
             ("stability", "wall", "--overwrite"),
             (
-                "--overwrite must be left out with a scene and no --out, for nothing is written, "
-                "got it: remove it"
+                "--overwrite must be left out with a scene and no --out, for nothing is written. "
+                "Remove it"
             ),
         ),
     ],

@@ -187,18 +187,16 @@ def main() -> NoReturn:
             # Without a file it is a fault of the program, not of the disk.
             if not error.filename or not error.strerror:
                 raise
-            _refuse(
-                "files must stay as they are while a command runs, got "
-                f"{error.strerror.lower()} at "
-                f"{error.filename}: check this path"
-            )
+            changed = f"{error.strerror.lower()} at {error.filename}"
+            required = "stay as they are while a command runs"
+            _refuse(str(InputError("files", required, changed, "check this path")))
         is_full = error.errno in FULL
         required = "have space" if is_full else "be writable"
         remedy = "free some space or choose" if is_full else "choose"
         where = f" at {error.filename}" if error.filename else ""
         place, other = _place(error.filename)
         got = f"{(error.strerror or '').lower()}{where}"
-        _refuse(f"{place} must {required}, got {got}: {remedy} {other}")
+        _refuse(str(InputError(place, required, got, f"{remedy} {other}")))
     except HelperLostError as lost:
         _refuse(f"{lost}: run it again", code=1)
     except KeyboardInterrupt as stopped:
@@ -310,5 +308,5 @@ def _usage(error: CycloptsError) -> str:
         case UnusedCliTokensError(unused_tokens=[word, *_]):
             what = f"{command} must be given nothing more, got {word}"
         case _:
-            what = " ".join(str(error).split()).rstrip(".").replace(". ", "; ")
-    return f"{what}: see `{command} --help`"
+            what = " ".join(str(error).split()).rstrip(".")
+    return f"{what}. See `{command} --help`"

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from cyclopts import CoercionError, Parameter, Token
 from rich.console import Console
 
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from meshes.base.text_tables import visible, whole_number_in
 
 __all__ = [
@@ -66,5 +66,5 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
-            got = "it" if value is True else value
+            got = PRESENT if value is True else value
             raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", got, remedy)

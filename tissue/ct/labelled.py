@@ -113,9 +113,10 @@ def _tooth(labels: Labels) -> Labels:
             # a segmentation may have a hundred labels
             held = ", ".join(list(labels.names.values())[:12])
             raise InputError(
-                f"labels must name enamel and dentin for a tooth, got {held} in "
-                f"{labels.image.source}: name them by "
-                "--label-names FILE, of the names " + ", ".join(TOOTH_LAYERS)
+                "labels",
+                "name enamel and dentin for a tooth",
+                f"{held} in {labels.image.source}",
+                f"name them by --label-names FILE, of the names {', '.join(TOOTH_LAYERS)}",
             )
     chosen = labels.only(layers.values())
     return replace(chosen, image=part_of(chosen.image, box_of(chosen.image.values > 0, MARGIN)))

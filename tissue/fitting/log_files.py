@@ -230,7 +230,7 @@ def _module(name: str, extra: str) -> Any:
             "measured",
             "have what reads it installed",
             f"no {name}",
-            install_command(extra),
+            f"run {install_command(extra)}",
         ) from None
 
 

@@ -123,7 +123,7 @@ def show_folder(
             "trame",
             "be installed to turn a picture in a notebook",
             "none",
-            install_command("notebook"),
+            f"run {install_command('notebook')}",
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"

@@ -124,7 +124,9 @@ def needed(name: str, *, extra: str) -> Any:
         # It is installed, but a package that it imports is missing: another fault, shown as it is.
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
-        raise InputError(name, "be installed for this", "none", install_command(extra)) from None
+        raise InputError(
+            name, "be installed for this", "none", f"run {install_command(extra)}"
+        ) from None
 
 
 def _attributes(column: str) -> dict[str, str]:

@@ -176,7 +176,7 @@ def fit_hierarchy(
         from numpyro.infer import MCMC, NUTS
     except ImportError:
         raise InputError(
-            "population", "be fitted by numpyro", "none", install_command("perception")
+            "population", "be fitted by numpyro", "none", f"run {install_command('perception')}"
         ) from None
     # NumPyro's default acceptance, 0.8, leaves the effective sample size at 362, below ESS.
     run = MCMC(

@@ -240,14 +240,14 @@ def check_format(kind: str) -> None:
     """
     if kind not in (*FORMATS, RECORDING):
         known = ", ".join((*FORMATS, RECORDING))
-        raise InputError("format", f"be one of {known}", kind, "csv is always written")
+        raise InputError("format", f"be one of {known}", kind, "CSV is always written")
     writer, extra = WRITERS.get(kind, ("", ""))
     if writer and find_spec(writer) is None:
         raise InputError(
             f"format {kind}",
             "have its writer installed",
             f"no {writer}",
-            install_command(extra),
+            f"run {install_command(extra)}",
         )
 
 

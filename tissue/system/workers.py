@@ -178,7 +178,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
             "scheduler",
             "have dask.distributed",
             "none installed",
-            install_command("cluster"),
+            f"run {install_command('cluster')}",
         ) from None
     if SCHEMES[kind] == "tls":
         _require_certificates(scheduler)

@@ -33,7 +33,7 @@ def names_the_damage(path):
     raise DamagedFileError("cell 3 has no points")
 
 def refuses(path):
-    raise InputError("file must be good, got a bad one: fix it")
+    raise InputError("file must be good, got a bad one. Fix it")
 
 def hangs(path):
     while True:

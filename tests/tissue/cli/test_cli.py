@@ -35,12 +35,12 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "x.toml"),
-            "scene must be an existing file, got x.toml: check the path or list `tissue scenes`",
+            "scene must be an existing file, got x.toml. Check the path or list `tissue scenes`",
         ),
-        (("run",), "scene must be given, got nothing: see `tissue run --help`"),
+        (("run",), "scene must be given, got nothing. See `tissue run --help`"),
         (
             ("run", "milling", "glenoid"),
-            "tissue run must be given nothing more, got glenoid: see `tissue run --help`",
+            "tissue run must be given nothing more, got glenoid. See `tissue run --help`",
         ),
         (
             ("ruin", "milling"),
@@ -58,48 +58,48 @@ from tissue.scene.load import scene_names
             "--band, --workers, "
             "--scheduler, --each-run, --live, --web, --slicer, --slicer-port, "
             "--slicer-drives, --ros2, "
-            "got --overwite (did you mean --overwrite?): see "
+            "got --overwite (did you mean --overwrite?). See "
             "`tissue run --help`",
         ),
         (
             ("run", "milling", "--duration-s"),
-            "--duration-s must be given, got nothing: see `tissue run --help`",
+            "--duration-s must be given, got nothing. See `tissue run --help`",
         ),
         (
             ("run", "milling", "--duration-s", "long"),
-            "--duration-s must be a number, got long: see `tissue run --help`",
+            "--duration-s must be a number, got long. See `tissue run --help`",
         ),
         (
             ("run", "milling", "--duration-s", "1e-4"),
-            "duration_s must be at least 0.001 and at most 3600, got 0.0001: use 5",
+            "duration_s must be at least 0.001 and at most 3600, got 0.0001. Use 5",
         ),
         (
             ("run", "milling", "--duration-s", "nan"),
-            "duration_s must be at least 0.001 and at most 3600, got nan: use 5",
+            "duration_s must be at least 0.001 and at most 3600, got nan. Use 5",
         ),
         (
             ("run", "milling", "--seed", "1.5"),
-            "--seed must be a whole number, got 1.5: see `tissue run --help`",
+            "--seed must be a whole number, got 1.5. See `tissue run --help`",
         ),
         (
             ("run", "milling", "--cores", "0"),
-            "cores must be from 1 to 4096, got 0: leave it out to use all",
+            "cores must be from 1 to 4096, got 0. Leave it out to use all",
         ),
         (
             ("run", "milling", "--format", "xlsx"),
             (
-                "format must be one of parquet, npz, mat, h5, recording, got xlsx: csv is always "
+                "format must be one of parquet, npz, mat, h5, recording, got xlsx. CSV is always "
                 "written"
             ),
         ),
         (
             ("run", "milling", "--pictures", "jpeg"),
-            "pictures must be one of png, svg, pdf, got jpeg: choose one of these",
+            "pictures must be one of png, svg, pdf, got jpeg. Choose one of these",
         ),
         (("run", "milling", *COARSE, "--compute", "cuda:99"), None),
         (
             ("run", "milling", "--fidelity", "fast"),
-            "--fidelity must be key=value, got fast: use for example force_error=0.03",
+            "--fidelity must be key=value, got fast. Use for example force_error=0.03",
         ),
         (
             ("calibrate", "--observer", "simulated:x"),
@@ -109,7 +109,7 @@ from tissue.scene.load import scene_names
         ),
         (
             ("view", "runs"),
-            "run must be a folder that `tissue run` wrote, got runs: give for example runs/glenoid",
+            "run must be a folder that `tissue run` wrote, got runs. Give for example runs/glenoid",
         ),
     ],
 )
@@ -118,7 +118,7 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
         import warp as wp
 
         sentence = (
-            f"compute must be one of {', '.join(map(str, wp.get_devices()))}, got cuda:99: use "
+            f"compute must be one of {', '.join(map(str, wp.get_devices()))}, got cuda:99. Use "
             "cpu here"
         )
     assert refused(*arguments) == sentence

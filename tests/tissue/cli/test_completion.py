@@ -62,6 +62,6 @@ def test_bash_completes_commands_and_options(command, home):
 
 def test_a_shell_that_is_none_is_refused(refused, home):
     assert refused("--install-completion", "--shell", "bsh") == (
-        "--shell must be one of bash, zsh, fish, got bsh (did you mean bash?): choose one of these"
+        "--shell must be one of bash, zsh, fish, got bsh (did you mean bash?). Choose one of these"
     )
     assert not list(home.iterdir())

@@ -165,14 +165,14 @@ def test_the_push_is_made_only_after_the_word_is_typed(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--yes",), "--yes must be left out without --test, got it: name a device by --test"),
+        (("--yes",), "--yes must be left out without --test. Name a device by --test"),
         (
             ("--out", "x.toml"),
-            "--out must be left out without --test, got x.toml: name a device by --test",
+            "--out must be left out without --test, got x.toml. Name a device by --test",
         ),
         (
             ("--test", "network", "--overwrite"),
-            "--overwrite must be left out without --out, got it: remove it",
+            "--overwrite must be left out without --out. Remove it",
         ),
         (
             ("--test", "touch"),

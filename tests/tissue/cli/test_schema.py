@@ -68,7 +68,7 @@ def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(
     assert command("schema", "--out", path) == (0, f"wrote {path}\n", "")
     assert path.read_text("utf-8") == command("schema")[1]
     assert refused("schema", "--out", path) == (
-        f"out must not exist yet, got {path}: pass --overwrite or choose another --out"
+        f"out must not exist yet, got {path}. Pass --overwrite or choose another --out"
     )
     path.write_text("{}")
     assert command("schema", "--out", path, "--overwrite")[0] == 0

@@ -158,7 +158,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     [
         (
             {"region": "humerus"},
-            "region must be left out without labels, got humerus: give --labels FILE too",
+            "region must be left out without labels, got humerus. Give --labels FILE too",
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
@@ -221,10 +221,10 @@ def test_pictures_are_drawn(reference, tmp_path):
     [
         (
             ["--part", "tumour=40"],
-            "--part must be left out without labels, got tumour: give --labels",
+            "--part must be left out without labels, got tumour. Give --labels",
         ),
         (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
-        (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0: give --path"),
+        (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0. Give --path"),
         (["--crop", "5,0,0,1,2,3"], "--crop must have its lowest corner first"),
         (["--crop", "5,0,0"], "--crop must be 6 numbers"),
         (

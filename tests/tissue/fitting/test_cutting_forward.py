@@ -116,7 +116,7 @@ def test_a_stated_constant_is_fixed_unless_it_is_named():
 
 def test_names_that_fit_nothing_list_what_there_is_and_air_is_refused():
     with pytest.raises(
-        InputError, match=r"got cutting.enamel: choose among cutting.cortical.tangential_chip_N_mm2"
+        InputError, match=r"got cutting.enamel. Choose among cutting.cortical.tangential_chip_N_mm2"
     ):
         forward_along(SLANT, [0.0, 0.05, 0.1], free=("cutting.enamel",))
     with pytest.raises(InputError, match="must bring the tool to the bone"):

@@ -212,5 +212,5 @@ def test_forces_on_another_clock_are_refused_for_a_fit(tmp_path):
 def test_without_what_reads_it_the_extra_is_named(tmp_path, monkeypatch):
     path = recorded(tmp_path / "log.hdf5")
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(InputError, match='got no h5py: pip install "h5py>='):
+    with pytest.raises(InputError, match=r'got no h5py. Run pip install "h5py>='):
         read_replay(path, step_s=1e-3)

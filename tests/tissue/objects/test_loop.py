@@ -165,8 +165,8 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
     ("options", "words"),
     [
         ({"device": object()}, "device must have read and command"),
-        ({"device": Moves}, r"got the class Moves: give Moves\(\)"),
-        ({"predictor": Line}, r"got the class Line: give Line\(\)"),
+        ({"device": Moves}, r"got the class Moves. Give Moves\(\)"),
+        ({"predictor": Line}, r"got the class Line. Give Line\(\)"),
         ({"limits": {"mass": 0.1}}, "did you mean mass_kg"),
         ({"limits": {"force_limit_N": 3.0}}, "mass_kg and damping_N_s_m"),
         ({"tool": tissue.ball(diameter_mm=3)}, "tool must be a cutter"),

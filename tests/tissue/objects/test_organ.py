@@ -258,7 +258,7 @@ def pressing(**changes):
     [
         (
             changed(modulus_kPa=-1),
-            "modulus_kPa must be positive and finite, got -1: liver has about 5",
+            "modulus_kPa must be positive and finite, got -1. Liver has about 5",
         ),
         (changed(poisson_ratio=0.5), "poisson_ratio must be in [-0.999, 0.4999], got 0.5"),
         (changed(parts={"cyst": 40}), "parts must name parts of the mesh, got 'cyst': it has body"),
@@ -277,12 +277,12 @@ def pressing(**changes):
         (changed(capsule=(50, 0)), "capsule must be positive"),
         (
             pressing(at_mm=(0, 0, 30)),
-            "at_mm must lie on the surface, got (0, 0, 30): the nearest point of the surface",
+            "at_mm must lie on the surface, got (0, 0, 30). The nearest point of the surface",
         ),
         (pressing(at_mm=(0, 0)), "at_mm must be three finite numbers"),
         (
             pressing(along=(0, 0, 1)),
-            "along must lead into the organ, got (0, 0, 1): use (0, 0, -1)",
+            "along must lead into the organ, got (0, 0, 1). Use (0, 0, -1)",
         ),
         (pressing(depth_mm=0), "depth_mm must be positive"),
         (pressing(at_mm=(0, 0, -24)), "at_mm must bring the tool to tissue that can move"),

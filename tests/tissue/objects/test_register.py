@@ -314,7 +314,7 @@ REFUSED = {
     "no methods needed": (lambda: register.tool("mine", 5), "be a class or a function, got 5"),
     "methods": (
         lambda: register.predictor("mine", Lacking),
-        "got Lacking without predict: add predict$",
+        "got Lacking without predict. Add predict$",
     ),
     "device methods": (lambda: register.device("mine", LIGHT, Lacking), "device mine .*read"),
     "motion": (lambda: register.motion("dip", Dip, Lacking), "motion dip .*sweep_m"),

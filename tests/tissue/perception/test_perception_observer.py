@@ -77,7 +77,7 @@ def test_a_file_is_never_replaced_unasked(tmp_path):
     write_observer(observer(), path)
     before = path.read_text("utf-8")
     with pytest.raises(
-        InputError, match=r"out must not exist yet, got .*ada.json: pass --overwrite"
+        InputError, match=r"out must not exist yet, got .*ada.json. Pass --overwrite"
     ):
         write_observer(observer(beta=1.9), path)
     assert path.read_text("utf-8") == before

@@ -41,12 +41,12 @@ def test_a_table_loads_lists_and_refuses():
     )
     with pytest.raises(
         InputError,
-        match=r"^renderer must be one of proxy, got prox \(did you mean proxy\?\): choose one",
+        match=r"^renderer must be one of proxy, got prox \(did you mean proxy\?\). Choose one",
     ):
         table["prox"]
     with pytest.raises(
         InputError,
-        match=r"^name must be none of proxy, got proxy: choose another name for this renderer$",
+        match=r"^name must be none of proxy, got proxy. Choose another name for this renderer$",
     ):
         table.add("proxy", dict)
     table.remove("proxy")

@@ -27,7 +27,7 @@ def dask_config():
 def test_an_address_that_dask_does_not_print_is_refused(address):
     message = (
         "scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, "
-        f"got {address}: use"
+        f"got {address}. Use"
     )
     with pytest.raises(InputError, match=re.escape(message)), executor(1, address, patience_s=0.2):
         pass

@@ -141,7 +141,7 @@ def require_statsmodels() -> None:
             "statistics of a study",
             "have statsmodels installed",
             "none",
-            install_command("study"),
+            f"run {install_command('study')}",
         ) from None
 
 

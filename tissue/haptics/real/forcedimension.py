@@ -210,7 +210,5 @@ def _library() -> Any:
 
 def _refused(dhd: Any) -> str:
     """Return the last error of the library as a sentence."""
-    return (
-        f"the device must answer, got {dhd.errorGetLastStr()}: check power, cable and that no "
-        "other program uses it"
-    )
+    remedy = "check power, cable and that no other program uses it"
+    return str(InputError("the device", "answer", dhd.errorGetLastStr(), remedy))

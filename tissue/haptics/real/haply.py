@@ -285,7 +285,7 @@ class _Session:
                 "websockets",
                 "be installed for device = haply",
                 "none",
-                install_command("haply"),
+                f"run {install_command('haply')}",
             ) from None
         self.state = ServiceState(self._device_id)
         try:
@@ -324,9 +324,9 @@ class _Session:
                 goes_on = not self._ended.is_set() and self._reached_again(why)
             except Exception as error:
                 # the loop must not wait for a thread that has ended
-                self._problem = (
-                    f"haply must send frames as documented, got {type(error).__name__} "
-                    f"({error}): report it"
+                failed = f"{type(error).__name__} ({error})"
+                self._problem = str(
+                    InputError("haply", "send frames as documented", failed, "report it")
                 )
                 goes_on = False
         with suppress(OSError, WebSocketException):
@@ -419,7 +419,9 @@ class _Session:
                     self._sampled_s = perf_counter()
                     return True
         problem = problem_of(self.state) if self.state.device_ids else ""
-        lost = f"haply must keep its connection, got {why or 'it closed'}: {START_IT}"
+        lost = str(
+            InputError("haply", "keep its connection", why or "a closed connection", START_IT)
+        )
         self._problem = problem or lost
         return False
 

@@ -14,6 +14,7 @@ from http.client import HTTPConnection, HTTPException
 from math import exp, hypot
 from typing import Any
 
+from meshes.base.errors import InputError
 from meshes.base.text_tables import read_json
 from tissue.haptics.real.adapter import HardwareSample, checked_url
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
@@ -215,10 +216,8 @@ def problem_of(state: ServiceState) -> str:
             "Haply Hub"
         )
     if name not in ids:
-        return (
-            f"hardware.address must name one of the devices {', '.join(ids)} behind #, got "
-            f"{name}: use #{ids[0]}"
-        )
+        required = f"name one of the devices {', '.join(ids)} behind #"
+        return str(InputError("hardware.address", required, name, f"use #{ids[0]}"))
     for entry, must, remedy in (
         ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
         ("power_supply", "have power", "connect its power supply"),
@@ -226,7 +225,7 @@ def problem_of(state: ServiceState) -> str:
     ):
         # A status that is not stated does not prevent the use.
         if state.status(entry) is False:
-            return f"haply must {must}, got {entry} = false of {name}: {remedy}"
+            return str(InputError("haply", must, f"{entry} = false of {name}", remedy))
     return ""
 
 

@@ -166,7 +166,7 @@ class WebTransport:
                 "websockets",
                 "be installed for a device at ws://",
                 "none",
-                f"{install_command('network')}, or use udp://",
+                f"run {install_command('network')}, or use udp://",
             ) from None
         self._session = session
         self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
@@ -376,9 +376,9 @@ class NetworkAdapter(HardwareAdapter):
         if peer is not None:
             return [cls.found(str(peer), f"listens at {place}")]
         got = "".join(dropped) or "none"
-        return cls.missing(
-            f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
-        )
+        required = f"send packets to {place}"
+        received = f"{got} in {LOOK_S:g} s"
+        return cls.missing(str(InputError("a device", required, received, "start its program")))
 
     @property
     def address(self) -> str:

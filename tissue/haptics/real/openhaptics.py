@@ -190,9 +190,9 @@ class OpenHapticsAdapter(HardwareAdapter):
                 self._hd = None
                 self._rests.set()
         except Exception as error:
-            self._problem = (
-                f"the device must answer, got {type(error).__name__} ({error}): check its cable "
-                "and driver"
+            failed = f"{type(error).__name__} ({error})"
+            self._problem = str(
+                InputError("the device", "answer", failed, "check its cable and driver")
             )
 
     def _read(self, transform: Any, buttons: int, now: float) -> HardwareSample:

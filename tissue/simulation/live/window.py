@@ -358,7 +358,8 @@ def require_web() -> None:
         If aiohttp is missing.
     """
     if find_spec("aiohttp") is None:
-        raise InputError("--web", "have aiohttp to serve its page", "none", install_command("web"))
+        remedy = f"run {install_command('web')}"
+        raise InputError("--web", "have aiohttp to serve its page", "none", remedy)
 
 
 def _new_folder() -> Path:

@@ -196,7 +196,7 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
     }
     with pytest.raises(
         InputError,
-        match=r"anatomy\.edge_mm must be left out for tetrahedra from a file, got 22: set ",
+        match=r"anatomy\.edge_mm must be left out for tetrahedra from a file, got 22. Set ",
     ):
         press(**changes, **{"anatomy.scale_mm": 34.3})
     changes["anatomy.edge_mm"] = None
