@@ -420,7 +420,7 @@ def test_known_bad_image_is_refused(tmp_path, name, capfd):
     make, expected = BAD[name]
     message = refusal(make(tmp_path))
     assert re.search(expected, message), message
-    assert message.count("\n") == 0 and ": " in message
+    assert message.count("\n") == 0 and ". " in message
     assert capfd.readouterr().err == ""
 
 

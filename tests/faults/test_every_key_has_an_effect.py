@@ -334,7 +334,7 @@ def is_refused(key, message):
     """Return True if a refusal reports that a key, or its whole table, has no effect."""
     keys, must, rest = message.partition(" must be left out ")
     named = keys.replace(",", " ").split()
-    well_formed = must and "\n" not in message and ", got " in rest and ": " in rest
+    well_formed = must and "\n" not in message and ", got " in rest and ". " in rest
     by_data = key in BY_DATA and message.startswith(BY_DATA[key])
     return by_data or (bool(well_formed) and (key in named or key.split(".")[0] in named))
 

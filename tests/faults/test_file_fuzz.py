@@ -75,7 +75,7 @@ def fuzz(sources, work, counts, first_seed):
                 given = spoilt_file(folder, source, reader, seed, work)
                 outcome, message = reading.read(reader.removesuffix(" apart"), given)
                 outcomes[outcome] = outcomes.get(outcome, 0) + 1
-                sentence = outcome != "refused" or (message.count("\n") == 0 and ": " in message)
+                sentence = outcome != "refused" or (message.count("\n") == 0 and ". " in message)
                 if outcome not in ("read", "refused") or not sentence:
                     wrong.append(f"{reader} of {source.name}, seed {seed}: {outcome} {message}")
                 if given.is_dir():
