@@ -89,7 +89,10 @@ def require_memory(needed: int, file: str, content: str) -> None:
         "file",
         f"fit {limit / _GB:.3g} GB of memory ({source})",
         f"{content} in {file}, which take {needed / _GB:.3g} GB",
-        "crop or resample it, or raise the limit with --max-memory-GB (max_memory_GB in Python)",
+        (
+            "crop or resample the data, or raise the limit with --max-memory-GB "
+            "(max_memory_GB in Python)"
+        ),
     )
 
 

@@ -141,9 +141,9 @@ def parse_isolated(
     if not sys.executable:
         raise InputError(
             "file",
-            "be read by a second Python, which this one cannot start",
+            "be read by a second Python process, which could not be started",
             file.name,
-            "read it from the command line",
+            "read the file with a command of tissue",
         )
     if not file.is_dir():
         require_regular(file)

@@ -88,7 +88,9 @@ class TextTable:
         """
         if self.names.count(name) != 1:
             problem = f"{self.names.count(name)} columns named {name} in {self.path.name}"
-            raise InputError(self.what, "name one column", problem, "rename one")
+            raise InputError(
+                self.what, "have a different name for each column", problem, "rename one of them"
+            )
         column = self.names.index(name)
         cells = [row[column].strip() for row in self.rows]
         if cells and ":" in cells[0]:
@@ -192,7 +194,7 @@ def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> 
             return content.decode(encoding, "replace")
     # text in other encodings has no zero bytes; the start of a binary file has some
     if b"\0" in content[:4096]:
-        raise InputError(what, "be text", f"other data in {path.name}", remedy)
+        raise InputError(what, "hold text", f"other data in {path.name}", remedy)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -242,7 +244,7 @@ def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
     for at in places:
         if len(cells[at]) != width:
             found = f"{len(cells[at])} in line {at + 1} of {path.name}"
-            raise InputError(what, f"hold {width} values a line", found, _AGAIN)
+            raise InputError(what, f"hold {width} values in each line", found, _AGAIN)
     rows = [cells[at] for at in places]
     marks = _marks(rows, delimiter, path, what)
     if marks[1]:

@@ -195,8 +195,8 @@ def read_segmentation(found: LabelObject) -> Segmentation:
     if step is None or not all(fit_together(first, each) for each in frames):
         raise InputError(
             "a DICOM segmentation",
-            "have its frames in one even stack",
-            f"others in {found.source}",
+            "have its frames in one evenly spaced stack",
+            f"other frames in {found.source}",
             "export it again, or as .seg.nrrd",
         )
     needed = 2 * int(np.prod(first.size, dtype=object)) * (max(planes) + 1)
@@ -301,7 +301,7 @@ def read_outlines(found: LabelObject) -> Outlines:
         raise InputError(
             "outlines",
             "lie in planes across the patient's long axis",
-            f"others in {found.source}",
+            f"other planes in {found.source}",
             "export them as a segmentation (SEG or .seg.nrrd)",
         )
     segments = [

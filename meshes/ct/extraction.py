@@ -164,7 +164,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
                 f"{box_mm[0]} to {box_mm[1]} mm where {image.source} reaches from "
                 f"{np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS)"
             ),
-            "choose corners inside",
+            "choose corners inside the image",
         )
     return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
 
@@ -252,7 +252,7 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
     pieces, count = label(mask)
     if count == 0:
         raise InputError(
-            "threshold", "leave bone", f"none in {source}", "use a lower one, or another crop"
+            "threshold", "leave bone", f"none in {source}", "use a lower threshold, or another crop"
         )
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(np.argmax(sizes))
@@ -312,7 +312,7 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
             "keep_clear",
             "be a label within the image and its crop",
             f"{name}, which is not",
-            "widen the crop, or leave it out",
+            "widen the crop, or leave this label out",
         )
     box = box_of(mask, KEPT_MARGIN)
     part = part_of(replace(image, values=mask.view(np.uint8)), box)

@@ -155,7 +155,7 @@ def read_labels(
                 "names",
                 "be left out for a folder of masks, whose files name them",
                 names,
-                "remove it",
+                "leave names out",
             )
         return _of_masks(path)
     labels = _of_volume(path, spacing_mm, image)
@@ -234,7 +234,12 @@ class Overlay:
             return labels[0]
         if labels not in self._of:
             if self._next > np.iinfo(self.values.dtype).max:
-                raise InputError("labels", "overlap in few ways", "too many", "give fewer segments")
+                raise InputError(
+                    "labels",
+                    "have fewer combinations of overlapping segments",
+                    "too many for the type of label numbers",
+                    "give fewer segments",
+                )
             self._of[labels] = self._next
             self._members[self._next] = labels
             self._next += 1
@@ -304,9 +309,9 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     if one.values.any() and not values.any():
         raise InputError(
             "labels",
-            "lie where the image does",
+            "lie in the region of the image",
             f"{one.source} outside {other.source}",
-            "give those of this image",
+            "give the labels of this image",
         )
     notes = []
     if not is_same_lattice:
@@ -339,7 +344,7 @@ def _of_object(found: LabelObject, image: Image | None) -> Labels:
             "labels",
             "hold voxels",
             f"the outlines of {found.source}, a structure set",
-            "give the CT that they were drawn on too",
+            "also give the CT image on which the outlines were drawn",
         )
     outlines = read_outlines(found)
     overlay = Overlay(image.values.shape, [each.number for each in outlines.segments])
@@ -378,7 +383,7 @@ def _of_masks(folder: Path) -> Labels:
             raise InputError(
                 "masks",
                 "lie on one grid",
-                f"another in {file.name} of {folder.name}",
+                f"another grid in {file.name} of {folder.name}",
                 "export them together",
             )
         ending = next(each for each in IMAGE_SUFFIXES if file.name.lower().endswith(each))

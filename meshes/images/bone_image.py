@@ -77,7 +77,7 @@ def image_volume(
             "anatomy.threshold",
             "leave bone",
             f"{limit:g} where {image.source} holds {values.min():g} to {values.max():g}",
-            "use a value between",
+            "use a threshold between these two values",
         )
     # A value outside of the range has another unit, such as g/cm3.
     mass = fraction * (
@@ -153,9 +153,9 @@ def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
     if len(edges) < 2:
         raise InputError(
             "resample_mm",
-            "leave a voxel along every axis",
-            f"{ratio:g} voxels of {count}",
-            "use a finer one",
+            "leave at least one voxel along every axis",
+            f"a voxel as long as {ratio:g} of the {count} voxels of the image",
+            "use a smaller resample_mm",
         )
     before = [(1, 0) if k == axis else (0, 0) for k in range(3)]
     running = np.pad(np.cumsum(values, axis=axis, dtype=np.float64), before)
@@ -184,7 +184,7 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
             "anatomy.threshold",
             "leave bone",
             f"{threshold:g} where {image.source} holds {values.min():g} to {values.max():g}",
-            "use a value between",
+            "use a threshold between these two values",
         )
     # The densest bone at the edge then ends half a voxel outside the last centre: where its voxel
     # ends.

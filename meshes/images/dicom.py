@@ -111,15 +111,15 @@ def _of_one_series(
     stacks = {name for name, count in counts.items() if count > 1} or set(names)
     wanted = stacks if series is None else {name for name in counts if name[1] == str(series)}
     if not wanted:
-        raise InputError("series", f"be one that {source} holds", series, f"it holds {listed}")
+        raise InputError("series", f"be one that {source} holds", series, f"use {listed}")
     if len(wanted) > 1:
         raise InputError(
             "a DICOM folder",
             "hold one series",
             f"{len(counts)} in {source} ({listed})",
-            "take one by `tissue import --series NUMBER`"
+            "choose one by `tissue import --series NUMBER`"
             if len({number for _, number in wanted}) > 1
-            else "give the folder or the file of one of them",
+            else "give the folder or the file of one series",
         )
     notes = []
     if series is None and len(counts) > 1:
@@ -263,14 +263,17 @@ def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Num
     if has_slope and (
         as_stated > as_inverted or (as_stated == as_inverted and slices[0].slope < 0.0)
     ):
-        note = "displays low values as white (MONOCHROME1): its rescale leads to grey values."
+        note = (
+            "displays low values as white (MONOCHROME1): its rescale slope and intercept "
+            "already give grey values."
+        )
         return stored, f"{source} {note}"
     if has_slope and as_stated == as_inverted:
         raise InputError(
-            "it",
-            f"be known whether values of {INVERTED} are inverted",
+            f"an image of type {INVERTED}",
+            "contain air, which shows whether its values are inverted",
             f"slices without air in {source}",
-            "export them as MONOCHROME2",
+            "export the image as MONOCHROME2",
         )
     note = "are stored inverted (MONOCHROME1): they are inverted back."
     return inverted, f"The grey values of {source} {note}"

@@ -160,7 +160,10 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
         # a slice that was overwritten or left empty must not be dropped in silence
         if not kind and (file.parent, file.suffix.lower()) in named:
             raise InputError(
-                "a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out"
+                "a DICOM folder",
+                "hold DICOM files only",
+                f"{place} of another kind",
+                "move this file out of the folder",
             )
     if not found:
         raise InputError(
@@ -194,7 +197,7 @@ def files_in(folder: Path) -> list[Path]:
             raise InputError(
                 "a DICOM folder",
                 f"hold at most {_MOST_FILES} files",
-                f"more in {folder.name}",
+                f"more files in {folder.name}",
                 "give the folder of one examination",
             )
     return found
@@ -237,7 +240,7 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
     if not frames:
         held = ", ".join(sorted(set(objects))) or "localisers"
         remedy = "give SEG and RTSTRUCT as labels, next to the folder of the CT"
-        raise InputError("a DICOM folder", "hold slices", f"{held} alone in {source}", remedy)
+        raise InputError("a DICOM folder", "hold slices", f"only {held} in {source}", remedy)
     return list(frames.values()), notes
 
 

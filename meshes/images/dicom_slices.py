@@ -95,7 +95,7 @@ def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
             "a DICOM slice",
             "hold grey values (MONOCHROME2 or MONOCHROME1)",
             f"other values in {frame.place}",
-            "take it out, or export grey values",
+            "leave this slice out, or export grey values",
         )
     both = _numbers(frame, "ImageOrientationPatient", 6)
     down, along = _numbers(frame, "PixelSpacing", 2).tolist()
@@ -156,7 +156,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
         raise InputError(
             "a DICOM folder",
             "hold two slices or more",
-            f"one in {source}",
+            f"one slice in {source}",
             "give the folder of the series",
         )
     first = slices[0]
@@ -166,7 +166,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
             raise InputError(
                 "slices",
                 "have one size, pixel spacing and orientation",
-                f"another in {other.frame.place}",
+                f"another one in {other.frame.place}",
                 "take localisers and reformatted images out of the folder",
             )
     if all(np.array_equal(each.position_mm, first.position_mm) for each in slices):
@@ -216,8 +216,8 @@ def _unplaced(
     if len({each.frame.file for each in slices}) > 1 or not gap > 0.0:
         _require_even(np.zeros(len(slices)), 0.0, source)
     note = (
-        f"{source} states the place of its first frame alone: the others follow it {gap:g} mm "
-        "apart along their normal."
+        f"{source} states only the position of its first frame: the other frames follow "
+        f"{gap:g} mm apart along their normal."
     )
     return list(slices), gap * normal, [note]
 
@@ -260,8 +260,8 @@ def _require_even(heights: Array, rounding: float, source: str) -> None:
     if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
         raise InputError(
             "slices",
-            "each lie in a place of their own",
-            f"two at one place in {source}",
+            "each have a position of their own",
+            f"two slices at one position in {source}",
             "leave one phase, echo or reconstruction in the folder",
         )
     start, step = even_row(heights[:, None], np.arange(len(heights)))

@@ -114,7 +114,7 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
             "slices",
             "be named alike",
             f"{other.name} among names such as {files[texts.index(usual)].name} in {path.name}",
-            "move it out of the folder, or give a pattern that leaves it out",
+            "move this file out of the folder, or give a pattern that does not match it",
         )
     numbers = np.array([re.findall(r"\d+", file.stem) for file in files]).astype(object)
     varying = [
@@ -127,8 +127,8 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
         raise InputError(
             "slices",
             "have numbers that differ",
-            f"that of {files[int(np.argmin(steps)) + 1].name} twice in {path.name}",
-            "remove one",
+            f"the number of {files[int(np.argmin(steps)) + 1].name} twice in {path.name}",
+            "remove one of the two slices",
         )
     wide = int(np.argmax(steps))
     if steps[wide] > steps.min():

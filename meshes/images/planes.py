@@ -36,7 +36,7 @@ _MODES = {
     "RGBA": ("u1", 4),
 }
 """Type and number of the samples of a pixel, by the mode in Pillow."""
-_EXPORT = "export it as grey values"
+_EXPORT = "export the slice as grey values"
 _MOST_COLOURS = 1000
 """Largest number of colours that are taken as labels. Photographs and shaded pictures hold more."""
 
@@ -135,7 +135,7 @@ def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
             raise InputError(
                 "slices",
                 "all have the same type of values",
-                f"another in {file.name} than in {files[0].name}",
+                f"{file.name} with another type than {files[0].name}",
                 "export all slices in one way",
             )
 
@@ -256,7 +256,7 @@ def _tiff_planes(file: Path) -> _Planes:
     if photometric > _PALETTE or len(further) > reduced:
         raise InputError(
             "a TIFF slice",
-            "hold one stack of grey values",
+            "hold only one grey-value image",
             f"other content in {file.name}",
             _EXPORT,
         )
@@ -317,7 +317,7 @@ def _inverted(values: Numbers, bits: int, source: str) -> Numbers:
             "inverted grey values (MinIsWhite)",
             "be whole numbers without a sign",
             f"{values.dtype} in {source}",
-            "export it with black as the lowest value",
+            "export the slices with black as the lowest value",
         )
     return values.dtype.type(2**bits - 1) - values
 

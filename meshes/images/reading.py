@@ -120,7 +120,7 @@ def _header(path: Path) -> Header:
     raise InputError(
         "file",
         "be a NIfTI image",
-        f"{path.name} which does not start as one does",
+        f"{path.name}, which does not begin like one",
         "export it again",
     )
 
@@ -357,8 +357,8 @@ def stored_image(
     longest = max(np.multiply(values.shape[-3:], stored.spacing_mm))
     if longest < _SHORTEST_MM and given is None:
         note = (
-            f"{source} is {longest:.3g} mm long in all, as if its header were in metres: give the "
-            "spacing in mm if so."
+            f"{source} is {longest:.3g} mm long in all, as if its header were in "
+            "metres: give the spacing in mm if this is so."
         )
         stored = replace(stored, notes=(*stored.notes, note))
     return stored
@@ -376,8 +376,8 @@ def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
         raise InputError(
             "voxels",
             "be finite",
-            f"{count} of {values.size} that are not in {source}",
-            "mask them first",
+            f"{count} of {values.size} voxels without a finite value in {source}",
+            "replace these values first",
         )
     filled = np.where(missing, 0 if labels else values[~missing].min(), values)
     what = "have no label" if labels else "take the lowest value"
@@ -405,7 +405,10 @@ def _stored(path: Path, series: int | None) -> StoredImage:
         return read_dicom(path, series=series)
     if series is not None:
         raise InputError(
-            "series", "be left out for a file", f"{series} for {path.name}", "it holds one image"
+            "series",
+            "be left out for a file",
+            f"{series} for {path.name}",
+            "leave series out: this file holds one image",
         )
     require_image_name(path)
     return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(

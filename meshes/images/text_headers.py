@@ -119,7 +119,7 @@ def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
             f"the voxels of {path.name}",
             "lie in one file next to it",
             f"{name[:60]}, which is not there",
-            "copy it there",
+            "copy the file of voxels there",
         )
     return data, 0
 

@@ -193,7 +193,12 @@ class LabelledOrgan:
         """The organ's smooth surface, in the frame of the image."""
         found = label_triangles(self.solid, self.grid)
         if found is None:
-            raise InputError(self.name, "be a few voxels thick", "less", "segment a finer image")
+            raise InputError(
+                self.name,
+                "be at least a few voxels thick",
+                "a thinner label",
+                "segment a finer image",
+            )
         return surface_from_triangles(1e3 * found[0], found[1], source=self.name, scale_mm=1.0)
 
     def mesh(
@@ -243,7 +248,10 @@ class LabelledOrgan:
             surface = _part_triangles(mask, self.solid, before, self.grid, beyond)
             if surface is None:
                 raise InputError(
-                    name, "be a few voxels thick", "less", "leave it out, or segment a finer image"
+                    name,
+                    "be at least a few voxels thick",
+                    "a thinner label",
+                    "leave it out, or segment a finer image",
                 )
             volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
             mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3, onto=onto)
@@ -298,7 +306,10 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
         raise InputError(
-            "parts", "name other labels than the organ, each once", twice[0], "remove it"
+            "parts",
+            "name other labels than the organ, each once",
+            twice[0],
+            "name this label only once",
         )
     grid = LabelGrid(labels.image.spacing_mm, labels.image.origin_mm)
     whole = labels.mask(organ)
@@ -386,7 +397,7 @@ def _pieces(
         raise InputError(
             name,
             f"lie in {organ} or touch it",
-            "it apart",
+            "a label apart from the organ",
             "leave it out, or correct the segmentation",
         )
     pieces, count = label(inside)
@@ -397,7 +408,7 @@ def _pieces(
     if not kept.any():
         raise InputError(
             name,
-            f"have at least {_FEWEST_VOXELS} voxels in a piece to have a surface",
+            f"have at least {_FEWEST_VOXELS} connected voxels to have a surface",
             int(sizes[1:].max()),
             "leave it out, or segment a finer image",
         )

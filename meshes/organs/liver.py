@@ -247,7 +247,7 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
                 "below the surface"
             ),
             f"{1e3 * deep:.3g} mm",
-            "move it deeper",
+            "move the centre deeper",
         )
     centre = np.array(nodule.centre_m)
     edge = 2.0 * radius / _NODULE_EDGES

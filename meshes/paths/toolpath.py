@@ -199,7 +199,10 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     file = Path(path)
     if coordinates not in TO_LPS:
         raise InputError(
-            "coordinates", "be LPS or RAS", coordinates, "look which of them the file was made in"
+            "coordinates",
+            "be LPS or RAS",
+            coordinates,
+            "check in which of the two the file was written",
         )
     require_file(file, "a path")
     suffix = file.suffix.lower()
@@ -212,13 +215,16 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
             "path",
             f"be a {', '.join(TABLES)}, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})",
             file,
-            "rename it",
+            "rename or convert the file",
         )
     is_program = suffix == ".txt" and _PROGRAM.search(decoded_text(file, "path"))
     read = _read_gcode(file) if is_program else readers[suffix](file)
     if len(read.points_mm) < 2:
         raise InputError(
-            "path", "have at least two points", f"{len(read.points_mm)} in {file}", "add some"
+            "path",
+            "have at least two points",
+            f"{len(read.points_mm)} in {file}",
+            "add points to the file",
         )
     frame = TO_LPS[coordinates]
     axes = None if read.axes is None else read.axes * frame
@@ -262,7 +268,7 @@ def _check_columns(column: dict[str, Array], names: tuple[str, ...], file: Path)
             "path",
             f"have the columns {', '.join(missing)}",
             f"{', '.join(names[:40])} in {file}",
-            "rename its columns; a unit may be another, such as x_m or X [in]",
+            "rename the columns; another unit is written as in x_m or X [in]",
         )
 
 
@@ -291,8 +297,8 @@ def _axes(column: dict[str, Array], file: Path) -> Array | None:
         raise InputError(
             "axis",
             "not be zero",
-            f"it at point {int(np.argmin(length)) + 1} of {file}",
-            "fix it",
+            f"(0, 0, 0) at point {int(np.argmin(length)) + 1} of {file}",
+            "fix this point of the file",
         )
     return np.asarray(axes / length[:, None])
 
@@ -396,7 +402,7 @@ def to_replay(
     turn = np.arccos(np.clip(np.einsum("ij,ij->i", axes[1:], axes[:-1]), -1.0, 1.0))
     moved = np.concatenate([[True], (length > _SAME_MM) | (turn > _SAME_RAD)])
     if moved.sum() < 2:
-        raise InputError("path", "lead somewhere", "points that are all one", "add another")
+        raise InputError("path", "hold two different points", "only one", "add another point")
     lasting = np.maximum(length / speeds[1:], turn / _TURN_RAD_S)
     times = np.concatenate([[0.0], np.cumsum(lasting)])
     turns = Rotation.concatenate([_towards(axis) for axis in axes[moved]])

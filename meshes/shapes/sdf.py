@@ -320,7 +320,10 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
         reach = min(half + nearest, 2.0 * reach)
     else:
         raise InputError(
-            "keep_clear", "name a structure with a surface", "an empty one", "leave it out"
+            "keep_clear",
+            "name a structure with a surface",
+            "an empty surface",
+            "leave this structure out",
         )
     volume = float(np.prod(high - low))
     finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))

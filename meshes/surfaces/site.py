@@ -143,7 +143,7 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
         "file",
         f"show a {what}",
         f"{got} in {surface.report.source}",
-        "check its unit and that it is one bone, or give a centre and a normal",
+        "check the unit of the file and that it holds one bone, or give a centre and a normal",
     )
 
 

@@ -215,7 +215,7 @@ def _require_finite(vertices: Array, source: str) -> None:
         raise InputError(
             "vertices",
             "be finite",
-            f"{bad} of {len(vertices)} that are not in {source}",
+            f"{bad} of {len(vertices)} vertices that are not finite in {source}",
             "export it again",
         )
 
@@ -291,7 +291,7 @@ def _require_thickness(points: Array, longest: float, source: str) -> None:
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
         raise InputError(
-            "surface", "have thickness", f"a flat one in {source}", "use a closed surface"
+            "surface", "have thickness", f"a flat surface in {source}", "use a closed surface"
         )
 
 
@@ -342,9 +342,11 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
     if not plain:
         raise InputError(
             "anatomy.scale_mm",
-            "be given where the unit is not plain",
-            f"none for {source}, whose longest side {longest:.3g} is neither millimetres nor "
-            "metres of a bone",
+            "be given if the unit is unclear",
+            (
+                f"none for {source}, whose longest side of {longest:.3g} fits a bone "
+                "neither in millimetres nor in metres"
+            ),
             "; ".join([f"use millimetres per unit, for example {suggestion:g}", *others]),
         )
     name, scale = plain[0]

@@ -125,7 +125,7 @@ def read_tets(
     used = stored.used
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
-        got = f"{bad} of {len(used)} that are not in {file.name}"
+        got = f"{bad} of {len(used)} nodes that are not finite in {file.name}"
         raise InputError("nodes", "be finite", got, "export it again")
     scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
     if len(stored.tets):
@@ -187,11 +187,15 @@ def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
                 return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
         raise InputError(
             "anatomy.scale_mm",
-            "be given where the unit is not plain",
-            f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in millimetres "
-            "nor in metres",
-            f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it "
-            f"{_TYPICAL_MM:g} mm long",
+            "be given if the unit is unclear",
+            (
+                f"none for {name}, whose box of {by(size, '.3g')} fits an organ neither in "
+                "millimetres nor in metres"
+            ),
+            (
+                f"give millimetres per unit: {_TYPICAL_MM / longest:.2g} would make it "
+                f"{_TYPICAL_MM:g} mm long"
+            ),
         )
     scale = require_positive("anatomy.scale_mm", unit_mm, _PER_UNIT)
     note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
@@ -245,10 +249,17 @@ def given_tets(
         return GivenTets(1e3 * mesh.nodes_m, mesh, ())
     stored = _stored(mesh)
     if not len(stored.tets):
-        raise InputError("mesh", "hold tetrahedra", "none", "fill a surface by from_surface")
+        raise InputError(
+            "mesh", "hold tetrahedra", "none", "fill a surface with tetrahedra by from_surface"
+        )
     inside = 0 <= stored.tets.min() <= stored.tets.max() < len(stored.points)
     if not inside or not np.isfinite(stored.used).all():
-        raise InputError("mesh", "hold finite points for all cells", "others", "export it again")
+        raise InputError(
+            "mesh",
+            "hold a finite point for each corner of its cells",
+            "missing points or points that are not finite",
+            "export it again",
+        )
     scale = require_millimetres("mesh", stored.used, scale_mm)
     stored.names.update(part_names or {})
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
@@ -273,8 +284,8 @@ def require_millimetres(name: str, points: Array, scale_mm: float | None) -> flo
         raise InputError(
             name,
             "be in millimetres",
-            f"one of {by(sides, '.3g')}, which looks like {unit}",
-            f"give scale_mm={scale}, or scale_mm=1 if that is its size",
+            f"sides of {by(sides, '.3g')}, which look like {unit}",
+            f"give scale_mm={scale}, or scale_mm=1 if the size is right",
         )
     return 1.0
 

@@ -70,7 +70,9 @@ class StoredMesh:
         """Return the tetrahedra in metres, repaired where necessary, and sentences on them."""
         values, part = np.unique(self.part, return_inverse=True)
         if len(values) > MOST_PARTS:
-            raise InputError("mesh", f"have at most {MOST_PARTS} parts", len(values), "join some")
+            raise InputError(
+                "mesh", f"have at most {MOST_PARTS} parts", len(values), "join some parts"
+            )
         names = tuple(self.names.get(int(value), f"part {value}") for value in values)
         mesh, repairs = repair_tets(
             self.points * (1e-3 * unit_mm),
@@ -114,8 +116,8 @@ def broken_sections(file: Path) -> InputError:
     """Return the error for a Gmsh file that is damaged or cut short."""
     return InputError(
         "file",
-        "hold whole sections of nodes and elements",
-        f"a broken one in {file.name}",
+        "hold complete sections of nodes and elements",
+        f"an incomplete section in {file.name}",
         "export it again",
     )
 
@@ -216,6 +218,6 @@ def part_name(text: str, known: Mapping[int, str], what: str) -> str:
             what,
             f"have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none'",
             f"{shown[:_LONGEST_NAME]!r}",
-            "name them otherwise",
+            "rename these parts",
         )
     return shown

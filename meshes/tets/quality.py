@@ -252,7 +252,10 @@ def _require_numbers(nodes: Array, cells: Ints) -> None:
     bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
     if bad:
         raise InputError(
-            "nodes", "be finite", f"{bad} of {len(nodes)} that are not", "write the mesh again"
+            "nodes",
+            "be finite",
+            f"{bad} of {len(nodes)} nodes that are not finite",
+            "write the mesh again",
         )
 
 
@@ -267,8 +270,11 @@ def _require_no_overlap(nodes: Array, cells: Ints) -> None:
         at = place(nodes[triangles[crowded[0]]])
         raise InputError(
             "cells",
-            "meet two at a face",
-            f"{len(np.unique(where[crowded]))} faces of more, the first at {at} mm",
+            "share each face with at most one other cell",
+            (
+                f"{len(np.unique(where[crowded]))} faces of three or more cells, the first "
+                f"at {at} mm"
+            ),
             "mesh the surface again",
         )
     agree = np.bincount(where, weights=windings(triangles))
@@ -279,7 +285,7 @@ def _require_no_overlap(nodes: Array, cells: Ints) -> None:
             "cells",
             "not overlap",
             f"{len(folded) // 2} faces with both cells on one side, the first at {at} mm",
-            "the mesh folds over itself, mesh the surface again",
+            "mesh the surface again, because this mesh folds over itself",
         )
 
 
@@ -291,9 +297,10 @@ def _require_volume(nodes: Array, cells: Ints) -> None:
         raise InputError(
             "cells",
             "have volume",
-            f"{len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving "
-            "nodes repairs, the first at "
-            f"{at} mm",
+            (
+                f"{len(bad)} flat tetrahedra of {len(cells)} that the repair could not fix, "
+                f"the first at {at} mm"
+            ),
             "mesh the surface again",
         )
 

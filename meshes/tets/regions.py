@@ -55,7 +55,10 @@ def nodes_behind_plane(
             "support",
             "touch the body",
             f"the plane through {at} mm with no surface node inside",
-            f"the nearest, at {found} mm, is {1e3 * away[nearest]:.3g} mm away",
+            (
+                f"move the plane: the nearest surface node, at {found} mm, is "
+                f"{1e3 * away[nearest]:.3g} mm away"
+            ),
         )
     return chosen
 
@@ -79,7 +82,10 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
             "support",
             "touch the body",
             f"no surface within {within:g} degrees of {axis.tolist()}",
-            f"the nearest is {angle.min():.3g} degrees away",
+            (
+                f"change the direction or the angle: the nearest face is {angle.min():.3g} "
+                "degrees away"
+            ),
         )
     return np.unique(faces)
 

@@ -116,7 +116,7 @@ def bisected(
                 "size_m",
                 f"leave at most {_MOST_BISECTED} tetrahedra",
                 f"edges of {1e3 * wanted.min():.4g} mm",
-                "use longer ones",
+                "use longer edges",
             )
         number = len(nodes) + np.cumsum(split) - 1
         nodes = np.concatenate([nodes, middle[split]])
@@ -200,7 +200,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     upper = np.array(shape.upper_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError(
-            "shape", "have an end in every direction", "an endless one", "intersect it with a box"
+            "shape",
+            "be bounded in every direction",
+            "an unbounded shape",
+            "intersect the shape with a box",
         )
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
         # Twelve tetrahedra a cube, and a tenth more for the cubes around the body.
@@ -242,7 +245,10 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     within &= mesh.part[came] == 0
     if not within.any():
         raise InputError(
-            name, "hold cells of the mesh", "none", "use a finer mesh, or move it inside"
+            name,
+            "hold cells of the mesh",
+            "none",
+            "use a finer mesh, or move the shape into the mesh",
         )
     part = np.where(within, len(mesh.part_names), mesh.part[came]).astype(np.uint8)
     return TetMesh(nodes, cells, part, (*mesh.part_names, name))

@@ -163,7 +163,10 @@ class TetMesh:
         if not np.isfinite(self.nodes_m).all():
             bad = int(np.flatnonzero(~np.isfinite(self.nodes_m).all(axis=1))[0])
             raise InputError(
-                "nodes_m", "be finite", f"node {bad} at {self.nodes_m[bad]}", "repair or leave out"
+                "nodes_m",
+                "be finite",
+                f"node {bad} at {self.nodes_m[bad]}",
+                "repair this node or leave it out",
             )
         if len(self.cells) == 0:
             raise InputError(

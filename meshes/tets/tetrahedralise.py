@@ -96,7 +96,7 @@ def tetrahedralise(
             "edge_m",
             "be short enough to fill the surface",
             f"{1e3 * edge:.4g}",
-            "use a smaller one",
+            "use a shorter edge",
             "mm",
         )
     mesh, repairs = repair_tets(arrays["nodes"], arrays["cells"])

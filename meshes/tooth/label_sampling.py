@@ -188,8 +188,8 @@ def resampled(
     if not fraction.any():
         raise InputError(
             "region",
-            "meet the tooth",
-            "one without any of it",
+            "contain a part of the tooth",
+            "a region outside the tooth",
             "move the tool to the tooth, or set anatomy.site",
         )
     (crop,) = find_objects((fraction > 0).view(np.uint8))

@@ -329,7 +329,10 @@ def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels,
     filled = np.flatnonzero(on_axis != EMPTY)
     if len(filled) == 0:
         raise InputError(
-            "labels", "fill the tooth's long axis", "none there", "check which label is the enamel"
+            "labels",
+            "fill the long axis of the tooth",
+            "no label there",
+            "check which label is the enamel",
         )
     top = int(filled[-1])
     origin = axes.middle_m + heights[top] * axes.rotation[:, 2]

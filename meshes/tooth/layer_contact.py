@@ -232,8 +232,8 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
         ):
             raise InputError(
                 f"{name} surface",
-                "touch the others in one common frame and unit",
-                f"one {1000.0 * apart[nearest]:.3g} mm from {nearest}, the nearest",
+                "touch the other surfaces, all in one frame and unit",
+                f"a surface {1e3 * apart[nearest]:.3g} mm from the nearest other one, {nearest}",
                 "check its unit and its origin",
             )
 
@@ -258,6 +258,6 @@ def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Arra
         raise InputError(
             "pulp",
             "lie within the dentin",
-            f"{100.0 * within:.0f} % of its surface there",
+            f"{100.0 * within:.0f} % of its surface in the dentin",
             "check which layer is which, and the frame of the pulp surface",
         )

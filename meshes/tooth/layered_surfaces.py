@@ -446,12 +446,13 @@ def _notes(
     }
     if contact.void_mm3 > 0.0:
         notes["voids"] = (
-            f"{contact.void_mm3:.3g} mm3 enclosed by the layers and in none, left empty"
+            f"{contact.void_mm3:.3g} mm3 are enclosed by the layers but belong to no "
+            "layer, and are left empty"
         )
     if "pulp" not in surfaces:
         notes["pulp"] = "none given: distance and exposure of the pulp are unknown"
     if "ligament" not in surfaces:
-        notes["ligament"] = "none given: the tooth has no support but what the scene states"
+        notes["ligament"] = "none given: the tooth has only the support that the scene states"
     if socket_mm > 0.0:
         notes["bone"] = f"{socket_mm:g} mm around the ligament, added"
     return notes

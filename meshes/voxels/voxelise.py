@@ -390,7 +390,7 @@ def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError(
             "region_m",
-            "be given for an anatomy without end",
+            "be given for an unbounded anatomy",
             "None",
             "use the box that the tool reaches",
         )

@@ -330,7 +330,7 @@ BAD = {
     ),
     "slice empty": (
         lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")),
-        "another kind as file 3 of 4",
+        "file 3 of 4 of another kind",
     ),
     "rows against pixels": (
         lambda f: dicom(f, rows=50),
@@ -350,7 +350,7 @@ BAD = {
     ),
     "two slices in a place": (
         lambda f: dicom(f, each=lambda k: {"position": (10.0, 20.0, 2.0 * (k // 2))}),
-        "two at one place",
+        "two slices at one position",
     ),
     "slice pushed aside": (
         lambda f: dicom(f, each=lambda k: {"position": (10.0 + 3.0 * (k == 1), 20.0, 2.0 * k)}),
@@ -390,7 +390,7 @@ BAD = {
     ),
     "inverted grey without air": (
         lambda f: dicom(f, values=VALUES % 100 + 1000, photometric="MONOCHROME1"),
-        "must be known whether values of MONOCHROME1 are inverted",
+        "an image of type MONOCHROME1 must contain air",
     ),
     "syntax of other pixels": (
         lambda f: dicom(f, syntax="1.2.840.10008.1.2.4.90"),
@@ -399,7 +399,7 @@ BAD = {
     "unknown syntax": (lambda f: dicom(f, syntax="1.2.3.4.5"), "a damaged one"),
     "text among slices": (
         lambda f: dicom(f, change=lambda p: text(p, "z.dcm")),
-        "another kind as file 5 of 5",
+        "file 5 of 5 of another kind",
     ),
     "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "two slices or more"),
     # others

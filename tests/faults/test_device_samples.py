@@ -313,7 +313,7 @@ def test_a_device_that_gives_w_first_is_named():
     guard = SampleGuard(force_limit_N=1.0)
     guard.validate_sample(Sample(0.0, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), 0.0)
     ((_, what),) = guard.events
-    assert "a device that gives w first starts so" in what
+    assert "a device that gives w first starts with this orientation" in what
     for quaternion in (TURN, (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)):
         guard = SampleGuard(force_limit_N=1.0)
         guard.validate_sample(Sample(0.0, (0.0, 0.0, 0.0), quaternion=quaternion), 0.0)

@@ -121,7 +121,7 @@ def test_the_character_nul_is_refused(refused, tmp_path):
             "run", "wall", "--set", change, "--out", tmp_path / "out"
         )
     scene = load_scene("glenoid")
-    with pytest.raises(InputError, match=r"anatomy\.file must be a text without the character NUL"):
+    with pytest.raises(InputError, match=r"anatomy\.file must be text without the character NUL"):
         changed(scene, {"anatomy.file": "a\0b.stl"})
     (tmp_path / "x.toml").write_text(
         'name = "x"\n[anatomy]\nkind = "glenoid"\nfile = "a\\u0000b.stl"\n'
@@ -202,7 +202,7 @@ def here(tmp_path, monkeypatch):
     [
         (
             ("run", "wall", "--cores", "2"),
-            "--cores must be left out for a wall, which no kernel computes, got 2. Remove it",
+            "--cores must be left out for a wall, which needs no kernels, got 2. Remove it",
         ),
         (
             ("run", "milling", "--allow-unstable"),
@@ -214,22 +214,22 @@ def here(tmp_path, monkeypatch):
         (
             ("run", "milling", "--seed", "3"),
             (
-                "seed must be left out without a device, for nothing is drawn at random then, "
+                "seed must be left out without a device, because the run then has no random numbers, "
                 "got 3. Set device = touch, or remove it"
             ),
         ),
         (
             ("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"),
             (
-                "voxels.removal must be left out with fidelity, which chooses it, got binary: "
-                "leave fidelity out, or remove it"
+                "voxels.removal must be left out with fidelity, which chooses it, got binary. "
+                "Leave fidelity out, or remove it"
             ),
         ),
         (
             ("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"),
             (
-                "device.prediction must be left out with fidelity, which chooses it, got hold: "
-                "leave fidelity out, or remove it"
+                "device.prediction must be left out with fidelity, which chooses it, got hold. "
+                "Leave fidelity out, or remove it"
             ),
         ),
         (
@@ -243,7 +243,7 @@ def here(tmp_path, monkeypatch):
             ("run", "wall", "--slicer"),
             (
                 "--slicer must be left out without --live. Give --live, or open the "
-                "files of a run that has ended"
+                "files of a finished run"
             ),
         ),
         (
@@ -263,21 +263,21 @@ def here(tmp_path, monkeypatch):
         (
             ("run", "wall", "--web"),
             (
-                "--web must be left out without --live. Give --live, or see a run that "
-                "has ended by `tissue view DIR --web`"
+                "--web must be left out without --live. Give --live, or show a finished run "
+                "by `tissue view DIR --web`"
             ),
         ),
         (
             ("view", "run", "--web", "--screenshot", "a.png"),
-            "web must be left out with a screenshot or a movie: leave it out",
+            "web must be left out with a screenshot or a movie. Leave it out",
         ),
         (
             ("view", "run", "--web", "--movie", "a.gif"),
-            "web must be left out with a screenshot or a movie: leave it out",
+            "web must be left out with a screenshot or a movie. Leave it out",
         ),
         (
             ("run", "wall", "--live", "--web", "--band", "20"),
-            "--band must be left out with --live, got 20. Run the scene without it",
+            "--band must be left out with --live, got 20. Run the scene without --live",
         ),
         (
             ("chart", "wall", "--trials", "5"),
@@ -293,25 +293,25 @@ def here(tmp_path, monkeypatch):
         (
             ("calibrate", "--population", "x", "--trials", "5"),
             (
-                "--trials must be left out with --population, which fits sessions that are over, "
+                "--trials must be left out with --population, which uses sessions that have ended, "
                 "got 5. Remove it"
             ),
         ),
         (
             ("study", "run", "--only", "T1-novice-0001", "--workers", "2"),
             (
-                "--workers must be left out with --only, which runs one trial here and keeps "
-                "nothing, got 2. Remove it"
+                "--workers must be left out with --only, which runs one trial here and writes "
+                "no files, got 2. Remove it"
             ),
         ),
         (
             ("assess", "a", "--against", "b", "--overwrite"),
-            "--overwrite must be left out without --out, for nothing is written. Remove it",
+            "--overwrite must be left out without --out, because no file is written. Remove it",
         ),
         (
             ("stability", "wall", "--overwrite"),
             (
-                "--overwrite must be left out with a scene and no --out, for nothing is written. "
+                "--overwrite must be left out with a scene and no --out, because no file is written. "
                 "Remove it"
             ),
         ),

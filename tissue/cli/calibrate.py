@@ -73,14 +73,14 @@ def calibrate(
     """
     if sum((observer is not None, ask, population is not None)) != 1:
         raise InputError(
-            "one of --observer, --ask and --population",
+            "exactly one of --observer, --ask and --population",
             "be given",
-            "none or several",
+            "none or more than one",
             "try --observer simulated:1 --out observer.json",
         )
     if population is not None:
         left_out(
-            "with --population, which fits sessions that are over",
+            "with --population, which uses sessions that have ended",
             "remove it",
             device=device,
             address=address,

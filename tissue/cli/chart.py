@@ -52,7 +52,12 @@ def chart(
             left_out("with perception", "remove it", quick=quick, trials=trials)
             _perception(out or Path("charts/perception"), observer, overwrite=overwrite)
         case ["perception", scene, *_]:
-            raise InputError("perception", "stand alone", f"{scene} after it", "leave it out")
+            raise InputError(
+                "perception",
+                "be given without scenes",
+                f"{scene} after perception",
+                f"leave {scene} out",
+            )
         case _:
             left_out(
                 "unless predictors are charted",

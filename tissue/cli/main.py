@@ -188,7 +188,7 @@ def main() -> NoReturn:
             if not error.filename or not error.strerror:
                 raise
             changed = f"{error.strerror.lower()} at {error.filename}"
-            required = "stay as they are while a command runs"
+            required = "stay unchanged while a command runs"
             _refuse(str(InputError("files", required, changed, "check this path")))
         is_full = error.errno in FULL
         required = "have space" if is_full else "be writable"
@@ -198,10 +198,10 @@ def main() -> NoReturn:
         got = f"{(error.strerror or '').lower()}{where}"
         _refuse(str(InputError(place, required, got, f"{remedy} {other}")))
     except HelperLostError as lost:
-        _refuse(f"{lost}: run it again", code=1)
+        _refuse(f"{lost}. Run the command again", code=1)
     except KeyboardInterrupt as stopped:
         seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
-        kept = f"stopped: what was written so far is kept{seen}"
+        kept = f"stopped: the files written so far are kept{seen}"
         if not anything_claimed():
             kept = "stopped before anything was written"
         # Code that knows more about what was written has put it into the exception.

@@ -87,7 +87,7 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
         met = (
             f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
         )
-        over = f"gaps of the machine over {1e-3 * gaps['least_us']:g} ms, expected in these ticks"
+        over = f"scheduling gaps over {1e-3 * gaps['least_us']:g} ms, expected in these ticks"
         yield over, f"{gaps['expected_in_ticks']:.1f} ({met})"
     if (chosen := summary.get("scheduling")) is not None:
         large = f"{chosen['split_launches']} of {chosen['large_launches']} large ones"
@@ -350,13 +350,13 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
     if not options.live:
         left_out(
             "without --live",
-            "give --live, or see a run that has ended by `tissue view DIR --web`",
+            "give --live, or show a finished run by `tissue view DIR --web`",
             web=options.web,
         )
         left_out("without --live", "give --live", ros2=options.ros2)
         left_out(
             "without --live",
-            "give --live, or open the files of a run that has ended",
+            "give --live, or open the files of a finished run",
             slicer=options.slicer,
         )
     if not options.slicer:
@@ -388,7 +388,7 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
     if scene.anatomy.kind in ("wall", "layers"):
         there = engine.compute if engine.compute != "cpu" else None
         left_out(
-            f"for a {scene.anatomy.kind}, which no kernel computes",
+            f"for a {scene.anatomy.kind}, which needs no kernels",
             "remove it",
             cores=engine.cores,
             compute=there,
@@ -400,7 +400,7 @@ def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
     if options.band is None:
         left_out("without --band", "give --band 200, or remove it", **asdict(options))
         return
-    left_out("with --live", "run the scene without it", band=options.band if live else None)
+    left_out("with --live", "run the scene without --live", band=options.band if live else None)
     from tissue.fitting.bands.band import require_band
 
     require_band(scene, options.band, options.workers, options.scheduler, each_run=options.each_run)

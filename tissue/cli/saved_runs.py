@@ -57,9 +57,9 @@ def assess(
     }
     several = folder.is_dir() and not ranking.is_run(folder)
     if several:
-        left_out("for a folder of trainees", "remove it, or name one run", **limits)
+        left_out("for a folder of trainees", "remove it, or name the folder of one run", **limits)
     if out is None:
-        left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+        left_out("without --out, because no file is written", "remove it", overwrite=overwrite)
     elif several:
         ranking.require_ranking_folder(out, overwrite=overwrite)
     else:
@@ -102,9 +102,9 @@ def compare(
     from tissue.system.owned_folder import require_folder
 
     if out is None:
-        left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+        left_out("without --out, because no file is written", "remove it", overwrite=overwrite)
         left_out(
-            "without --out, for nothing is drawn",
+            "without --out, because nothing is drawn",
             "remove it",
             over=over if over != "time" else None,
         )

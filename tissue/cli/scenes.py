@@ -58,7 +58,11 @@ def _print_or_write(text: str, out: Path | None, *, overwrite: bool) -> None:
     from meshes.base.whole_file import require_new_file, whole_file
 
     if out is None:
-        left_out("where the text is printed", "give --out or leave it out", overwrite=overwrite)
+        left_out(
+            "without --out, because the text is printed",
+            "give --out, or leave it out",
+            overwrite=overwrite,
+        )
         sys.stdout.write(text)
         return
     require_new_file(out, overwrite=overwrite)

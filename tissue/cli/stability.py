@@ -40,16 +40,23 @@ def stability(
     """
     if scene is None:
         if set_:
-            raise InputError("--set", "go with a scene", f"{set_[0]} without one", "name the scene")
+            raise InputError(
+                "--set",
+                "be given with a scene",
+                f"{set_[0]} without a scene",
+                "name the scene before --set",
+            )
         _atlas(out or Path("atlas"), only, overwrite=overwrite)
         return
     if only:
         raise InputError(
-            "--only", "go without a scene", f"{only[0]} with {scene}", "leave the scene out"
+            "--only", "be given without a scene", f"{only[0]} with {scene}", "leave the scene out"
         )
     if out is None:
         left_out(
-            "with a scene and no --out, for nothing is written", "remove it", overwrite=overwrite
+            "with a scene and no --out, because no file is written",
+            "remove it",
+            overwrite=overwrite,
         )
     from tissue.evaluation.stability_report import (
         require_map_folder,

@@ -105,7 +105,7 @@ def run(
     plan = options.plan()
     if only is not None:
         left_out(
-            "with --only, which runs one trial here and keeps nothing",
+            "with --only, which runs one trial here and writes no files",
             "remove it",
             workers=workers,
             scheduler=scheduler,

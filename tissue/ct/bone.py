@@ -189,7 +189,7 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
                 "density",
                 "be line:SLOPE,OFFSET for an image that is not in Hounsfield units",
                 f"{text} for {found.source} with values from {found.lowest:g} to {found.highest:g}",
-                "give the line of your scanner, or leave it out",
+                "give the line of your scanner, or leave density out",
             )
     try:
         return density_law("internal" if is_auto else text, image)

@@ -116,7 +116,10 @@ def _tooth(labels: Labels) -> Labels:
                 "labels",
                 "name enamel and dentin for a tooth",
                 f"{held} in {labels.image.source}",
-                f"name them by --label-names FILE, of the names {', '.join(TOOTH_LAYERS)}",
+                (
+                    f"give the label numbers names out of {', '.join(TOOTH_LAYERS)} by "
+                    "--label-names FILE"
+                ),
             )
     chosen = labels.only(layers.values())
     return replace(chosen, image=part_of(chosen.image, box_of(chosen.image.values > 0, MARGIN)))
@@ -135,7 +138,7 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
         raise InputError(
             "site",
             "not be tooth:lesion for a tooth without a label caries",
-            f"it for {tooth.image.source}",
+            f"tooth:lesion for {tooth.image.source}",
             "use --site tooth",
         )
     pieces, _ = label(tooth.mask("caries"))
@@ -177,7 +180,9 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
             labels.number(each)
     for each, modulus in request.parts.items():
         if not modulus > 0.0:
-            raise InputError("parts", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
+            raise InputError(
+                "parts", "have a modulus above 0", f"{each}={modulus:g}", "give the modulus in kPa"
+            )
     mask = labels.mask(region)
     # the check compares Hounsfield units inside the label with those of soft tissue
     note = (

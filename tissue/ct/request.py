@@ -118,7 +118,7 @@ class ImportRequest:
             )
         self._require_points()
         if self.point_mm is None:
-            remedy = "give the point too, or leave it out"
+            remedy = "give a point as site, or leave normal out"
             self._leave_out("unless site is a point", "normal", remedy=remedy)
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
@@ -162,7 +162,7 @@ class ImportRequest:
         for name, given in points.items():
             for each in given:
                 if each is not None and not isinstance(each, str) and as_vector(each) is None:
-                    raise InputError(name, "be of three finite numbers", each, "give x, y, z")
+                    raise InputError(name, "hold three finite numbers", each, "give x, y, z")
         if self.coordinates not in TO_LPS:
             raise InputError(
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
@@ -175,13 +175,18 @@ class ImportRequest:
                 "coordinates",
                 "be left out unless a box, a site or a path is given in numbers",
                 "RAS",
-                "files of markups state their own frame; leave it out",
+                "leave coordinates out: files of markups state their own frame",
             )
         if self.crop_mm is not None:
             low, high = self.crop_mm
             if any(a >= b for a, b in zip(low, high, strict=True)):
                 found = f"{in_brackets(low)} and {in_brackets(high)}"
-                raise InputError("crop_mm", "have its lowest corner first", found, "exchange them")
+                raise InputError(
+                    "crop_mm",
+                    "have a first corner below the second corner along each axis",
+                    found,
+                    "exchange the two numbers of each wrong axis",
+                )
 
     @property
     def is_tooth(self) -> bool:
@@ -360,7 +365,10 @@ def kept_clear(
         wanted = [labels.names[labels.number(name)] for name in request.keep_clear]
     if len(set(wanted)) < len(wanted):
         raise InputError(
-            "keep_clear", "name each label once", ", ".join(request.keep_clear), "leave one out"
+            "keep_clear",
+            "name each label once",
+            ", ".join(request.keep_clear),
+            "leave the repeated label out",
         )
     found = {}
     sentences = []
@@ -444,7 +452,7 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
             "path",
             "enter the bone",
             f"{name}, which stays {-depth.deepest_mm:.3g} mm outside",
-            "check its unit, and its frame by --coordinates LPS or RAS",
+            "check the unit of the path, and give its frame by --coordinates LPS or RAS",
         )
     table = to_replay(
         path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM
@@ -452,9 +460,8 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
     length = float(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1).sum())
     sentence = (
         f"path: {len(path.points_mm)} points of {name}, {length:.4g} mm in "
-        f"{table.times_s[-1]:.3g} s, its tip at most "
-        f"{depth.deepest_mm:.3g} mm under the surface and {depth.share_inside:.0%} of it in "
-        "the bone"
+        f"{table.times_s[-1]:.3g} s. The tip is at most {depth.deepest_mm:.3g} mm under "
+        f"the surface, and {depth.share_inside:.0%} of the path lies in the bone"
     )
     sentence = "; ".join([sentence, *path.notes])
     return ImportedPath(table, depth, sentence)

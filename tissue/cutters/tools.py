@@ -165,7 +165,10 @@ def _cutter(
 def _require_longer(length_mm: float, least_mm: float, what: str) -> None:
     if length_mm <= least_mm:
         raise InputError(
-            "length_mm", f"be above {what} ({least_mm:.4g})", f"{length_mm:g}", "make it longer"
+            "length_mm",
+            f"be above {what} ({least_mm:.4g})",
+            f"{length_mm:g}",
+            "use a larger length_mm",
         )
 
 
@@ -180,6 +183,6 @@ def _peg(diameter_mm: float, length_mm: float, tool_mm: float) -> dict[str, floa
             "peg_diameter_mm",
             f"be below diameter_mm ({tool_mm:g})",
             f"{diameter_mm:g}",
-            "use a thin one",
+            "use a thinner peg",
         )
     return {"peg_diameter_m": 1e-3 * diameter_mm, "peg_length_m": 1e-3 * length_mm}

@@ -300,10 +300,13 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         for name, value in (options or {}).items():
             if name not in self.ranges:
                 raise InputError(
-                    "options", f"be of {', '.join(self.ranges)}", f"{name!r}", "leave it out"
+                    "options",
+                    f"hold only {', '.join(self.ranges)}",
+                    f"{name!r}",
+                    f"leave {name!r} out",
                 )
             self.drawn[name] = require_range(
-                f"options[{name!r}]", value, *self.ranges[name], "take one in between"
+                f"options[{name!r}]", value, *self.ranges[name], "use a value in this range"
             )
         self._done_steps = 0
         self.score = 0.0

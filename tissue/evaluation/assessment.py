@@ -275,7 +275,10 @@ def _trace(run: AssessedRun, name: str) -> Table:
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
         raise InputError(
-            name, "hold a trace of ten ticks or more", f"{got} without", "run the scene again"
+            name,
+            "hold a trace of ten ticks or more",
+            f"{got} without such a trace",
+            "run the scene again",
         )
     return run.trace
 
@@ -367,9 +370,9 @@ def _require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
     for key, first, second in differences:
         raise InputError(
             "run and reference",
-            "be of one task",
+            "be runs of the same task",
             f"{key} = {first} and {second}",
-            "run the reference's scene",
+            "run the scene of the reference",
         )
 
 

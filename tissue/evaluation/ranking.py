@@ -158,7 +158,10 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         runs = [person] if is_run(person) else [each for each in _folders(person) if is_run(each)]
         if not runs:
             raise InputError(
-                "folder", "hold a run or runs for each trainee", f"none in {person}", "remove it"
+                "folder",
+                "hold at least one run for each trainee",
+                f"no run in {person}",
+                f"remove the folder {person}",
             )
         attempts = []
         for run in runs:
@@ -173,7 +176,10 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         raise InputError(left_out[0])
     if not people:
         raise InputError(
-            "folder", "hold folders of trainees", f"none in {folder}", "name the folder above them"
+            "folder",
+            "hold folders of trainees",
+            f"none in {folder}",
+            "give the folder that holds one folder for each trainee",
         )
     people.sort(key=lambda person: -person.mean)
     return Ranking(str(reference.summary.get("scene")), tuple(people), tuple(left_out))

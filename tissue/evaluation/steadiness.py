@@ -101,7 +101,7 @@ def steadiness(
             "run",
             f"last at least {LEAST_WINDOWS * WINDOW_S:g} s",
             f"{len(position_m) * TICK_S:g}",
-            "record a longer one",
+            "record a longer run",
         )
     _require_motion(position_m, hand_parameters(NOVICE, constants))
     grip = hand_parameters(TYPICAL, constants)
@@ -183,7 +183,7 @@ def _require_motion(position_m: Array, novice: HandParameters) -> None:
             "run",
             f"move the device at {least_mm_s:.1f} mm/s or more for a quarter of the time",
             f"{speed_mm_s:.1f}",
-            "the friction of a slower device hides the tremor of the hand",
+            "record a faster motion: in a slower one, friction hides the tremor of the hand",
         )
 
 

@@ -188,7 +188,7 @@ class Recorder:
             raise InputError(
                 "scene",
                 "give finite forces",
-                f"others with seed {scene.seed}",
+                f"forces that are not finite with seed {scene.seed}",
                 "use another --trials",
             )
         speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
@@ -344,7 +344,10 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
     held_out = touching(held_out)
     if not held_out:
         raise InputError(
-            "trials", "leave a run that touches to validate on", "none", "use more, or run longer"
+            "trials",
+            "leave a run with contact for the validation",
+            "none",
+            "use more trials, or a longer duration_s",
         )
     makers = {
         kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -371,11 +374,14 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
-            "trials", f"leave at least {LEAST_RUNS} to learn from", len(runs), "use more"
+            "trials", f"leave at least {LEAST_RUNS} to learn from", len(runs), "use more trials"
         )
     if not any(run.force_N.any() for run in runs):
         raise InputError(
-            "scene", "have a tool that touches", "no force in any trial", "run longer, or go deeper"
+            "scene",
+            "have a tool that touches",
+            "no force in any trial",
+            "use a longer duration_s, or a deeper path",
         )
     count = 0
     sums = np.zeros((COORDINATES, COORDINATES + 2 * HORIZON))

@@ -21,19 +21,20 @@ __all__ = [
 class SolverOutcome(Enum):
     """Outcome of a solve. The value holds the cause and the remedy."""
 
-    CONVERGED = "the displacement holds to the tolerance"
+    CONVERGED = "the displacement has converged within the tolerance"
     NOT_CONVERGED = (
-        "the iterations ran out: allow more, loosen the tolerance, or take smaller steps"
+        "the largest number of iterations was reached: allow more iterations, raise "
+        "the tolerance, or take smaller steps"
     )
     INACCURATE = "rounding is too large: fix sliver cells, or lower the contrast of moduli"
     INDEFINITE = (
         "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and "
         "loose parts"
     )
-    INVERTED = "the held nodes turn cells over: move them in smaller steps"
+    INVERTED = "the held nodes invert cells: move these nodes in smaller steps"
     STALLED = (
-        "no step lowers the energy, cells are about to turn over: press less deep, or use the "
-        "neo-Hookean law"
+        "no step lowers the energy, and cells are about to invert: press less deep, or "
+        "use the neo-Hookean law"
     )
     UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
 

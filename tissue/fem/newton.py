@@ -397,7 +397,10 @@ def resting_sphere(
     inside = aside < radius_m
     if not inside.any():
         raise InputError(
-            "point_m", "lie on the surface", point_m, "no node of it is in the sphere's path"
+            "point_m",
+            "lie on the surface",
+            point_m,
+            "give a surface point that the sphere reaches: no surface node lies in its path",
         )
     touching = float((along[inside] - np.sqrt(radius_m**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)

@@ -202,7 +202,7 @@ def cutting_forward(
             "measured",
             "hold poses in which the tool cuts",
             "a log whose tool only moves through air",
-            "give one of a cut, or its poses in the scene's frame",
+            "give the log of a cut, and its poses in the frame of the scene",
         )
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:

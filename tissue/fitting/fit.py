@@ -322,7 +322,7 @@ def fit_scene(
     """
     report = progress or silent
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
-        raise InputError("scene", "be one of tissue", f"a {scene.anatomy.kind}", FITTED)
+        raise InputError("scene", "contain tissue", f"a {scene.anatomy.kind}", FITTED)
     of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
     problem = of_tissue(scene, log, free, cores=cores, progress=report)
     # recording the geometry, or the runs of an organ, takes most of the time
@@ -360,16 +360,21 @@ def _determines_nothing(posterior: Posterior, log: MeasuredLog, *, is_mesh: bool
         return InputError(
             "anatomy.touch_edge_mm",
             "be fine enough to determine a constant",
-            "a mesh whose error leaves all of the scene's constants at their ranges",
-            "give a shorter one",
+            "a mesh with an error so large that the log determines no constant of the scene",
+            "use a shorter edge",
         )
     forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
     largest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
     return InputError(
         "measured",
         "determine a constant",
-        f"a log with a force of {largest:.2g} N at most and noise of "
-        f"{posterior.nuisances.scale[forces].max():.2g} N, which leaves all of the scene's "
-        "constants at their ranges",
-        "give one of a deeper or faster cut, and check that the scene is what was cut",
+        (
+            f"a log with a force of {largest:.2g} N at most and noise of "
+            f"{posterior.nuisances.scale[forces].max():.2g} N, which determines no constant "
+            "of the scene"
+        ),
+        (
+            "give the log of a deeper or faster cut, and check that the scene describes "
+            "the material that was cut"
+        ),
     )

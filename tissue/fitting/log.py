@@ -183,7 +183,9 @@ def _checked(
             # rows are counted from 1, and a step ends at the later of its two rows
             line = int(np.argmax(~(steps > 0.0))) + 2
             raise refuse(
-                "hold times that increase", f"{name} that does not in row {line}", "sort it"
+                "hold times that increase",
+                f"{name} that does not increase in row {line}",
+                "sort the rows by time",
             )
         lasts_s = times_s[-1] - times_s[0]
         if lasts_s < SHORTEST_S:
@@ -257,7 +259,10 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
         # a smaller one is a zero with rounding and has no direction
         if not (sizes > 1e-6).all():
             raise InputError(
-                "measured", "hold unit quaternions", f"a zero one in {path.name}", "leave it out"
+                "measured",
+                "hold unit quaternions",
+                f"a zero quaternion in {path.name}",
+                "leave that row out",
             )
         return np.asarray(quaternions / sizes)
     if taken.keys() >= set(ROTATION_VECTOR):

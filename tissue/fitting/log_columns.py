@@ -61,7 +61,7 @@ def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> di
                 "column",
                 "be NAME=COLUMN or NAME=COLUMN:UNIT, each name once",
                 f"{text!r}",
-                f"write for example {names[-1]}=F, with a name of {', '.join(names)}",
+                f"write for example {names[-1]}=F, where the name is one of {', '.join(names)}",
             )
         asked[name] = column
     return asked

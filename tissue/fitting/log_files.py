@@ -127,8 +127,8 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
         if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise InputError(
                 "measured",
-                f"hold a column of numbers as {name}",
-                "another kind",
+                f"hold numbers in the column {name}",
+                "other content",
                 "export it as numbers",
             )
         return values.astype(np.float64)
@@ -209,10 +209,10 @@ def _drilling(path: Path) -> LogColumns:
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
                 "measured",
-                "hold forces while the poses last",
+                "hold forces in the time span of the poses",
                 f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
                 f"{held.times_s[-1]:.6g} s in {path}",
-                "bring its time_stamps to one clock",
+                "use the same clock for all time_stamps",
             )
         columns["load_time_s"] = held.load_times_s
         # torques may have been left out
@@ -228,8 +228,8 @@ def _module(name: str, extra: str) -> Any:
     except ImportError:
         raise InputError(
             "measured",
-            "have what reads it installed",
-            f"no {name}",
+            "be readable with the installed packages",
+            f"a file that needs {name}",
             f"run {install_command(extra)}",
         ) from None
 

@@ -168,7 +168,8 @@ They limit the runs of a fit that does not settle, which `UNSETTLED` reports.
 LEARNT = 0.1
 """Step from which slopes are corrected, in standard deviations of the priors of the constants."""
 UNSETTLED = (
-    "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
+    "the runs and the result do not agree yet, so the intervals are not reliable: free "
+    "fewer constants"
 )
 FINER = 1.4
 """Ratio of the edges of a fit's mesh to those of the mesh that shows its error."""

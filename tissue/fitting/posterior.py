@@ -324,7 +324,10 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
         raise InputError(
             "measured",
             "hold loads on the tool, in the scene's frame",
-            f"{', '.join(wrong)} with the sign reversed, by which the scene explains more",
+            (
+                f"{', '.join(wrong)} with a sign that seems reversed, because the scene "
+                "fits the opposite sign better"
+            ),
             f"reverse the sign with --column {wrong[0]}=-COLUMN, or drop the column",
         )
 

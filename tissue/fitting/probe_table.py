@@ -135,10 +135,16 @@ def _at_common_depths(
     if used.sum() < FEWEST_PROBES:
         raise InputError(
             "measured",
-            f"hold {FEWEST_PROBES} presses or more, each with {FEWEST_STEPS} depths or more and "
-            f"{SHORT:.0%} of the median of the largest depths",
+            (
+                f"hold at least {FEWEST_PROBES} presses, each with {FEWEST_STEPS} depths or "
+                f"more and a largest depth of at least {SHORT:.0%} of the median of all "
+                "largest depths"
+            ),
             f"{used.sum()} in {path.name}",
-            "repeat the press at several places, since their scatter sets the intervals",
+            (
+                "repeat the press at several places: the scatter between places determines "
+                "the intervals"
+            ),
         )
     if not used.all():
         notes = (*notes, f"{(~used).sum()} of {len(used)} presses are short and left out")
@@ -154,7 +160,10 @@ def _at_common_depths(
     common = np.unique(common)
     if not common[-1] > 0.0 or len(common) < FEWEST_STEPS:
         raise InputError(
-            "measured", "hold presses over common depths", path.name, "check the zero of the depths"
+            "measured",
+            "hold presses whose depths overlap",
+            path.name,
+            "check the zero of the depths",
         )
     forces = np.stack([PchipInterpolator(depth, force)(common) for depth, force in kept])
     return ProbeTable(path, common, forces, notes)

@@ -179,7 +179,7 @@ class MeasuredLoads:
         if len(counts) and counts.min() < self.fewest:
             raise InputError(
                 "values",
-                f"hold {self.fewest} samples of each channel",
+                f"hold at least {self.fewest} samples of each channel",
                 f"{counts.min()} of {self.channels[int(np.argmin(counts))]}",
                 "leave the channel out or give a longer log",
             )

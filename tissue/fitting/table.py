@@ -133,19 +133,19 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
             "state the feed once",
         )
     if feeds[0] != FEEDS[2] and SPIN not in found.names:
-        raise refuse(f"hold {SPIN} with {feeds[0]}", "none", f"add it, or give {FEEDS[2]}")
+        raise refuse(f"hold {SPIN} with {feeds[0]}", "none", f"add {SPIN}, or give {FEEDS[2]}")
     names = tuple(name for name in LOADS if name in found.names)
     channels = tuple(LOADS[name][0] for name in names)
     if not names or len(set(channels)) < len(channels):
         raise refuse(
-            "hold thrust_N, and torque_Nmm or torque_Nm, or one of both",
+            "hold thrust_N, or torque_Nmm or torque_Nm, or a thrust and a torque",
             " and ".join(names) or "neither",
             "state each load once",
         )
     scattered = tuple(load for load, name in SCATTERS.items() if name in found.names)
     if scattered and scattered != names:
         raise refuse(
-            "hold the scatter of each load in the load's unit, or of none",
+            "hold the scatter of each load in the unit of the load, or no scatter",
             ", ".join(SCATTERS[load] for load in scattered),
             f"give {' and '.join(SCATTERS[load] for load in names)}",
         )

@@ -180,7 +180,7 @@ class IgtlServer:
                 "port",
                 f"be a free port of {host}",
                 f"{port} ({why})",
-                "end the program that has it, or give another",
+                "end the program that uses it, or give another port",
             ) from None
         self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()

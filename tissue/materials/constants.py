@@ -89,7 +89,7 @@ class CuttingCoefficients:
         if self.size_exponent > 0.0 and self.minimum_chip_m <= 0.0:
             raise InputError(
                 "cutting.minimum_chip_um",
-                "be above 0 with a size effect, whose coefficients grow without bound otherwise",
+                "be above 0 with a size effect, because its coefficients are infinite at 0",
                 f"{1e6 * self.minimum_chip_m:g}",
                 "use 1, or set cutting.size_exponent to 0",
             )
@@ -133,7 +133,7 @@ def constants(table: str, material: str) -> dict[str, Constant]:
     entries = _table(table)
     if material not in entries:
         raise InputError(
-            "material", f"be one of {', '.join(entries)}", material, "choose a listed one"
+            "material", f"be one of {', '.join(entries)}", material, "choose a listed name"
         )
     return {
         name: Constant(
@@ -171,7 +171,7 @@ def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
     known = _table(table)
     if material in known:
         raise InputError(
-            "material", f"be none of {', '.join(known)}", material, "choose another name"
+            "material", f"not be one of {', '.join(known)}", material, "choose another name"
         )
     known[material] = entries
 
@@ -298,7 +298,7 @@ class Prior:
         if not (np.isfinite([self.low, self.high]).all() and self.low <= self.value <= self.high):
             raise InputError(
                 "range",
-                f"hold the value {self.value:g}",
+                f"contain the value {self.value:g}",
                 f"[{self.low:g}, {self.high:g}]",
                 "give its 5 and 95 % quantiles",
             )

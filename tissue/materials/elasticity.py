@@ -99,7 +99,10 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
             "poisson_ratio",
             "leave the stiffness positive definite",
             f"{ratio.tolist()} with moduli {young.tolist()} Pa",
-            "keep |nu_ij| below sqrt(E_i / E_j) and their sum lower",
+            (
+                "reduce the ratios: each |nu_ij| must be below sqrt(E_i / E_j), and "
+                "several ratios together must be smaller"
+            ),
         )
     stiffness = np.linalg.inv(compliance)
     return checked_stiffness(0.5 * (stiffness + stiffness.T))
@@ -271,7 +274,8 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
         rows = checked_stiffness(given).reshape(-1, 6, 6)
     if len(rows) not in (1, cell_count):
         raise InputError(
-            f"elasticity must be one for all or one for each of {cell_count} cells, got {len(rows)}"
+            f"elasticity must be one row for all cells or one for each of {cell_count} "
+            f"cells, got {len(rows)} rows"
         )
     return rows
 
@@ -289,7 +293,12 @@ def _frames(fibre: Array) -> Array:
     """Return right-handed frames whose third column is the fibre."""
     length = np.linalg.norm(fibre, axis=1)
     if not (length > 0.0).all():
-        raise InputError("axes", "be directions", "one of length zero", "give it a length")
+        raise InputError(
+            "axes",
+            "be directions of non-zero length",
+            "an axis of length zero",
+            "give non-zero directions",
+        )
     third = fibre / length[:, None]
     least = np.eye(3)[np.abs(third).argmin(axis=1)]
     first = np.cross(least, third)

@@ -62,14 +62,19 @@ class Hyperelastic:
             raise InputError("alpha of terms", "not be 0", self.terms, "leave the term out")
         if any(rate <= 0.0 for _, rate in self.exponentials):
             raise InputError(
-                "the rate of exponentials", "be positive", self.exponentials, "use terms without it"
+                "the rate of exponentials",
+                "be positive",
+                self.exponentials,
+                "use a positive rate, or leave the term out",
             )
         for name, value in (
             ("bulk_Pa", self.bulk_Pa),
             ("the shear modulus of terms", self.shear_Pa),
         ):
             if value <= 0.0:
-                raise InputError(name, "be positive", f"{value:g} Pa", "give a stable material")
+                raise InputError(
+                    name, "be positive", f"{value:g} Pa", "use the constants of a stable material"
+                )
 
     @classmethod
     def neo_hookean(cls, shear_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
@@ -104,7 +109,8 @@ class Hyperelastic:
         f = np.asarray(gradient, np.float64)
         if not (np.linalg.det(f) > 0.0).all():
             raise InputError(
-                "gradient must have a positive determinant: a cell is turned over, shorten the step"
+                "gradient must have a positive determinant, got an inverted cell. Use "
+                "a shorter step"
             )
         u, stretch, v = np.linalg.svd(f)
         return np.asarray((u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v)

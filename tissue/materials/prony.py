@@ -69,7 +69,7 @@ class Prony:
         if len(self.g) != len(self.tau_s) or not self.g:
             raise InputError(
                 "tau_s",
-                "hold one time for each of g",
+                "hold one time for each share in g",
                 f"{len(self.g)} shares and {len(self.tau_s)} times",
                 "give as many times as shares, at least one",
             )
@@ -82,7 +82,7 @@ class Prony:
                 "g",
                 "sum to less than 1",
                 f"{total:g}",
-                "a solid keeps a share g_inf, lower a share",
+                "lower a share: a solid keeps a long-term share g_inf above 0",
             )
 
     @cached_property

@@ -95,7 +95,7 @@ class Materials:
                 "materials",
                 "be the path of a TOML file",
                 type(given).__name__,
-                "name what `tissue fit` wrote",
+                "give the file that `tissue fit` wrote",
             )
         return cls.read(given)
 
@@ -194,7 +194,7 @@ def _parsed(text: str, path: str) -> Materials:
         tables = read_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(
-            "materials", "be valid TOML", f"{str(error)[:200].lower()} in {path}", "fix it"
+            "materials", "be valid TOML", f"{str(error)[:200].lower()} in {path}", "fix the file"
         ) from None
     correlation = tables.pop("correlation", None)
     given: dict[str, Constant] = {}
@@ -240,7 +240,7 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
             "materials",
             f"name {what}: {', '.join(names)}",
             f"{name}{meant} in {path}",
-            "choose a listed one",
+            "choose a listed name",
         )
 
 
@@ -287,7 +287,7 @@ def checked_constant(full: str, found: object, path: str) -> Constant:
             full,
             f"have its value inside its range{bound}",
             f"{entry.value:g} in [{low:g}, {high:g}] in {path}",
-            "fix them",
+            "fix the value or the range",
         )
     return Constant(entry.value, low, high, entry.source, entry.confidence)
 
@@ -305,9 +305,9 @@ def _correlation(
     if lengths.count(count) != len(lengths):
         raise InputError(
             "correlation",
-            f"have a matrix of {count} rows of as many numbers and names that differ",
-            f"another in {path}",
-            "fix it",
+            f"have different names and a matrix of {count} x {count} numbers",
+            f"others in {path}",
+            "fix the names or the matrix",
         )
     matrix = np.array(table.matrix).reshape(count, count)
     # 1e-9: rounding of numbers in a file.
@@ -319,7 +319,7 @@ def _correlation(
             "correlation",
             "be symmetric and positive definite with ones on its diagonal",
             f"another matrix in {path}",
-            "fix it",
+            "fix the matrix",
         )
     return tuple(names), tuple(tuple(row) for row in matrix.tolist())
 

@@ -49,6 +49,6 @@ def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
             raise InputError(
                 "snapshot",
                 f"be of the same mesh and tool ({len(array)} entries of {name})",
-                f"another one ({len(kept[name])} entries)",
+                f"another mesh or tool ({len(kept[name])} entries)",
                 "make both loops from equal arguments",
             )

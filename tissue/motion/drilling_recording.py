@@ -128,7 +128,10 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         import h5py
     except ImportError:
         raise InputError(
-            what, "have what reads it installed", "no h5py", f"run {install_command('h5')}"
+            what,
+            "be readable with the installed packages",
+            "a file that needs h5py",
+            f"run {install_command('h5')}",
         ) from None
     require_regular(path)
     try:

@@ -183,7 +183,7 @@ class FollowPath(Motion):
                 "motion.points_mm",
                 "hold two different points",
                 "only one",
-                "add where the tool goes",
+                "add the point to which the tool moves",
             )
         self._starts = points_m[:-1][keep]
         self._headings = (legs / np.maximum(lengths, 1e-300)[:, None])[keep]

@@ -48,14 +48,18 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
             "give one pose",
         )
     if not np.isfinite(values).all():
-        raise InputError("pose", "be finite", values.tolist(), "stop the tool")
+        raise InputError(
+            "pose", "be finite", values.tolist(), "stop the tool and give finite numbers"
+        )
     if values.shape == (3,):
         return 1e-3 * values, rotation
     if values.shape == (7,):
         length = float(np.linalg.norm(values[3:]))
         # A vector of rounding errors has no orientation. Any other length is normalised.
         if length < 1e-6:
-            raise InputError("pose", "hold a unit quaternion", "a zero one", "use 0, 0, 0, 1")
+            raise InputError(
+                "pose", "hold a unit quaternion", "a zero quaternion", "use 0, 0, 0, 1"
+            )
         return 1e-3 * values[:3], matrix_of(values[3:] / length)
     if (values[3] != (0.0, 0.0, 0.0, 1.0)).any():
         raise InputError(
@@ -70,8 +74,8 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
         raise InputError(
             "pose",
             "hold a rotation without scale or mirroring",
-            f"a matrix off by {error:.2g}",
-            "normalise it",
+            f"a matrix with an error of {error:.2g}",
+            "normalise the rotation",
         )
     return 1e-3 * values[:3, 3], turn
 
@@ -169,7 +173,7 @@ class PosedTool(Motion):
                 "pose",
                 f"change by at most {1e3 * FASTEST_M_S * step_s:g} mm in {1e3 * step_s:g} ms",
                 f"{1e3 * length:.4g} mm",
-                "give millimetres, or put the tool elsewhere by reset(pose)",
+                "give positions in millimetres, or move the tool there by reset(pose)",
             )
         self._turn = np.zeros(3)
         if rotation is not motion.rotation:

@@ -346,7 +346,10 @@ class Bone:
         """Refuse an object that cannot cut this bone."""
         if not isinstance(tool, Cutter):
             raise InputError(
-                "tool", "be a cutter", type(tool).__name__, "make one by tissue.cutters.ball_burr"
+                "tool",
+                "be a cutter",
+                type(tool).__name__,
+                "make a cutter by tissue.cutters.ball_burr",
             )
         width_mm = 2e3 * tool.profile.radius_m
         # Fewer than four voxels across show no shape of a tool. The suggestion has twenty.
@@ -439,7 +442,7 @@ def _surface_source(
             "file",
             f"be a surface ({' '.join(SURFACE_SUFFIXES)})",
             path.name,
-            "an image goes to Bone.from_image",
+            "read an image by Bone.from_image",
         )
     with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
         surface = read_surface(path, scale_mm=scale_mm, cut_off=True)

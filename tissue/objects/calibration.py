@@ -64,7 +64,7 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     typical = reference_observer()
     names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
-        raise InputError("truth", f"be of {', '.join(names)}", strange[0], "use one of these")
+        raise InputError("truth", f"hold only {', '.join(names)}", strange[0], "use one of these")
     alpha, beta, kappa, offset, lapse, sigma = (
         np.full(count, truth.get(name, getattr(typical, name)), dtype=np.float64) for name in names
     )

@@ -58,7 +58,7 @@ class Comparison:
 
     def __init__(self, runs: Mapping[str, Run]) -> None:
         if len(runs) < 2:
-            raise InputError("compare", "be given two runs at least", len(runs), "name another one")
+            raise InputError("compare", "be given at least two runs", len(runs), "name another run")
         self.runs = dict(runs)
         self.figures = {name: figures_of(run.summary) for name, run in runs.items()}
         self.scene_differences = _differences([run.scene for run in runs.values()])
@@ -207,7 +207,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     called = _names(held) if names is None else [*names]
     if len(called) != len(held) or len(set(called)) != len(called):
         raise InputError(
-            "names", f"be one for each of {len(held)} runs, all different", called, "fix them"
+            "names", f"be {len(held)} different names, one for each run", called, "change the names"
         )
     return Comparison(dict(zip(called, held, strict=True)))
 

@@ -49,9 +49,9 @@ class Cut:
         start_mm3 = float(self.trace["removed_mm3"][0])
         if start_mm3 > 0.0:
             self.notes["start"] = (
-                f"the first pose lies inside bone: {start_mm3:.3g} mm3 were taken away there "
-                "without force; where that "
-                "is not meant, look at the axis, the unit and the frame of the poses"
+                f"the first pose lies inside bone: {start_mm3:.3g} mm3 were removed "
+                "there without a force; if this is not intended, check the axis, the "
+                "unit and the frame of the poses"
             )
 
     @classmethod
@@ -122,7 +122,10 @@ class Cut:
         column = f"distance_{name}_mm"
         if column not in self.trace.columns:
             raise InputError(
-                "name", "be a structure given as keep_clear", name, "give it to Bone.cut"
+                "name",
+                "be a structure given as keep_clear",
+                name,
+                "give this structure to Bone.cut",
             )
         return np.asarray(self.trace[column])
 
@@ -206,6 +209,6 @@ def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
     """
     path = Path(path)
     if path.exists() and not overwrite:
-        raise InputError("path", "not exist", path, "choose another, or pass overwrite=True")
+        raise InputError("path", "not exist", path, "choose another path, or pass overwrite=True")
     write_table(trace, path)
     return path

@@ -103,8 +103,8 @@ def _require_chips(model: BoneModel, number: int) -> None:
     if thickest_mm > radius_mm:
         raise InputError(
             "times_s",
-            f"leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm",
-            f"{thickest_mm:.3g} mm at pose {number}, up to which the bone is cut",
+            f"give chips for each tooth thinner than the tool's radius of {radius_mm:.3g} mm",
+            f"{thickest_mm:.3g} mm at pose {number}; the bone is cut up to this pose",
             "use a slower feed or a higher speed of the tool",
         )
 
@@ -133,14 +133,17 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
     feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
     if not np.diff(corners, axis=0).any():
         raise InputError(
-            "points_mm", "hold two different points", "only one", "add where the tool goes"
+            "points_mm",
+            "hold two different points",
+            "only one",
+            "add the point to which the tool moves",
         )
     duration_s = float(arc_length(corners)[-1]) / feed
     if duration_s > LONGEST_S:
         raise InputError(
             "feed_mm_s",
             f"bring the tool along the path within {LONGEST_S:g} s",
-            f"{feed:g} which takes {duration_s:.4g}",
+            f"{feed:g}, which takes {duration_s:.4g} s",
             f"use {feed * duration_s / LONGEST_S:.3g} or more",
         )
     # 1e-6: a duration of whole ticks gets no additional one.
@@ -171,11 +174,16 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
             "poses",
             "be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4)",
             f"shape {shape}",
-            "give one row a pose",
+            "give one row for each pose",
         )
     rows = _rows("poses", poses, shape[1:])
     if axis is not None and shape[1:] != (3,):
-        raise InputError("axis", "be left out where poses hold turns", "both", "remove it")
+        raise InputError(
+            "axis",
+            "be left out for poses with rotations",
+            "an axis for such poses",
+            "leave axis out",
+        )
     if shape[1:] == (3,):
         direction = (0.0, 0.0, 1.0) if axis is None else cast("tuple[float, float, float]", axis)
         along = require_direction("axis", direction)
@@ -184,7 +192,9 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     if shape[1:] == (7,):
         # Any other length is normalised; a vector of rounding errors has no orientation.
         if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
-            raise InputError("poses", "hold unit quaternions", "a zero one", "use 0, 0, 0, 1 there")
+            raise InputError(
+                "poses", "hold unit quaternions", "a zero quaternion", "use 0, 0, 0, 1 there"
+            )
         return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
     turns = rows[:, :3, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
@@ -193,8 +203,8 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         raise InputError(
             "poses",
             "hold rotations without scale or mirroring",
-            f"matrices off by {error:.2g}",
-            "normalise them",
+            f"matrices with an error of {error:.2g}",
+            "normalise the rotations",
         )
     return 1e-3 * rows[:, :3, 3], Rotation.from_matrix(turns)
 
@@ -213,9 +223,9 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
     if not is_whole or (np.diff(times) <= 0.0).any():
         raise InputError(
             "times_s",
-            "increase, one time for each of at least two poses",
-            f"others, of shape {times.shape}, for {count} poses",
-            "use feed_along to make both of a path",
+            "increase and have one time for each of at least two poses",
+            f"times of shape {times.shape} for {count} poses",
+            "compute poses and times by feed_along",
         )
     return times
 
@@ -230,7 +240,9 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         ) from None
     if rows.shape[1:] != shape or len(rows) == 0 or not np.isfinite(rows).all():
         wanted = f"be finite numbers of shape (n, {', '.join(map(str, shape))})"
-        raise InputError(name, wanted, f"an array of {rows.shape}", "give one row each")
+        raise InputError(
+            name, wanted, f"an array of {rows.shape}", "give finite numbers, one row for each entry"
+        )
     return rows
 
 

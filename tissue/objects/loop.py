@@ -330,14 +330,17 @@ class Loop:
             raise InputError("pose", "be left out with a device", "a pose", "remove it")
         if not self._device.held.entered:
             raise InputError(
-                "loop", "hold its device to step", "one that is not", "use it in `with loop:`"
+                "loop",
+                "be open to step with a device",
+                "a loop that is not open",
+                "use the loop in `with loop:`",
             )
         if self.ticks == self._most:
             raise InputError(
                 "longest_s",
-                "hold all ticks",
-                f"{TICK_S * self._most:g} s that have run",
-                "make the loop with more",
+                "be at least the time of all ticks",
+                f"{TICK_S * self._most:g} s, which have run",
+                "make the loop with a larger longest_s",
             )
         if self._keep_ready is not None:
             self._keep_ready(self._device.tool.tip_m)
@@ -399,7 +402,7 @@ class Loop:
     def _posed(self, method: str) -> PosedSession:
         """Return the session of a loop without a device."""
         if self._session is None:
-            raise InputError(method, "be used without a device", "one", "leave device out")
+            raise InputError(method, "be used without a device", "a device", "leave device out")
         return self._session
 
     def run(
@@ -487,7 +490,10 @@ class Loop:
         parts = self._loop.parts
         if parts.volume is None or not isinstance(parts.tissue, HasVoxels):
             raise InputError(
-                "surface", "be of a scene with voxels", "none", "use tissue.Bone.surface for a bone"
+                "surface",
+                "be asked of a scene with voxels",
+                "a scene without voxels",
+                "use tissue.Bone.surface for the surface of a bone",
             )
         return with_layers(bone_surface(parts.volume, parts.tissue.remaining()), parts.volume)
 

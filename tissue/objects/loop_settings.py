@@ -153,7 +153,7 @@ def _settings_of(
     """Return the settings between a device and a tool, from a caller's options."""
     given = options.get("limits", "touch")
     limits = sampled(_limits(given, constants))
-    require_stated_rate(device, limits, remedy="give this rate_Hz by limits")
+    require_stated_rate(device, limits, remedy="give this rate_Hz in limits")
     predictor = options.get("predictor")
     file = options.get("predictor_file")
     name = predictor if isinstance(predictor, str) else None
@@ -163,7 +163,10 @@ def _settings_of(
         raise InputError("predictor", "be an object", f"the class {kind}", f"give {kind}()")
     if file is not None and name is None:
         raise InputError(
-            "predictor_file", "come with a predictor's name", repr(predictor), "name one"
+            "predictor_file",
+            "be given with the name of a predictor",
+            repr(predictor),
+            "give the name of a predictor",
         )
     if predictor is not None and name is None:
         guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))

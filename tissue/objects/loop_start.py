@@ -93,10 +93,17 @@ def fitted(
         tissue.require_cutter(burr)
         return burr
     if keep_clear:
-        raise InputError("keep_clear", "be left out for an organ", "structures", "use it in bone")
+        raise InputError(
+            "keep_clear", "be left out for an organ", "structures", "use keep_clear for bone"
+        )
     pressing = tool or ball(diameter_mm=10)
     if not isinstance(pressing, PressingTool):
-        raise InputError("tool", "press an organ", type(tool).__name__, "make one by tissue.ball")
+        raise InputError(
+            "tool",
+            "be a tool that presses an organ",
+            type(tool).__name__,
+            "make a tool by tissue.ball",
+        )
     return pressing
 
 

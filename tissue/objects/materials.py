@@ -91,7 +91,7 @@ def material(name: str) -> Material:
             "material",
             f"be one of {', '.join(known)}",
             f"{name}{nearest(name, known)}",
-            "choose a listed one",
+            "choose a listed name",
         )
     return Material(name)
 

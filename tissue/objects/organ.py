@@ -380,7 +380,7 @@ class Organ:
                 given,
                 "be left out for an organ that does not relax",
                 hold_s or speed_mm_s,
-                "make it with relaxation",
+                "make the organ with relaxation",
             )
         depth = require_positive("depth_mm", depth_mm, "use a third of the tool's radius")
         return press_at(

@@ -31,14 +31,17 @@ def check_name(kind: str, given: object, *, argument: bool = False) -> None:
     if not isinstance(given, str) or not re.fullmatch(pattern, given):
         raise InputError(
             "name",
-            "be of lower-case letters, digits, - and _",
+            "contain only lower-case letters, digits, - and _",
             shown(given),
-            f"choose such a one for the {kind}",
+            f"choose such a name for the {kind}",
         )
     taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
     if given in taken:
         raise InputError(
-            "name", f"be none of {', '.join(taken)}", given, f"choose another name for this {kind}"
+            "name",
+            f"not be one of {', '.join(taken)}",
+            given,
+            f"choose another name for this {kind}",
         )
 
 
@@ -69,7 +72,10 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
     for key in keys:
         if key not in known:
             raise InputError(
-                "keys", f"be of {', '.join(sorted(known))}", shown(key), "use one of a tool's keys"
+                "keys",
+                f"hold only {', '.join(sorted(known))}",
+                shown(key),
+                "use one of a tool's keys",
             )
     sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
     try:
@@ -77,9 +83,9 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
     except TypeError as error:
         raise InputError(
             f"tool {given}",
-            f"take {' and '.join(sizes)}",
-            f"one that does not ({error})",
-            "name its arguments so",
+            f"accept {' and '.join(sizes)}",
+            f"a tool that does not ({error})",
+            "rename its arguments to these",
         ) from None
 
 
@@ -94,7 +100,7 @@ def check_parameters(kind: str, given: str, part: Any) -> None:
             f"parameters of the {kind} {given}",
             "be a subclass of tissue.scene.anatomy.Part of this kind",
             shown(part),
-            f'derive it from that and write kind: Literal["{given}"] = "{given}"',
+            f'derive the class from Part and write kind: Literal["{given}"] = "{given}"',
         )
 
 
@@ -108,7 +114,7 @@ def checked_numbers(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> d
     known = [field.name for field in fields(kind)]
     if strange := [each for each in numbers if each not in known]:
         given = f"{shown(strange[0])}{nearest(str(strange[0]), known)}"
-        raise InputError("numbers", f"be of {', '.join(known)}", given, "rename or remove it")
+        raise InputError("numbers", f"hold only {', '.join(known)}", given, "rename or remove it")
     if missing := [each for each in needed if each not in numbers]:
         lacking = " and ".join(missing)
         raise InputError(

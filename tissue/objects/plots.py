@@ -53,7 +53,7 @@ def plot_columns(
             "ax",
             "take columns of one unit",
             ", ".join(wanted),
-            "give columns of one of them, or leave ax out",
+            "give columns of one unit, or leave ax out",
         )
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
@@ -92,7 +92,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
             known = [each for each in trace if each != "layer"]
             raise InputError(
                 "columns",
-                "name columns of numbers of the trace",
+                "name columns of the trace that hold numbers",
                 f"{name}{nearest(name, known)}",
                 f"use some of {', '.join(known)}",
             )

@@ -314,8 +314,8 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
     remedy = f"press {most:.2g} mm at most" if most else "press less"
     raise InputError(
         "depth_mm",
-        "be one to which the force grows",
-        f"{1000.0 * curve.depth_m[-1]:.3g} where it falls, as no tissue does",
+        "be a depth up to which the force increases",
+        f"{1e3 * curve.depth_m[-1]:.3g}, where the force falls, which no real tissue does",
         f"{remedy}, or refine the organ there",
     )
 
@@ -346,11 +346,14 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
     limits = [(1e3 * share * probe.radius_m, error) for share, error in LINEAR_ERROR]
     passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
     depth, error = passed[-1] if passed else limits[0]
-    note = f"the linear law is within {error:.0%} of a hyperelastic force to {depth:.2g} mm"
+    note = (
+        f"the linear law is within {error:.0%} of a hyperelastic force up to a depth of "
+        f"{depth:.2g} mm"
+    )
     if passed:
         note = (
-            f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear law is more "
-            f"than {error:.0%} off a hyperelastic force"
+            f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear "
+            f"law differs from a hyperelastic force by more than {error:.0%}"
         )
     return {"linear": note}
 

@@ -291,7 +291,8 @@ class register:
             getattr(register, kind)(name, part)
         if not any(name in table.known for table in tables):
             raise InputError(
-                f"it registers nothing by that name: decorate it by @tissue.register.{kind}"
+                "the module registers no part with this name: decorate the part by "
+                f"@tissue.register.{kind}"
             )
 
     @staticmethod
@@ -347,9 +348,9 @@ def _scene_name(path: Path) -> str:
     if found in taken:
         raise InputError(
             "name",
-            f"be none of {', '.join(taken)}",
+            f"not be one of {', '.join(taken)}",
             f"{found} in {path}",
-            "choose another for this scene",
+            "choose another name for this scene",
         )
     return str(found)
 
@@ -362,7 +363,7 @@ def _add_materials(path: Path) -> tuple[str, ...]:
             "material",
             "have tables cutting and soft",
             f"{', '.join(found) or 'none'} in {path}",
-            "use these",
+            "use these two tables",
         )
     for table, materials in found.items():
         for material, entries in materials.items():

@@ -375,7 +375,9 @@ def report(
     if isinstance(run, Run):
         if out is None:
             if run.path is None:
-                raise InputError("out", "be given for a run that was not saved", out, "name a file")
+                raise InputError(
+                    "out", "be given for a run that was not saved", out, "give the name of a file"
+                )
             out = run.path / NAME
         run = run._folder()
     return write_report(run, out, overwrite=overwrite, progress=progress, assessment=found)

@@ -51,7 +51,7 @@ LONGEST_NAME = 24
 """Letters of a value in a folder name; longer values, and lists, are numbered."""
 MOST_RUNS = 10_000
 """Runs of a sweep: three hours at a second each, and a minute to check their scenes."""
-LOST = "the process that ran it was lost: run the sweep again to continue"
+LOST = "the process of this run was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; the file has all figures."""
 
@@ -185,14 +185,14 @@ class Sweep:
         known = self.figure_names
         if unknown := [name for name in names if name not in known]:
             raise InputError(
-                "figures", f"be of {', '.join(known)}", unknown[0], "use some of these"
+                "figures", f"be some of {', '.join(known)}", unknown[0], "choose from these"
             )
         if not names or len(self.keys) not in (1, 2):
             raise InputError(
                 "plot",
-                "have figures that differ and one key or two",
+                "have figures that differ between runs, and one or two keys",
                 f"{len(names)} figures and {len(self.keys)} keys",
-                "see the table",
+                "use the table of the sweep",
             )
         over, *second = self.keys
         lines: dict[str, list[tuple[object, dict[str, float]]]] = {}
@@ -284,7 +284,7 @@ def sweep(
         or several processes are requested with a part that they do not have.
     """
     out = Path(out)
-    workers = int(require_range("workers", workers, 1, 4096, "use one a core"))
+    workers = int(require_range("workers", workers, 1, 4096, "use one for each core"))
     runs = planned(scene, changes, out)
     # Runs side by side already use all cores.
     if cores is None and workers > 1:
@@ -385,7 +385,7 @@ def _unfinished(runs: list[SweptRun], out: Path, *, overwrite: bool) -> list[tup
             raise InputError(
                 "out",
                 "hold runs of this scene",
-                f"another one in {each.path}",
+                f"another scene in {each.path}",
                 "pass --overwrite to replace it or choose another --out",
             )
         if overwrite or not begun or summary_of(each.path).get("status") != "complete":
@@ -440,10 +440,12 @@ def _results(
             named = " and the ".join(map(" ".join, missing))
             raise InputError(
                 "workers",
-                "be 1 for parts that are registered in this process alone",
+                "be 1 for parts that are registered only in this process",
                 f"{workers} with the {named}",
-                'register them above if __name__ == "__main__" in the script, or offer them as a '
-                "package does",
+                (
+                    'register them above if __name__ == "__main__" in the script, or in an '
+                    "installed package"
+                ),
             )
         waiting = {pool.submit(run, each, replaces, False): each.name for each, replaces in left}
         while waiting:

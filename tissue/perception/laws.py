@@ -157,7 +157,7 @@ class Intensity:
                 "beta",
                 "be known well enough to be inverted",
                 f"{self.beta:.3g} with standard deviation {c**0.5:.3g}",
-                "ask more trials at weak forces",
+                "run more trials with weak forces",
             )
         return np.where(wanted > 0.0, found, 0.0)
 
@@ -329,9 +329,9 @@ class ForceMap:
         if not (slopes > 0.0).all():
             raise InputError(
                 "observer",
-                "need more force for more intensity",
-                "one who does not",
-                "ask more trials",
+                "perceive a larger force as more intense",
+                "an observer who does not",
+                "run more trials",
             )
         within = int(np.searchsorted(self.forces_N, knee_N))
         self.steepest = float(max(slopes[:within].max(), commands[0] / lowest_N))

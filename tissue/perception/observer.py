@@ -97,11 +97,11 @@ class Observer:
                 "mean and covariance",
                 "have shapes (6,) and (6, 6)",
                 f"{mean.shape} and {covariance.shape}",
-                f"one coordinate for each of {', '.join(PARAMETERS)}",
+                f"give one coordinate for each of {', '.join(PARAMETERS)}",
             )
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise InputError(
-                "mean and covariance", "be finite", "one that is not", "calibrate again"
+                "mean and covariance", "be finite", "a value that is not", "calibrate again"
             )
         for index, (name, (low, high)) in enumerate(BOUNDS.items()):
             median = float(_from(name, mean[index]))
@@ -114,13 +114,13 @@ class Observer:
             raise InputError(
                 "covariance",
                 "be symmetric, without negative eigenvalues",
-                "another",
+                "another matrix",
                 "calibrate again",
             )
         widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
-        require_range("standard deviation", widest, 0.0, WIDEST, "ask more trials")
+        require_range("standard deviation", widest, 0.0, WIDEST, "run more trials")
         # 1e9: a bound that rejects a misread file.
-        require_range("trials", self.trials, 0, 1e9, "count them")
+        require_range("trials", self.trials, 0, 1e9, "give the number of trials")
         mean.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "covariance", covariance)

@@ -242,7 +242,9 @@ class PerceivedForce:
         x, y, z = force_N.tolist()
         size = sqrt(x * x + y * y + z * z)
         if not size < inf:
-            raise InputError("force", "be finite", force_N, "hold it back with a SampleGuard")
+            raise InputError(
+                "force", "be finite", force_N, "use a SampleGuard, which removes such samples"
+            )
         # Zero has no direction: any factor leaves it zero.
         share = self.law.table.at(size) / size if size > 0.0 else 1.0
         deadband = self.deadband

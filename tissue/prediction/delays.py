@@ -89,7 +89,10 @@ class Moments:
         scale = np.sqrt(np.diag(self.coordinates))
         if not (scale > 0.0).all():
             raise InputError(
-                "trials", "have a tool that moves and touches", "none in any trial", "run longer"
+                "trials",
+                "have a tool that moves and touches the tissue",
+                "none in any trial",
+                "use a longer duration",
             )
         matrix = self.coordinates / np.outer(scale, scale)
         matrix.flat[:: COORDINATES + 1] += RIDGE

@@ -266,9 +266,9 @@ class Outside:
         if force.shape != (3,):
             raise InputError(
                 f"predict of the predictor {self._name}",
-                "return three newtons",
+                "return three forces in newtons",
                 f"shape {force.shape}",
-                "fix it",
+                "fix predict",
             )
         return force
 

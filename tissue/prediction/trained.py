@@ -115,17 +115,19 @@ class Trained:
             raise InputError(what, "be an existing file", path, "train it with 'tissue train'")
         again = f"train it again with 'tissue train {scene or 'SCENE'}'"
         if not is_zipfile(path):  # NumPy would read it as a pickle
-            raise InputError(what, "be whole and one that 'tissue train' wrote", path, again)
+            raise InputError(what, "be a complete file that 'tissue train' wrote", path, again)
         try:
             held = read_npz(path)
             whole = read_json(str(held.pop("json")))
             if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-                raise InputError(what, "be one that 'tissue train' wrote", path, again)
+                raise InputError(what, "be a file that 'tissue train' wrote", path, again)
             stated = require_version(what, whole, VERSION, key="version", where=path, remedy=again)
             if stated < VERSION:
                 raise InputError(what, f"be of version {VERSION}", f"{stated} in {path}", again)
             if scene is not None and whole["scene"] != scene:
-                raise InputError(what, f"be of scene {scene}", f"{whole['scene']} in {path}", again)
+                raise InputError(
+                    what, f"be trained for scene {scene}", f"{whole['scene']} in {path}", again
+                )
             if tuple(whole["delays"]) != DELAYS:
                 raise InputError(what, "have the delays of this version", path, again)
             moments = Moments(**{key: _checked(key, held[key]) for key in SHAPES})

@@ -159,8 +159,8 @@ class Fidelity(Part):
         if self.force_error is None and self.tick_ms is None:
             raise InputError(
                 "fidelity",
-                "ask for something",
+                "state an error or a time",
                 "nothing",
-                "use force_error = 0.03 or tick_ms = 0.7",
+                "use for example force_error = 0.03 or tick_ms = 0.7",
             )
         return self

@@ -212,7 +212,7 @@ def load_scene(
             "scene",
             "be valid TOML",
             f"{message[:1].lower()}{message[1:]} in {path}",
-            "fix it there",
+            "fix the file",
         ) from None
     _require_no_nul(table)
     table, was_kept = converted(table, path)
@@ -253,7 +253,10 @@ def _replaced(
         require_shallow(dict(overrides))
     except RecursionError:
         raise InputError(
-            "values", f"not nest more than {DEEPEST} lists", "more", "write the value plainly"
+            "values",
+            f"not contain lists nested more than {DEEPEST} deep",
+            "deeper lists",
+            "use fewer levels of lists",
         ) from None
     _require_no_nul(overrides)
     if not overrides:
@@ -264,7 +267,9 @@ def _replaced(
     for key, value in overrides.items():
         whole = full_key(key, value)
         if whole in full:
-            raise InputError(whole, "be given once", f"it twice, once as {key}", "remove one")
+            raise InputError(
+                whole, "be given once", f"two values, one of them as {key}", "remove one of them"
+            )
         full[whole] = None if (key, value) == ("device", "none") else value
     # A new kind resets its part, so kinds are placed first, in any order of the overrides.
     for key, value in sorted(
@@ -378,7 +383,7 @@ def _absolute_path(folder: Path, name: str) -> str:
 def _require_no_nul(value: object, key: str = "") -> None:
     """Refuse texts with the character NUL, which file names cannot contain."""
     if isinstance(value, str) and "\0" in value:
-        raise InputError(key, "be a text without the character NUL", shown(value), "leave it out")
+        raise InputError(key, "be text without the character NUL", shown(value), "leave it out")
     if isinstance(value, Mapping):
         for name, inner in value.items():
             _require_no_nul(inner, f"{key}.{name}" if key else str(name))
@@ -405,18 +410,21 @@ def _read(path: Path) -> str:
     """Read the text of a scene file."""
     if not is_file(path):
         raise InputError(
-            "scene", "be an existing file", path, "check the path or list `tissue scenes`"
+            "scene",
+            "be an existing file",
+            path,
+            "check the path, or see the built-in scenes by `tissue scenes`",
         )
     try:
         return read_text(path)
     except UnicodeDecodeError:
         raise InputError(
-            "scene", "be TOML in UTF-8", f"other bytes in {path}", "save it as text"
+            "scene", "be TOML in UTF-8", f"other bytes in {path}", "save the file as UTF-8 text"
         ) from None
     except OSError as error:
         message = (error.strerror or "an error").lower()
         raise InputError(
-            "scene", "be readable", f"{message} at {path}", "check who may read it"
+            "scene", "be readable", f"{message} at {path}", "check the permissions of the file"
         ) from None
 
 

@@ -41,8 +41,8 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if names == ("device", "kind") and kind == "missing":
         given = [f"{name} = {shown(value)}" for name, value in _entries(_inner(table, "device"))]
         return InputError(
-            f"device must be given for {', '.join(given) or 'a table [device]'}: set device = "
-            "touch, or remove it"
+            f"device must be given for {', '.join(given) or 'a table [device]'}. Set "
+            "device = touch, or remove the table [device]"
         )
     field = _field_at(names, table, model)
     if kind == "missing" and len(path) == len(names):

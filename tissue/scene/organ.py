@@ -134,9 +134,9 @@ def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
         if depth_mm == other_mm:
             raise InputError(
                 "anatomy.membrane_depths_mm",
-                "differ",
+                "have different depths",
                 f"{depth_mm:g} for {above} and {below}",
-                "move one of them",
+                "change one of them",
             )
     return depths_mm or None
 

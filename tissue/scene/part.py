@@ -168,7 +168,7 @@ class Registry(Generic[T]):
         if name in self._parts:
             raise InputError(
                 "name",
-                f"be none of {', '.join(self.known)}",
+                f"not be one of {', '.join(self.known)}",
                 name,
                 f"choose another name for this {self.key}",
             )

@@ -54,9 +54,7 @@ def ask_packages(group: str) -> None:
     for offer in _offers().get(group, ()):
         other = first.setdefault(offer.name, offer)
         if other is not offer:
-            _refuse(
-                offer, f"the package {_package(other)} offers one by that name, too, which is used"
-            )
+            _refuse(offer, f"the package {_package(other)} offers the same name and is used")
             continue
         try:
             from tissue import register

@@ -66,7 +66,7 @@ class KeepClear(Part):
         if both or len(set(self.names)) < len(self.names):
             twice = ", ".join(sorted(both or self.names))
             raise InputError(
-                "keep_clear", "name each structure once", f"{twice} twice", "remove one"
+                "keep_clear", "name each structure once", f"{twice} twice", "remove one of them"
             )
         return self
 
@@ -276,7 +276,7 @@ class Scene(Part):
                 f"fit the guide hole ({hole:g} mm wide, {depth:g} mm deep)",
                 f"a peg of {peg:g} x {length:g} mm",
                 (
-                    "widen or deepen it by anatomy.guide_hole_diameter_mm and "
+                    "widen or deepen the hole by anatomy.guide_hole_diameter_mm and "
                     "anatomy.guide_hole_depth_mm"
                 ),
             )
@@ -336,7 +336,7 @@ class Scene(Part):
             yield (
                 "voxels.margin_mm",
                 anatomy.is_whole,
-                "for an image as it is",
+                "for an image that is used as a whole",
                 "set anatomy.centre_mm",
             )
         if isinstance(anatomy, Tooth):
@@ -353,7 +353,7 @@ class Scene(Part):
             yield "output.vibration_share", True, toothless, "set tool.kind = ball-burr"
             return
         is_still = self.tool.spin_rpm == 0.0
-        where = "for a tool that does not turn and so cuts nothing"
+        where = "for a tool that does not turn and therefore cuts nothing"
         yield (
             "cutting voxels.removal stress heat output.vibration_share",
             is_still,
@@ -363,7 +363,7 @@ class Scene(Part):
 
     def _device_rules(self) -> Iterator[Rule]:
         is_held = self.device is not None
-        nothing = "without a device, for nothing is drawn at random then"
+        nothing = "without a device, because the run then has no random numbers"
         yield "seed", not is_held, nothing, "set device = touch"
         yield "output.cue_N", not is_held, "without a device", "set device = touch"
         if is_held:
@@ -380,14 +380,14 @@ class Scene(Part):
             yield (
                 "motion.mass_kg",
                 True,
-                "by a hand on a device, whose masses count",
+                "with a device, because the masses of device and hand are used",
                 "set device or hand",
             )
             lasts = self.duration_s is not None
             yield (
                 "motion.max_feed_mm_s",
                 lasts,
-                "by a hand with duration_s",
+                "with a device and duration_s",
                 "set motion.thrust_N or duration_s",
             )
         if self.fidelity is not None:

@@ -107,7 +107,7 @@ def anatomy_of(scene: Path) -> dict[str, object]:
     try:
         table = read_toml(scene.read_text("utf-8")).get("anatomy")
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError("scene", "be TOML", f"{error} in {scene}", "fix it") from None
+        raise InputError("scene", "be TOML", f"{error} in {scene}", "fix the file") from None
     if not isinstance(table, dict):
         raise InputError(
             "scene", "have a table [anatomy]", f"none in {scene}", "import the bone again"

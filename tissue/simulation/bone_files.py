@@ -140,7 +140,10 @@ def saved_voxels(
     poses = saved.path / "carving" / "poses.npz"
     if not file.is_file():
         raise InputError(
-            "run", "have voxels", f"{saved.path} without bone.vti", "see its trace and fields"
+            "run",
+            "have voxels",
+            f"{saved.path} without bone.vti",
+            "use the trace and the fields of this run",
         )
     require_whole(saved)
     volume, left = read_voxels(file, saved_placement(saved.path))

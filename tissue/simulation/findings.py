@@ -55,16 +55,17 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     # Half a tick: durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
-            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set "
-            f"duration_s = {wanted_s:.6g} or leave it out to see all of it"
+            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} "
+            f"s; set duration_s = {wanted_s:.6g}, or leave duration_s out to run the "
+            "whole motion"
         )
     if isinstance(scene.anatomy, LayersAnatomy):
         deepest = trace["insertion_mm"].max()
         beyond = [f"the {name} at {d:g} mm" for name, d in scene.anatomy.membranes if d > deepest]
         if beyond:
             found["membranes"] = (
-                f"never reached: the needle went {deepest:.3g} mm in, beyond lies "
-                f"{', '.join(beyond)}; see anatomy.membrane_depths_mm"
+                f"not all reached: the needle tip went {deepest:.3g} mm deep, and these "
+                f"lie deeper: {', '.join(beyond)}; see anatomy.membrane_depths_mm"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
@@ -92,7 +93,7 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
     tissue = parts.tissue
     volumes = zip(tissue.layer_names, tissue.removed_m3, tissue.start_m3, strict=True)
     removed_m3, there_m3 = next((v for name, *v in volumes if name == "caries"), (0.0, 0.0))
-    missed = "nothing of the caries: the tool never met the lesion"
+    missed = "no caries: the tool never touched the lesion"
     if removed_m3 > 0.0:
         # In a tooth from files the place of the lesion is not known, and a path may only graze it.
         if parts.placement is None or removed_m3 >= MOSTLY * there_m3:

@@ -282,7 +282,10 @@ def record_loads(
         scene = scene.model_copy(update={"motion": stands_in, "device": None, "duration_s": None})
     if why := why_not_linear(scene):
         raise InputError(
-            "scene", "have a force that is linear in the coefficients", f"one where {why}", "run it"
+            "scene",
+            "have a force that is linear in the coefficients",
+            f"a scene where {why}",
+            "simulate the scene instead",
         )
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
     motion = motion or motion_of(scene, step_s=TICK_S)
@@ -354,7 +357,7 @@ def _recorded(
     if needed > MOST_BYTES:
         raise InputError(
             "every",
-            f"leave the record within {MOST_BYTES / 1000000000.0:g} GB",
+            f"keep the record within {MOST_BYTES / 1e9:g} GB",
             f"{every} for {ticks} ticks, which need {needed / 1000000000.0:.1f} GB",
             f"use {every * -(-needed // MOST_BYTES)}",
         )

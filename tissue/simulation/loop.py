@@ -172,7 +172,10 @@ class Stepper:
         tissue = self._tissue
         if not isinstance(tissue, HasState):
             raise InputError(
-                "tissue", "copy its state", f"{type(tissue).__name__} without it", "add state()"
+                "tissue",
+                "be able to copy its state",
+                f"{type(tissue).__name__} without state()",
+                "add the method state()",
             )
         return {"own": copied(self, ("tool", "response")), "tissue": tissue.state()}
 

@@ -251,8 +251,8 @@ class Prioritised(RunObserver):
             if self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S and not self._restored:
                 self._priority.end()
                 what = (
-                    f"the ticks took over {FULL:.0%} of the time: they have ordinary priority "
-                    "from here"
+                    f"the ticks took over {FULL:.0%} of the time: from now on they have "
+                    "ordinary priority"
                 )
                 self._restored.append((float(row[0]), what))
             self._busy_us = 0.0

@@ -248,7 +248,7 @@ class PosedSession:
         if snapshot.tissue != self._names:
             raise InputError(
                 "snapshot",
-                f"be of {', '.join(self._names)}",
+                f"hold the state of {', '.join(self._names)}",
                 ", ".join(snapshot.tissue),
                 "make both loops from equal arguments",
             )

@@ -82,7 +82,10 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     """
     if scene.device is None:
         raise InputError(
-            "scene", "have a device to have a played force", "none", "set device, such as touch"
+            "scene",
+            "have a device, because the played force is the force on a device",
+            "none",
+            "set device, such as touch",
         )
     stiffness = (
         scene.held.coupling.stiffness_N_m

@@ -154,7 +154,10 @@ class Run:
     def parts(self) -> Parts:
         """Tissue, motion and voxels of the engine; a folder does not keep them."""
         raise InputError(
-            "run", "be simulated here to have its parts", self._files.path, "run the scene again"
+            "run",
+            "be simulated in this process to have its parts",
+            self._files.path,
+            "run the scene again",
         )
 
     @cached_property
@@ -179,7 +182,10 @@ class Run:
             return self._voxels[0]
         if self.parts.volume is None:
             raise InputError(
-                "run", "have voxels", f"a {self.scene.anatomy.kind}", "see its trace and fields"
+                "run",
+                "have voxels",
+                f"a {self.scene.anatomy.kind}",
+                "use the trace and the fields of this run",
             )
         return self.parts.volume
 
@@ -200,7 +206,9 @@ class Run:
         made = cutter_of(tool) if self._saved is not None and isinstance(tool, Tool) else None
         found = self.parts.cutter if self._saved is None else made
         if found is None:
-            raise InputError("run", "have a cutter", f"a {tool.kind}", "see its trace and fields")
+            raise InputError(
+                "run", "have a cutter", f"a {tool.kind}", "use the trace and the fields of this run"
+            )
         return found
 
     def replay(self) -> "CarvingReplay":
@@ -214,7 +222,9 @@ class Run:
 
         if self.poses is None:
             got = f"{self.path} without poses" if self._saved is not None else self.scene.tool.kind
-            raise InputError("run", "have a tool that cuts", got, "see its trace and fields")
+            raise InputError(
+                "run", "have a tool that cuts", got, "use the trace and the fields of this run"
+            )
         device = self._compute
         if self._saved is not None:
             recorded = str(self.summary.get("compute"))
@@ -371,7 +381,7 @@ class Run:
         ):
             raise InputError(
                 "pictures",
-                "be those that the folder has",
+                "have the format of the pictures in the folder",
                 f"{picture_kind} for {self._saved.path}, which is not drawn again",
                 f"use tissue run SCENE --pictures {picture_kind}",
             )

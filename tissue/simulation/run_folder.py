@@ -344,7 +344,10 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
         return
     if saved.status == "running":
         raise InputError(
-            "run", "have ended to be copied", f"{saved.path}, which is still running", "wait for it"
+            "run",
+            "have ended to be copied",
+            f"{saved.path}, which is still running",
+            "wait until the run ends",
         )
     names = files_of_run(saved.path)
     with OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out)):

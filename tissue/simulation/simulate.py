@@ -147,7 +147,10 @@ def simulate(
         )
     if scene.fidelity is not None:
         raise InputError(
-            "scene", "hold settings", "a demand on fidelity", "choose them by tissue.simulate"
+            "scene",
+            "state its settings",
+            "fidelity in their place",
+            "use tissue.simulate, which chooses the settings",
         )
     if device is not None and scene.device is None:
         raise InputError(
@@ -311,8 +314,8 @@ def tick_count(scene: Scene, motion: Motion) -> int:
         raise InputError(
             "duration_s",
             f"be given for a motion of more than {LONGEST_S:g} s",
-            f"nothing for one of {seconds:g} s",
-            "give it, or a greater feed",
+            f"nothing for a motion of {seconds:g} s",
+            "give duration_s, or a higher feed",
         )
     if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
         seconds += motion.after_s

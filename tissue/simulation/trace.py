@@ -245,8 +245,8 @@ def check_format(kind: str) -> None:
     if writer and find_spec(writer) is None:
         raise InputError(
             f"format {kind}",
-            "have its writer installed",
-            f"no {writer}",
+            "be writable with the installed packages",
+            f"a format that needs {writer}",
             f"run {install_command(extra)}",
         )
 
@@ -345,7 +345,10 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
         whole = list(csv.reader(StringIO(text, newline=""), strict=True))
     except OSError as problem:
         raise InputError(
-            path.name, "be a file that can be read", f"{path} ({problem.strerror})", "check it"
+            path.name,
+            "be a file that can be read",
+            f"{path} ({problem.strerror})",
+            "check the file",
         ) from None
     except (UnicodeDecodeError, csv.Error) as problem:
         raise InputError(path.name, "be a CSV table", f"other data in {path}", AGAIN) from problem

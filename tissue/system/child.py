@@ -82,7 +82,10 @@ def process_module(name: str) -> str:
     for found in entry_points(group="tissue.processes", name=name):
         return found.value
     raise InputError(
-        "tissue-sim", f"have the process {name}", "an older installation", "install it again"
+        "tissue-sim",
+        f"have the process {name}",
+        "an installation of an older version",
+        "install tissue-sim again",
     )
 
 

@@ -208,8 +208,8 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
             raise InputError(
                 "DISPLAY",
                 "name a display that answers",
-                f"{os.environ['DISPLAY']}, which did not within {longest_s:g} s",
-                "start it, or unset DISPLAY to go without a window",
+                f"{os.environ['DISPLAY']}, which gave no answer within {longest_s:g} s",
+                "start this display, or unset DISPLAY to run without a window",
             )
         # Short against the seconds that a display takes to start.
         sleep(0.2)

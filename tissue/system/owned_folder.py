@@ -383,7 +383,7 @@ def _taken(path: Path, out: Path) -> TextIO:
                 "out",
                 "have one writer at a time",
                 f"{out}, which process {owner or 'of unknown number'} is writing",
-                "wait for it, end it, or choose another --out",
+                "wait for that process, end it, or choose another --out",
             )
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file.fileno()), path.stat()):
@@ -412,7 +412,7 @@ def _opened(path: Path) -> TextIO:
         "out",
         f"hold no file {path.name} of other origin",
         f"one in {path.parent}",
-        "move it or choose another --out",
+        "move this file or choose another --out",
     )
 
 

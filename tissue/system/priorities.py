@@ -86,7 +86,7 @@ class TickPriority:
 
     def _begin_linux(self) -> None:
         if not hasattr(os, "sched_setscheduler"):
-            self.granted = f"{USUAL}: this system offers no other"
+            self.granted = f"{USUAL}: this system offers no other priority"
             return
         try:
             before = (
@@ -105,12 +105,13 @@ class TickPriority:
             os.setpriority(os.PRIO_PROCESS, self._thread, NICE)
             self._before = ("niceness", niceness, 0)
             self.granted = (
-                f"niceness {NICE}: no real-time priority is granted, see rtprio in "
-                "/etc/security/limits.conf"
+                f"niceness {NICE}: the system grants no real-time priority, see rtprio "
+                "in /etc/security/limits.conf"
             )
         except OSError:
             self.granted = (
-                f"{USUAL}: no other is granted, see rtprio and nice in /etc/security/limits.conf"
+                f"{USUAL}: the system grants no other priority, see rtprio and nice in "
+                "/etc/security/limits.conf"
             )
 
     def _begin_windows(self) -> None:
@@ -120,15 +121,15 @@ class TickPriority:
             self._before = ("class", _windows_class(HIGH), 0)
             self.granted = "high priority of the process"
         except (OSError, psutil.Error) as refused:
-            self.granted = f"{USUAL}: a higher one was refused ({refused})"
+            self.granted = f"{USUAL}: a higher priority was refused ({refused})"
 
     def _begin_macos(self) -> None:
         try:
             _macos_class(USER_INTERACTIVE)
             self._before = ("quality", 0, 0)
-            self.granted = "quality of service of what a person interacts with"
+            self.granted = "quality of service of user-interactive threads"
         except (OSError, AttributeError) as refused:
-            self.granted = f"{USUAL}: a higher one was refused ({refused})"
+            self.granted = f"{USUAL}: a higher priority was refused ({refused})"
 
 
 def _schedule(thread: int, policy: int, priority: int) -> None:

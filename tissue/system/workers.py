@@ -177,7 +177,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise InputError(
             "scheduler",
             "have dask.distributed",
-            "none installed",
+            "no installation of it",
             f"run {install_command('cluster')}",
         ) from None
     if SCHEMES[kind] == "tls":
@@ -200,7 +200,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
                     "workers",
                     f"have version {package_version()}",
                     f"{version} at {worker}",
-                    "update it",
+                    "update tissue on this worker",
                 )
         try:
             yield client.get_executor(pure=False)

@@ -94,7 +94,7 @@ def test_frames_off_an_even_stack_are_refused(tmp_path, position):
     frame = dataset.PerFrameFunctionalGroupsSequence[3]
     frame.PlanePositionSequence[0].ImagePositionPatient = position
     dataset.save_as(path)
-    with pytest.raises(InputError, match="have its frames in one even stack"):
+    with pytest.raises(InputError, match="have its frames in one evenly spaced stack"):
         read_labels(path)
 
 
@@ -206,7 +206,7 @@ def test_rounded_heights_of_outlines_are_one_plane(tmp_path, start_mm, apart_mm)
 
 def test_outlines_need_their_ct(tmp_path):
     path = write_structures(tmp_path / "rs.dcm", outlines())
-    with pytest.raises(InputError, match="give the CT that they were drawn on too"):
+    with pytest.raises(InputError, match="Also give the CT image on which the outlines were drawn"):
         read_labels(path)
 
 

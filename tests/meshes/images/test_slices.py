@@ -59,7 +59,7 @@ def test_slices_follow_the_numbers_in_their_names(tmp_path, name, pattern):
                 tifffile.imwrite(f / "slice_012.tif", steps()[0])
                 or (f / "slice_12.tif").write_bytes((f / "slice_012.tif").read_bytes())
             ),
-            "numbers that differ, got that of slice_12.tif twice",
+            "numbers that differ, got the number of slice_12.tif twice",
         ),
         (
             lambda f: tifffile.imwrite(f / "slice_12.tif", steps()[0].astype(np.uint8)),
@@ -226,13 +226,13 @@ def ball_HU():
         (
             lambda hu: 3071 - hu,
             {"slope": -1.0, "intercept": 3071.0},
-            "rescale leads to grey values",
+            "rescale slope and intercept already give grey values",
         ),
         (lambda hu: 65535 - (hu + 1024), {"slope": 1.0, "intercept": -1024.0}, "inverted back"),
         (
             lambda hu: hu + 1024,
             {"slope": 1.0, "intercept": -1024.0},
-            "rescale leads to grey values",
+            "rescale slope and intercept already give grey values",
         ),
     ],
 )

@@ -145,7 +145,7 @@ def unmendable(nodes: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.nda
                 np.vstack([n, [[0.05, 0.05, 0.5]]]),
                 np.vstack([c, np.append(_middle(n, c)[:3], 125)]),
             ),
-            "two at a face",
+            "share each face with at most one other cell",
         ),
         (folded, r"both cells on one side, the first at \(.*\) mm"),
         (unmendable, "got 1 flat tetrahedra of 3"),

@@ -35,7 +35,7 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "x.toml"),
-            "scene must be an existing file, got x.toml. Check the path or list `tissue scenes`",
+            "scene must be an existing file, got x.toml. Check the path, or see the built-in scenes by `tissue scenes`",
         ),
         (("run",), "scene must be given, got nothing. See `tissue run --help`"),
         (
@@ -129,7 +129,7 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
     monkeypatch.setitem(sys.modules, writer, None)
     assert refused("run", "milling", "--format", kind) == (
-        f"format {kind} must have its writer installed, got no {writer}: {install_command(kind)}"
+        f"format {kind} must be writable with the installed packages, got a format that needs {writer}: {install_command(kind)}"
     )
     assert install_command(kind).startswith(f'pip install "{writer}>=')
 

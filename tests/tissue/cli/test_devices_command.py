@@ -183,7 +183,7 @@ def test_the_push_is_made_only_after_the_word_is_typed(
         ),
         (
             ("--test", "recorded"),
-            "hardware.address must be a file of poses with device = recorded, got nothing",
+            "hardware.address must name a file of poses with device = recorded, got nothing",
         ),
         (
             ("--test", "network", "--address", "x"),

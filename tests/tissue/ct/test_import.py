@@ -162,7 +162,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
-        ({"site": (0.0, float("nan"), 0.0)}, "site must be of three finite numbers"),
+        ({"site": (0.0, float("nan"), 0.0)}, "site must hold three finite numbers"),
         (
             {"coordinates": "RAS", "site": None},
             "coordinates must be left out unless a box, a site or a path",
@@ -179,7 +179,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
         ({"threshold": 9000.0}, "threshold must leave bone"),
         (
             {"crop_mm": ((5.0, 0.0, 0.0), (1.0, 2.0, 3.0))},
-            "crop_mm must have its lowest corner first",
+            "crop_mm must have a first corner below the second corner",
         ),
         ({"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))}, "crop_mm must leave two voxels"),
         ({"density": "unheard"}, "density must"),
@@ -225,7 +225,7 @@ def test_pictures_are_drawn(reference, tmp_path):
         ),
         (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
         (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0. Give --path"),
-        (["--crop", "5,0,0,1,2,3"], "--crop must have its lowest corner first"),
+        (["--crop", "5,0,0,1,2,3"], "--crop must have a first corner below the second corner"),
         (["--crop", "5,0,0"], "--crop must be 6 numbers"),
         (
             ["--site", "tooth", "--labels", "a.nrrd", "--crop", "0,0,0,1,2,3"],

@@ -172,7 +172,7 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
         (tmp_path / "m.toml").write_text(f"[cutting.bone]\n{constants}\n")
         change = {"materials": str(tmp_path / "m.toml")}
     reference = of_scene(saved(tmp_path / "r", reach(1.0)))
-    with pytest.raises(InputError, match=r"run and reference must be of one task, got"):
+    with pytest.raises(InputError, match=r"run and reference must be runs of the same task, got"):
         assess(of_scene(saved(tmp_path / "t", reach(1.0)), **change), reference)
     found = assess(
         of_scene(saved(tmp_path / "o", reach(1.0)), hand="novice", device="touch", seed=3),

@@ -140,7 +140,7 @@ def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
         "assess", runs, "--against", reference, "--force-limit-N", 3
     )
     (here / "people" / "nobody").mkdir(parents=True)
-    assert "folder must hold a run or runs for each trainee" in refused(
+    assert "folder must hold at least one run for each trainee" in refused(
         "assess", "people", "--against", reference
     )
 

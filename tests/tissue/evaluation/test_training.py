@@ -111,7 +111,7 @@ def test_runs_without_a_touch_set_no_figure():
     assert (
         found.fallback == alone.fallback and found.facts["validation"] == alone.facts["validation"]
     )
-    with pytest.raises(InputError, match="trials must leave a run that touches"):
+    with pytest.raises(InputError, match="trials must leave a run with contact"):
         validated(trained, [free], 3.3)
 
 

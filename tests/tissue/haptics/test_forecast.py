@@ -185,5 +185,7 @@ def test_what_cannot_be_judged_is_refused():
         def observe(self, position_m, velocity_m_s, force_N):
             self._force = self._force + force_N
 
-    with pytest.raises(InputError, match="predictor must forget a change within 512 ticks"):
+    with pytest.raises(
+        InputError, match="predictor must have a response that decays within 512 ticks"
+    ):
         forecast_of(Sum(), lead_ticks=0, stiffness_N_m=400.0)

@@ -132,6 +132,6 @@ def test_not_a_number_is_refused_and_changes_nothing():
         proxy.advance(np.zeros(3), np.array([0.0, 0.0, np.inf, 1.0]))
     assert (proxy.result.position_m == [0.0, 0.0, 1e-3]).all()
     with pytest.raises(
-        InputError, match=r"outside everything, got .* where it lies about 1 mm deep"
+        InputError, match=r"outside all obstacles, got .*, where the tool lies about 1 mm deep"
     ):
         proxy.place(np.array([0.0, 0.0, -1e-3]))

@@ -151,7 +151,7 @@ def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monke
     assert len(run.trace.rows) == (401 if drives else 700)
     (what,) = [what for _, what in run.events if "3D Slicer" in what]
     assert what == (
-        f"the link to 3D Slicer ended by itself{', and the run with it' if drives else ''}: "
+        f"the link to 3D Slicer ended by itself{', and the run ended with it' if drives else ''}: "
         "MemoryError"
     )
     assert made[0].ended == 1

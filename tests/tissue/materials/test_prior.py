@@ -100,5 +100,5 @@ def test_the_slope_is_the_derivative():
 
 @pytest.mark.parametrize("numbers", [(5.0, 1.0, 4.0), (2.0, np.nan, 4.0), (2.0, 1.0, np.inf)])
 def test_a_range_that_does_not_hold_its_value_is_refused(numbers):
-    with pytest.raises(InputError, match="range must hold the value"):
+    with pytest.raises(InputError, match="range must contain the value"):
         Prior(*numbers)

@@ -73,7 +73,7 @@ def test_parts_are_known_by_name_by_number_and_by_array():
     assert forces[1] > 1.05 * forces[0]
     assert forces[1:] == pytest.approx([forces[1]] * 3, rel=1e-9)
     with pytest.raises(
-        InputError, match="parts must name parts of the mesh, got 'tumour': it has cyst, kidney"
+        InputError, match="parts must name parts of the mesh, got 'tumour'. Use parts of the mesh, which has cyst, kidney"
     ):
         tissue.Organ.from_tetrahedra(
             grid_of(points, cells, part=names), parts={"tumour": 80}, **STIFF
@@ -193,7 +193,7 @@ def test_a_surface_is_filled_and_its_inclusion_is_a_part(tmp_path):
     )
     assert stiff > 1.05 * soft
     with pytest.raises(
-        InputError, match="parts must give a modulus of every inclusion, got none of cyst"
+        InputError, match="parts must give a modulus for every inclusion, got none for cyst"
     ):
         tissue.Organ.from_surface(outer, inclusions={"cyst": inner}, **made)
 
@@ -261,7 +261,7 @@ def pressing(**changes):
             "modulus_kPa must be positive and finite, got -1. Liver has about 5",
         ),
         (changed(poisson_ratio=0.5), "poisson_ratio must be in [-0.999, 0.4999], got 0.5"),
-        (changed(parts={"cyst": 40}), "parts must name parts of the mesh, got 'cyst': it has body"),
+        (changed(parts={"cyst": 40}), "parts must name parts of the mesh, got 'cyst'. Use parts of the mesh, which has body"),
         (
             changed(held="left"),
             "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body or points, got 'left'",
@@ -269,7 +269,7 @@ def pressing(**changes):
         (changed(held=[]), "held must"),
         (
             changed(held=[4000]),
-            "held must be a side, a part, a mask of the 245 points or their numbers, got an array",
+            "held must be a side, a part, a mask of the 245 points or indices of points, got an array",
         ),
         (changed(held=[0]), "supports must leave no rigid motion free"),
         (changed(held_below_mm=-50), "held_below_mm must touch the body"),
@@ -332,7 +332,8 @@ def test_a_press_whose_force_falls_with_depth_is_refused():
     """
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)
     with pytest.raises(
-        InputError, match=r"depth_mm must be one to which the force grows, got 14 .*press less"
+        InputError,
+        match=r"depth_mm must be a depth up to which the force increases, got 14, .*[Pp]ress less",
     ):
         organ.press(tissue.ball(diameter_mm=12), depth_mm=14, at_mm=(0, 0, 0))
 

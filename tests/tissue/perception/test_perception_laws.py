@@ -102,9 +102,7 @@ def test_a_force_that_is_none_is_refused_and_changes_nothing(choice):
     person.step(np.array([0.0, 0.0, 1.0]))
     before = person.step(np.array([0.0, 0.0, 1.0])).copy()
     for bad in (np.nan, np.inf):
-        with pytest.raises(
-            InputError, match=r"force must be finite, got .*. Hold it back with a SampleGuard"
-        ):
+        with pytest.raises(InputError, match=r"force must be finite, got .*. Use a SampleGuard"):
             person.step(np.array([0.0, bad, 1.0]))
     assert np.array_equal(person.step(np.array([0.0, 0.0, 1.0])), before)
 

@@ -76,8 +76,8 @@ def again(path, **changed):
     [
         ({"version": 5}, "must be of format 4 or older, got 5"),
         ({"version": 3}, "must be of version 4, got 3 in"),
-        ({"scene": "liver"}, "must be of scene wall, got liver"),
-        ({"format": "other"}, "must be one that 'tissue train' wrote"),
+        ({"scene": "liver"}, "must be trained for scene wall, got liver"),
+        ({"format": "other"}, "must be a file that 'tissue train' wrote"),
         ({"coordinates": np.zeros((2, 2))}, "must be whole, got .* shape"),
         ({"targets": np.full((COORDINATES, 2 * HORIZON), np.nan)}, "must be whole, .*not finite"),
         ({"targets": np.array([object()])}, "must be whole"),

@@ -46,7 +46,7 @@ def test_a_table_loads_lists_and_refuses():
         table["prox"]
     with pytest.raises(
         InputError,
-        match=r"^name must be none of proxy, got proxy. Choose another name for this renderer$",
+        match=r"^name must not be one of proxy, got proxy. Choose another name for this renderer$",
     ):
         table.add("proxy", dict)
     table.remove("proxy")

@@ -191,7 +191,7 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
     assert saved.complete and len(saved.trace.rows) == 600
     assert (
         saved.summary["notes"]["live"]
-        == "the mouse moves the tool in a browser; it feels nothing, the force is shown"
+        == "the mouse moves the tool in a browser; the force is shown but cannot be felt"
     )
 
 

@@ -57,6 +57,6 @@ def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
     monkeypatch.setattr("tissue.simulation.observer.FULL", 0.0)
     run, _ = live_by(priority)
     assert [what for _, what in run.events if "ordinary priority" in what] == [
-        "the ticks took over 0% of the time: they have ordinary priority from here"
+        "the ticks took over 0% of the time: from now on they have ordinary priority"
     ]
     assert [what for what, _ in priority.asked[2:]] == ["begin", "end", "end"]

@@ -108,7 +108,9 @@ class Course:
             If no tick is in contact.
         """
         if not self.touches.any():
-            raise InputError("duration_s", "reach the first contact", "no contact", "run longer")
+            raise InputError(
+                "duration_s", "reach the first contact", "no contact", "use a longer duration_s"
+            )
         return int(np.argmax(self.touches))
 
 

@@ -121,7 +121,10 @@ def play(
                 "the device",
                 "give valid samples while it plays a force",
                 f"{guard.events[0][1]} in {guard.bad_ticks} of {ticks} ticks",
-                "check it by tissue devices --test; the same command continues the session",
+                (
+                    "check the device by `tissue devices --test`, then repeat the command "
+                    "to continue the session"
+                ),
             )
 
     run_held(push, held)
@@ -292,7 +295,7 @@ def questioner(
         opened = new_device(device, Hardware(address=address, ramp_ms=0.0), start_m=(0.0, 0.0, 0.0))
     if address and opened is None:
         raise InputError(
-            "--address", "be given for a real device alone", address, "set --device, such as haply"
+            "--address", "be given only for a real device", address, "set --device, such as haply"
         )
     if observer is not None:
         people, observer_seed = simulated_observer(observer)

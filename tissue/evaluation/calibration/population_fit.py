@@ -99,7 +99,10 @@ def fit_population(
         require_new_file(path, overwrite=overwrite)
     if not folder.is_dir():
         raise InputError(
-            "population", "be a folder of sessions", folder, "calibrate into one first"
+            "population",
+            "be a folder of sessions",
+            folder,
+            "record sessions by `tissue calibrate` first",
         )
     paths = sorted(folder.glob("*.trials.jsonl"))
     empty = []

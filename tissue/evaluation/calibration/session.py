@@ -64,7 +64,9 @@ class Plan:
         )
         counts = (self.seed, self.trials, self.numbers)
         if not all(isinstance(each, int) for each in counts):
-            raise InputError("plan", "count in whole numbers", counts, "leave out decimal points")
+            raise InputError(
+                "plan", "have whole numbers of trials", counts, "leave out decimal points"
+            )
         if self.trials + self.numbers == 0:
             raise InputError("trials and numbers", "not both be 0", "0 and 0", "use 120 and 24")
 
@@ -150,18 +152,23 @@ class Session:
             If the answer is impossible, or the trial is not in this plan. The state is then
             unchanged.
         """
-        foreign = InputError("trial", "be one of the plan's", asked, "use the plan's own log")
+        foreign = InputError("trial", "belong to the plan", asked, "use the log of this plan")
         if isinstance(asked, Magnitude):
             if not 0.0 < answer < np.inf:
                 raise InputError(
-                    "answer", "be a number above 0", f"{answer:g}", "how strong was it?"
+                    "answer",
+                    "be a number above 0",
+                    f"{answer:g}",
+                    "enter the strength of the force",
                 )
             if self.complete or asked.force_N not in self._forces:
                 raise foreign
             self.given.append((asked.force_N, float(answer)))
             return
         if answer not in (1, 2):
-            raise InputError("answer", "be 1 or 2", f"{answer:g}", "which force was greater?")
+            raise InputError(
+                "answer", "be 1 or 2", f"{answer:g}", "enter the number of the stronger force"
+            )
         stimuli = (self.threshold.base_N == asked.base_N) & (self.threshold.step_N == asked.step_N)
         if not stimuli.any() or asked.greater not in (1, 2) or len(self.asked) == self.plan.trials:
             raise foreign
@@ -323,9 +330,9 @@ class TrialLog:
                 if who != observer or self.session.plan != plan:
                     raise InputError(
                         "out",
-                        "continue the session it began",
-                        f"one of another observer or plan ({who}) in {path}",
-                        "use the same again, another --out, or --overwrite",
+                        "hold a session of this observer and plan",
+                        f"a session of another observer or plan ({who}) in {path}",
+                        "use the same observer and plan, another --out, or --overwrite",
                     )
                 kept = text[: text.rfind(b"\n") + 1]
                 self.repaired = kept != text
@@ -377,7 +384,10 @@ def read_log(path: Path) -> tuple[str, Session]:
     except (OSError, UnicodeDecodeError) as problem:
         found = str(problem.strerror) if isinstance(problem, OSError) else "other data"
         raise InputError(
-            "log", "be a file of trials", f"{found} in {path}", "give one that tissue wrote"
+            "log",
+            "be a file of trials",
+            f"{found} in {path}",
+            "give a log that `tissue calibrate` wrote",
         ) from problem
     lines = text[: text.rfind("\n") + 1].splitlines()
     try:
@@ -387,15 +397,18 @@ def read_log(path: Path) -> tuple[str, Session]:
         known = False
     if not known:
         raise InputError(
-            "log", "be a file of trials", f"{path}, which is something else", "choose another --out"
+            "log", "be a file of trials", f"{path} with other content", "choose another --out"
         )
-    require_version("log", head, VERSION, key="version", where=path, remedy="begin anew")
+    require_version("log", head, VERSION, key="version", where=path, remedy="start a new session")
     try:
         plan = Plan(**(head["plan"] | {"prior": ThresholdPrior(**head["plan"]["prior"])}))
         who = str(head["observer"])
     except (KeyError, TypeError, InputError) as problem:
         raise InputError(
-            "log", "begin with a plan", f"another first line in {path}", "begin anew"
+            "log",
+            "begin with a line that holds a plan",
+            f"another first line in {path}",
+            "start a new session",
         ) from problem
     session = Session(plan)
     for number, line in enumerate(lines[1:], start=2):
@@ -408,7 +421,7 @@ def read_log(path: Path) -> tuple[str, Session]:
             wrong = problem if isinstance(problem, InputError) else "something else"
             raise InputError(
                 "log",
-                "hold one trial of its session a line",
+                "hold one trial of its session in each line",
                 f"{wrong} in line {number} of {path}",
                 "fix that line or choose another --out",
             ) from problem

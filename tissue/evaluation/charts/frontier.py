@@ -252,11 +252,12 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
     nearest = min(settings, key=excess)
     raise InputError(
         "fidelity",
-        f"be met by a setting of {nearest.scene} on this machine",
+        f"be reachable with a setting of {nearest.scene} on this machine",
         _asked(wanted),
         (
-            f"the nearest is {nearest.setting} with force_error = {error_of(nearest):.2g} and "
-            f"tick_ms = {0.001 * nearest.p99_us:.2g}"
+            f"use a value that the nearest setting reaches: {nearest.setting} has "
+            f"force_error = {error_of(nearest):.2g} and tick_ms = "
+            f"{1e-3 * nearest.p99_us:.2g}"
         ),
     )
 

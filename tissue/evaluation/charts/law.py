@@ -285,7 +285,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     if key := hindrance(organ):
         return (
             scene,
-            (f"; the linear law is {off} {called} one {deep}, which organ.{key} leaves as it is"),
+            f"; the linear law is {off} {called} one {deep}, which organ.{key} leaves as it is",
         )
     lawful = changed(scene, {"organ.law": needed})
     why = f"; organ.law = {needed}, for the linear one is {off} {deep}"
@@ -299,11 +299,11 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         if tick_ms > wanted.tick_ms:
             raise InputError(
                 "fidelity",
-                f"be met by a law of {scene.name} on this machine",
+                f"be reachable with a law of {scene.name} on this machine",
                 f"force_error = {wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}",
                 (
-                    f"the linear law is {off} {deep}, with organ.law = {needed} tick_ms = "
-                    f"{tick_ms:.2g}"
+                    f"raise one of both: the linear law is {off} {deep}, and organ.law "
+                    f"= {needed} needs tick_ms = {tick_ms:.2g}"
                 ),
             )
         why += f", with which 99 % of the ticks take {tick_ms:.2g} ms"

@@ -289,9 +289,9 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
         if not touching.size:
             raise InputError(
                 "scene",
-                "touch to be charted",
+                "have a tool that touches the tissue",
                 f"no contact in {scene.name}",
-                "move its tool further",
+                "move the tool of the scene further",
             )
         return {"time_s": TICK_S * touching[:1].astype(float)}
 

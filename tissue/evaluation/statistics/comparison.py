@@ -103,7 +103,7 @@ def compare(
     group_count = len(cells.group_names)
     if level_count < 2 and group_count < 2:
         raise InputError(
-            "table", "hold two methods or two groups", "one of each", "there is nothing to compare"
+            "table", "hold two methods or two groups", "one of each", "add a second method or group"
         )
     tests = []
     pairs: list[HypothesisTest] = []
@@ -180,9 +180,9 @@ def stratum_test(
     if float(exact.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
         raise InputError(
             cells.metric,
-            "vary among users to be tested",
+            "vary among users",
             f"no variation other than {name}",
-            "print its values, which need no test",
+            "report its values without a test",
         )
     scores = pair_scores(values, sizes, within)
     signs = sign_test(scores, groups, between=between, rng=rng)
@@ -377,7 +377,12 @@ def tukey_groups(
     """
     groups = [np.asarray(each, dtype=float) for each in samples]
     if max(np.ptp(group) for group in groups) == 0.0:
-        raise InputError("groups", "vary within", "constants", "leave the metric out")
+        raise InputError(
+            "groups",
+            "have values that vary within a group",
+            "constant values",
+            "leave the metric out",
+        )
     pooled = tukey_hsd(*groups)
     ends = pooled.confidence_interval(LEVEL)
     found = []

@@ -140,7 +140,10 @@ def composite_index(
     people, person = np.unique(table.people()[kept], return_inverse=True)
     if len(people) < 2:
         raise InputError(
-            "users", "be at least two", len(people), "weights from one user do not carry over"
+            "users",
+            "be at least two",
+            len(people),
+            "add users: the weights of one user do not apply to others",
         )
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
     _, first_rows = np.unique(person, return_index=True)

@@ -138,8 +138,8 @@ def require_statsmodels() -> None:
         import statsmodels  # noqa: F401
     except ImportError:
         raise InputError(
-            "statistics of a study",
-            "have statsmodels installed",
+            "statsmodels",
+            "be installed for the statistics of a study",
             "none",
             f"run {install_command('study')}",
         ) from None
@@ -178,7 +178,10 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
         scale = (len(one) * len(other) / (len(one) + len(other))) ** 0.5
     if spread == 0.0:
         raise InputError(
-            "samples", "vary within", "a spread of 0", "a difference has then no standard size"
+            "samples",
+            "have values that vary within a sample",
+            "a spread of 0",
+            "leave this comparison out: the standardised difference needs a spread",
         )
     value = float(one.mean() - other.mean()) / spread
     low, high = (float(nctdtrinc(degrees, chance, value * scale)) / scale for chance in TAILS)
@@ -243,7 +246,10 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
     values = np.ravel(residuals)
     if np.ptp(values) == 0.0:
         raise InputError(
-            name, "vary", f"{values[0]:g} throughout", "a constant has no distribution to test"
+            name,
+            "vary",
+            f"{values[0]:g} throughout",
+            "leave it out: constant values have no distribution to test",
         )
     p_values = {"Shapiro-Wilk": float(shapiro(values).pvalue)} if len(values) <= MOST else {}
     p_values["Anderson-Darling"] = float(normal_ad(values)[1])

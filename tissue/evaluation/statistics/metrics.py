@@ -56,7 +56,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     size = float(np.linalg.norm(ideal))
     if size == 0.0:
         raise InputError(
-            "ideal_N", "not be zero throughout", "no contact", "cut the trial to its contact"
+            "ideal_N", "not be zero throughout", "no contact", "use a trial with contact"
         )
     return float(np.linalg.norm(force - ideal)) / size
 
@@ -118,17 +118,19 @@ def latency_ms(
     if not 1 <= reach < len(force) // 2:
         raise InputError(
             "longest_ms",
-            "span a tick and less than half of the trial",
+            "be at least one tick and less than half of the trial",
             f"{longest_ms:g} for {len(force)} ticks",
             "use 50 ms and a longer trial",
         )
     for name, signal in (("force_N", force), ("ideal_N", ideal)):
         if np.ptp(signal, axis=0).max() == 0.0:
-            raise InputError(name, "vary", "a constant", "a lag shows only where the force changes")
+            raise InputError(name, "vary", "a constant", "use a trial in which the force changes")
     match = np.array([_correlation(force, ideal, shift) for shift in range(-reach, reach + 1)])
     best = int(match.argmax())
     if best in (0, 2 * reach):
-        raise InputError("longest_ms", "exceed the lag", f"{longest_ms:g}", "use a larger one")
+        raise InputError(
+            "longest_ms", "exceed the lag", f"{longest_ms:g}", "use a larger longest_ms"
+        )
     before, peak, after = match[best - 1 : best + 2]
     curved = before - 2.0 * peak + after
     # vertex of the parabola through three shifts; a flat top has no vertex
@@ -181,9 +183,9 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     if len(loud) < 2:
         raise InputError(
             "speed_mm_s",
-            "hold a movement",
+            "hold a movement with at least two frequencies",
             f"{len(loud)} frequencies below {SPARC_CUTOFF_HZ:g} Hz",
-            "use a longer one",
+            "use a longer trial",
         )
     chosen = slice(loud[0], loud[-1] + 1)
     span = frequencies[chosen][-1] - frequencies[chosen][0]

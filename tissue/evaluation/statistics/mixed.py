@@ -105,7 +105,7 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
             "table",
             "hold two groups, tasks or methods",
             "one of each",
-            "there is nothing to compare",
+            "add a second group, task or method",
         )
     require_statsmodels()
     import pandas as pd
@@ -346,14 +346,19 @@ def regression(
             )
     if len(names) < 2:
         raise InputError(
-            "users", "be at least two", len(names), "users cannot be separated from the line"
+            "users",
+            "be at least two",
+            len(names),
+            "add users: the scatter between users needs at least two",
         )
     spread = columns.std(axis=0)
     size = float(answers.std())
     design = np.column_stack([np.ones(len(answers)), (columns - columns.mean(axis=0)) / spread])
     # rounding of standardised columns, whose singular values grow with the number of rows
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
-        raise InputError("predictors", "not repeat one another", ", ".join(predictors), "drop one")
+        raise InputError(
+            "predictors", "not repeat one another", ", ".join(predictors), "leave one of them out"
+        )
     standard = (answers - answers.mean()) / size
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     # from the nodes' interval of -1 to 1 to correlations of 0 to 1

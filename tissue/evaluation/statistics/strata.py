@@ -293,7 +293,7 @@ def multivariate(
     if not width or len(scores) - len(counts) <= width or (between and len(counts) < 2):
         raise InputError(
             "users",
-            "outnumber groups and columns, with two groups or methods to compare",
+            "be more than groups and columns together, with two groups or methods to compare",
             f"{len(scores)} users, {len(counts)} groups and {width} columns",
             "add users or drop metrics",
         )
@@ -305,7 +305,7 @@ def multivariate(
             "columns",
             "not be multiples of one another",
             question,
-            "drop a metric that repeats another",
+            "leave out a metric that repeats another one",
         )
     found = pillai(scaled, groups, between=between)
     trace = float(found.trace)

@@ -110,7 +110,9 @@ class TrialTable:
         rows = list(zip(*(getattr(self, name).tolist() for name in KEY), strict=True))
         for before, after in pairwise(rows):
             if before == after:
-                raise InputError("trial", "be given once", f"{_describe(after)} twice", "remove it")
+                raise InputError(
+                    "trial", "be given once", f"{_describe(after)} twice", "remove one of the two"
+                )
         for name, values in sorted_metrics.items():
             bad = np.flatnonzero(~np.isfinite(values) & (self.failure == ""))
             if len(bad):
@@ -118,7 +120,7 @@ class TrialTable:
                     name,
                     "be finite",
                     f"{values[bad[0]]} in {_describe(rows[bad[0]])}",
-                    "run it again",
+                    "run the trial again",
                 )
 
     @classmethod
@@ -231,14 +233,14 @@ class TrialTable:
             if count < 2:
                 raise InputError(
                     f"group {group}",
-                    f"keep at least two users with trials of {metric} at every level",
+                    f"have at least two users with trials of {metric} at every level",
                     count,
                     "add users or leave the group out",
                 )
         means = sums[whole] / counts[whole]
         if np.ptp(values[kept]) == 0.0:
             raise InputError(
-                metric, "vary over the trials", f"{values[kept][0]:g} in all", "leave it out"
+                metric, "vary over the trials", f"{values[kept][0]:g} in all trials", "leave it out"
             )
         return Cells(
             metric,

@@ -147,8 +147,8 @@ class StudyFolder:
                 )
                 raise InputError(
                     "out",
-                    "hold a part of the same study",
-                    f"one with {other} in {self.path}",
+                    "hold trials of the same study",
+                    f"a study with {other} in {self.path}",
                     "choose another folder",
                 )
             there = self.registrations()
@@ -162,7 +162,7 @@ class StudyFolder:
                 "out",
                 "be empty or hold this study",
                 f"other files in {self.path}",
-                "choose another",
+                "choose another folder",
             )
         return []
 
@@ -185,7 +185,9 @@ class StudyFolder:
         path = require_regular(self.path / PLAN)
         try:
             held = read_json(path.read_text("utf-8"))
-            require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
+            require_version(
+                "study", held, FORMAT, where=path, remedy="run the study in a new folder"
+            )
             made = held.get("tissue", "unknown")
             if made != package_version():
                 raise InputError(
@@ -193,7 +195,7 @@ class StudyFolder:
                     f"be of tissue {package_version()}",
                     # a damaged file may hold any text
                     f"{str(made)[:40]} in {path}",
-                    "run it in a new folder, trials of two versions are not put together",
+                    "run the study in a new folder: trials of two versions are not combined",
                 )
             fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
             plan = Plan(
@@ -204,7 +206,10 @@ class StudyFolder:
             raise
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
-                "study", "be a folder that `tissue study run` wrote", self.path, "choose another"
+                "study",
+                "be a folder that `tissue study run` wrote",
+                self.path,
+                "choose another folder",
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
@@ -285,7 +290,7 @@ class StudyFolder:
                 "study",
                 f"hold trials of {', '.join(tasks)}",
                 f"none in {self.path}",
-                "run it first",
+                "run the study first",
             )
         return TrialTable.from_rows(rows)
 
@@ -377,7 +382,7 @@ def run_study(
             (os.cpu_count() or 1) if workers is None else workers,
             1,
             4096,
-            "use one a core",
+            "use one for each core",
         )
     )
     folder = StudyFolder(out)
@@ -446,7 +451,10 @@ def _run_trials(
                     "workers",
                     "stay alive",
                     f"{barren} losses with {len(waiting)} trials left",
-                    "look for what kills them, memory for one, and run the study again to continue",
+                    (
+                        "find out why they end, for example for lack of memory, and run "
+                        "the study again to continue"
+                    ),
                 ) from error
             report_share(
                 f"workers were lost ({type(error).__name__}), {len(waiting)} trials continue"

@@ -321,7 +321,7 @@ class TrialKey:
         known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
         if not (known and number.isdecimal()):
             raise InputError(
-                "trial", "be named as its file is", name, "use for example T1-novice-0007"
+                "trial", "be the name of a trial's file", name, "use for example T1-novice-0007"
             )
         return cls(task, group, int(number), variant)
 
@@ -373,7 +373,7 @@ class Plan:
             if strange or not chosen or len(set(chosen)) < len(chosen):
                 got = strange[0] if strange else ",".join(chosen) or "nothing"
                 raise InputError(
-                    name, f"each be one of {', '.join(known)}", got, "choose among these, once"
+                    name, f"each be one of {', '.join(known)}", got, "choose among these, each once"
                 )
 
     @property

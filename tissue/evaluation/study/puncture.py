@@ -151,7 +151,7 @@ def pierce(
     """
     if scene.device is None or not isinstance(scene.motion, PathMotion):
         raise InputError(
-            "scene", "have a device and a path to be pushed", "none", "set device, such as touch"
+            "scene", "have a device and a motion of kind path", "none", "set device, such as touch"
         )
     require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])

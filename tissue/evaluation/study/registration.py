@@ -123,7 +123,7 @@ def register(
             "out",
             f"hold no {PLAN_FILE} of another origin",
             f"one in {folder}",
-            "write it with `tissue study plan`",
+            "choose another folder, or write the file with `tissue study plan`",
         )
     with whole_file(path) as temporary:
         temporary.write_bytes(text)
@@ -163,7 +163,7 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
                 # twelve digits of a checksum are enough to compare by eye
                 f"be as it was registered (SHA-256 {str(each['sha256'])[:12]})",
                 f"{got[:12] or 'no such file'} in {folder}",
-                "put it back, or run another plan in a new folder",
+                "restore the registered file, or run the changed plan in a new folder",
             )
 
 

@@ -140,7 +140,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
                 "study",
                 "hold a trial that did not fail",
                 f"{table.failed} failures",
-                "see trials.csv",
+                "see the reasons in trials.csv",
             )
         # the progress follows the time of the sections: the tests take half of it
         report("force and tasks", 0.1)

@@ -59,7 +59,9 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     skin = trace.vectors("hand_force", "N")[1:]  # of the tick before each row
     size = np.linalg.norm(ideal, axis=1)
     if not size.any():
-        raise InputError("tool", "touch in a trial", "no contact", "look at the scene's path")
+        raise InputError(
+            "tool", "touch the tissue in a trial", "no contact", "check the path of the scene"
+        )
     touching = size > TOUCHES * size.max()
     velocity = trace.vectors("velocity", "mm_s")
     tip = trace.vectors("tool", "mm")
@@ -112,7 +114,7 @@ def _pierced(run: Run) -> dict[str, float]:
             "capsule",
             "be punctured before the hand stops in a trial",
             f"a hand that stopped at {noticed:g} s",
-            "see its threshold",
+            "check the threshold of the hand",
         )
     at = round(puncture / TICK_S)
     window = round(WINDOW_S / TICK_S)
@@ -159,9 +161,9 @@ def intensity_ratios(
     if met.sum() < 2:
         raise InputError(
             "tool",
-            "touch for some tenths of a second in a trial",
-            "less",
-            "look at the scene's path",
+            "touch the tissue for some tenths of a second in a trial",
+            "a shorter contact",
+            "check the path of the scene",
         )
 
     def logarithm(force_N: Array) -> Array:

@@ -77,7 +77,7 @@ def surface_compliance_m_N(
             "touchable",
             f"fit in {limit_bytes / 1000000000.0:.3g} GB",
             f"{len(touchable)} nodes that need {needed / 1000000000.0:.3g} GB",
-            "name fewer, or find columns where the tool is (LazyCompliance)",
+            "name fewer nodes, or compute columns only near the tool (LazyCompliance)",
         )
     blocks = body.stiffness
     key = [blocks.data, blocks.indices, blocks.indptr, body.fixed, touchable]
@@ -206,7 +206,7 @@ class LazyCompliance:
                 "nodes",
                 f"be at most the {self.capacity} that the buffer holds",
                 len(nodes),
-                "allow more memory, or ask for fewer",
+                "allow more memory, or ask for fewer nodes",
             )
         with self._changed:
             self._waiting.clear()

@@ -109,7 +109,12 @@ class HeldBody:
         if self.is_grounded:
             return
         if not (self.fixed & self.carrying[:, None]).any():
-            raise InputError("supports", "hold nodes of cells", "none", "hold some of them")
+            raise InputError(
+                "supports",
+                "hold at least one node of a cell",
+                "none",
+                "add nodes of cells to supports",
+            )
         count, label = connected_components(pointwise_graph(self.stiffness), directed=False)
         order = np.argsort(label, kind="stable")
         starts = np.searchsorted(label[order], np.arange(count + 1))
@@ -154,7 +159,10 @@ class HeldBody:
             )
         if load[~self.carrying].any():
             raise InputError(
-                "load_N", "act on nodes of cells", "forces on others", "move them to the body"
+                "load_N",
+                "act on nodes of cells",
+                "forces on other nodes",
+                "apply the forces to nodes of the body",
             )
         return np.asarray(load.ravel()[self.free])
 

@@ -214,7 +214,7 @@ class Multifrontal:
             raise NotPositiveDefiniteError(
                 "stiffness",
                 "be positive definite",
-                f"none at unknown {front.start + failed - 1}",
+                f"a pivot that is not positive at unknown {front.start + failed - 1}",
                 "check moduli and sliver cells",
             )
         if after:

@@ -119,7 +119,9 @@ class MultigridSolver:
             if not found.converged:
                 name = found.outcome.name
                 remedy = found.outcome.value
-                raise InputError("stiffness", "have columns by multigrid", name, remedy)
+                raise InputError(
+                    "stiffness", "have columns on which multigrid converges", name, remedy
+                )
             answers[:, column] = found.displacement_m * self._scale
         return answers
 

@@ -52,10 +52,12 @@ __all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save
 
 
 SAME_EVERYWHERE = "does not vary with the constants, because the path is given"
-NEEDS_RUNS = "depends on constants and needs a run of each sample, --each-run"
+NEEDS_RUNS = "depends on constants and needs a run of each sample (--each-run)"
 HOW = "the geometry was recorded once and reweighed, because the path is given"
-HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
-HOW_ASKED = "every sample was run, as was asked for"
+HOW_RERUN = (
+    "every sample was run, because the force is not linear in the constants or moves the tool"
+)
+HOW_ASKED = "every sample was run, as requested"
 MOST_FAILED = 0.1
 """Largest share of samples that may fail.
 
@@ -137,7 +139,7 @@ def require_band(
     rounded(asked)
     if workers is not None:
         # more processes than any machine has cores: a typing error
-        require_range("workers", workers, 1, 4096, "use one a core")
+        require_range("workers", workers, 1, 4096, "use one for each core")
     is_rerun = bool(why_not_linear(scene)) or each_run
     without_effect = {
         "each_run": each_run and bool(why_not_linear(scene)),
@@ -147,7 +149,7 @@ def require_band(
     for name, has_none in without_effect.items():
         if has_none:
             how = "every sample is run" if is_rerun else "the geometry is recorded once"
-            raise InputError(name, "be left out where it has no effect", "it", f"{how}; remove it")
+            raise InputError(name, "be left out where it has no effect", "it", f"remove it: {how}")
 
 
 def band_of(
@@ -237,7 +239,10 @@ def _samples(
     """Return independent normal numbers, values of the constants, and files of the samples."""
     if not ranges.names:
         raise InputError(
-            "band", "be of a scene that rests on constants with a range", "none", "leave it out"
+            "band",
+            "be given for a scene that uses constants with a range",
+            "none",
+            "leave band out",
         )
     free = normals(rounded(asked), len(ranges.names), seed=seed)
     values = ranges.x(free)
@@ -277,7 +282,10 @@ def _rerun(
             "each_run",
             "be left out where the density of an image varies within its law's band",
             "it",
-            "reweigh the loads: a file of materials cannot hold that density",
+            (
+                "remove it to reweigh the recorded loads: a file of materials cannot hold "
+                "that density"
+            ),
         )
     ranges = ranges_of(scene, run.trace.layer_names)
     free, values, files = _samples(scene, ranges, asked, seed)
@@ -348,7 +356,7 @@ def require_same(band: Band, loads: Array) -> None:
             return
     raise InputError(
         "band",
-        "be of a whole run whose scene is as it was",
+        "belong to a complete run of the unchanged scene",
         f"{len(loads)} ticks of a run, and a band of {count} ticks",
         "run the scene again",
     )
@@ -433,7 +441,10 @@ def read_band(folder: Path) -> Band:
     quantiles = times[:, 1 + len(CHANNELS) :]
     if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or tuple(header[1:width]) != constants:
         raise InputError(
-            "band.csv", "be as run.band wrote it", f"another one in {folder}", "make the band again"
+            "band.csv",
+            "be unchanged since run.band wrote it",
+            f"a changed file in {folder}",
+            "make the band again",
         )
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
     names = tuple(tuple(name.split(SEPARATOR)) for name in header[width:])
@@ -465,5 +476,5 @@ def _read(path: Path) -> tuple[list[str], Array]:
             return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError, StopIteration):
         raise InputError(
-            path.name, "be a table of numbers", f"another one in {path}", "make the band again"
+            path.name, "be a table of numbers", f"other content in {path}", "make the band again"
         ) from None

@@ -151,7 +151,10 @@ def normals(count: int, width: int, *, seed: int) -> Array:
     """
     if width > qmc.Sobol.MAXDIM:
         raise InputError(
-            "constants", f"be at most {qmc.Sobol.MAXDIM} of a Sobol sequence", width, "fix some"
+            "constants",
+            f"be at most {qmc.Sobol.MAXDIM}, the limit of a Sobol sequence",
+            width,
+            "fix some of the constants",
         )
     points = qmc.Sobol(width, scramble=True, seed=seed).random(count)
     # a point of exactly 0 or 1 would give an infinite number; 1e-12 is 7 standard deviations away

@@ -390,7 +390,10 @@ def reruns(
         barren = 0 if returned else barren + 1
         if barren > BARREN:
             raise InputError(
-                "workers", "stay alive", f"{barren} losses without a sample", "leave workers out"
+                "workers",
+                "stay alive",
+                f"{barren} lost workers without a finished sample",
+                "run the samples without workers",
             )
         if alone:
             yield from ((number, LOST_WORKER) for number in given)

@@ -171,7 +171,7 @@ class DeviceParameters:
     def __post_init__(self) -> None:
         # The bounds refuse values in a wrong unit.
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
-            require_positive(name, getattr(self, name), "see devices.toml for what is usual")
+            require_positive(name, getattr(self, name), "see devices.toml for usual values")
         for name, low, high in (
             ("rate_Hz", 10.0, 1e5),
             ("transport_delay_s", 0.0, 0.2),
@@ -186,9 +186,7 @@ class DeviceParameters:
             ("force_slew_N_ms", 1e-9, inf),
             ("torque_slew_Nm_ms", 1e-9, inf),
         ):
-            require_range(
-                name, getattr(self, name), low, high, "see devices.toml for what is usual"
-            )
+            require_range(name, getattr(self, name), low, high, "see devices.toml for usual values")
 
     def loop(
         self,

@@ -145,8 +145,8 @@ HALF_TURN = 1e-3
 It is a turn of 5 degrees: the first pose of a device that starts near its zero.
 """
 W_FIRST = (
-    "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that "
-    "gives w first starts so"
+    "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a "
+    "device that gives w first starts with this orientation"
 )
 
 
@@ -221,7 +221,9 @@ class SampleGuard:
     ) -> None:
         self._limits = limits or GuardLimits()
         self._caps = (
-            require_positive("force_limit_N", force_limit_N, "give the device's"),
+            require_positive(
+                "force_limit_N", force_limit_N, "give the largest force of the device"
+            ),
             torque_limit_Nm,
         )
         self.share = 0.0
@@ -385,7 +387,10 @@ def _repaired(sample: Sample) -> Sample:
             got = " ".join(repr(given).split())[:60]
             wanted = f"{shape[0]} numbers" if shape else "a number"
             raise DeviceError(
-                "device.read", f"return a Sample whose {name} is {wanted}", got, "fix its read"
+                "device.read",
+                f"return a Sample whose {name} is {wanted}",
+                got,
+                "fix the method read of the device",
             )
         parts.append(tuple(numbers.astype(float).tolist()) if shape else float(numbers))
     return Sample(*parts)  # type: ignore[arg-type]

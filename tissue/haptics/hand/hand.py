@@ -230,10 +230,10 @@ class HandParameters:
         # The upper bound only refuses values in a wrong unit.
         for entry in fields(self):
             require_range(
-                entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual"
+                entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for usual values"
             )
         for name in ("submovement_s", "correction_s", "force_noise_s", "tremor_width_Hz"):
-            require_positive(name, getattr(self, name), "see hands.toml for what is usual")
+            require_positive(name, getattr(self, name), "see hands.toml for usual values")
 
     @property
     def linear_hands(self) -> tuple[LinearHand, ...]:

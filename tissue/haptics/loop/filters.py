@@ -220,7 +220,9 @@ class ForceRange:
         x, y, z = np.asarray(force).tolist()
         size = self.scale * sqrt(x * x + y * y + z * z)
         if not size < inf:
-            raise InputError("force", "be finite", force, "hold it back with a SampleGuard")
+            raise InputError(
+                "force", "be finite", force, "use a SampleGuard, which removes such samples"
+            )
         knee = self.knee_share * self.limit_N
         if size <= knee:
             return self.scale * force, False

@@ -189,9 +189,9 @@ def _faded(taps: Array) -> Array:
     if not np.isfinite(ages).all() or ages[-1] > FADED:
         raise InputError(
             "predictor",
-            f"forget a change within {LONGEST} ticks to be judged",
-            "one that does not",
-            "train it with capped eigenvalues, or use another",
+            f"have a response that decays within {LONGEST} ticks",
+            "a response that does not decay",
+            "train the predictor with capped eigenvalues, or use another predictor",
         )
     # A tenth of the bound is kept, so that the cut itself does not show in the analysis.
     return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

@@ -130,7 +130,10 @@ class ProbedBone(FreeSpace):
             self._tool.meet(shell, self._field)
         except InputError as error:
             raise InputError(
-                "motion", "start outside the bone", "a tool in it", f"start higher ({error})"
+                "motion",
+                "start outside the bone",
+                "a tool inside the bone",
+                f"start higher ({error})",
             ) from error
 
     def respond(self, motion: ToolMotion) -> Response:

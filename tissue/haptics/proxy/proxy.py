@@ -375,9 +375,9 @@ class Proxy:
             out_m = float(np.linalg.norm(self.result.position_m - position_m))
             raise InputError(
                 "position_m",
-                "leave the tool outside everything",
-                f"{position_m} where it lies about {1000.0 * out_m:.3g} mm deep",
-                "start farther off",
+                "place the tool outside all obstacles",
+                f"{position_m}, where the tool lies about {1e3 * out_m:.3g} mm deep",
+                "start farther away",
             )
         return self.result
 
@@ -402,7 +402,7 @@ class Proxy:
                 "the device's pose",
                 "be finite",
                 f"{position_m} m, {quaternion}",
-                "hold the last pose and ramp the force to zero",
+                "keep the last finite pose and ramp the force to zero",
             )
         self._goal.host[_POSITION] = position_m
         self._goal.host[_ROTATION] = quaternion

@@ -191,7 +191,7 @@ class RecordedAdapter(HardwareAdapter):
         if not self._given:
             raise InputError(
                 "hardware.address",
-                "be a file of poses with device = recorded",
+                "name a file of poses with device = recorded",
                 "nothing",
                 "use a run's trace.csv",
             )

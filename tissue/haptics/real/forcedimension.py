@@ -30,9 +30,9 @@ MOST_FAILURES = 100
 Two calls in each tick take 50 ms, after which the force of a silent device is removed anyway.
 """
 MISSING = (
-    "must be installed for a device of Force Dimension, got none: pip install "
-    "forcedimension-core with Python "
-    "3.11 or 3.12, and the SDK of forcedimension.com"
+    "must be installed for a device of Force Dimension, got none. Run pip install "
+    "forcedimension-core with Python 3.11 or 3.12, and install the SDK of "
+    "forcedimension.com"
 )
 _OPEN: Counter[int] = Counter()
 """Number of adapters of this process that have a device open, by the library's number."""
@@ -105,7 +105,7 @@ class ForceDimensionAdapter(HardwareAdapter):
                 found.append(cls.found(serial, model))
         # Both classes search the same library: only one of them reports that nothing is connected.
         if not found and not cls.has_motors:
-            return cls.missing("a device must be connected, got none: check power and cable")
+            return cls.missing("a device must be connected, got none. Check power and cable")
         return found
 
     def open(self) -> None:
@@ -210,5 +210,5 @@ def _library() -> Any:
 
 def _refused(dhd: Any) -> str:
     """Return the last error of the library as a sentence."""
-    remedy = "check power, cable and that no other program uses it"
+    remedy = "check power and cable, and that no other program uses the device"
     return str(InputError("the device", "answer", dhd.errorGetLastStr(), remedy))

@@ -326,7 +326,12 @@ class _Session:
                 # the loop must not wait for a thread that has ended
                 failed = f"{type(error).__name__} ({error})"
                 self._problem = str(
-                    InputError("haply", "send frames as documented", failed, "report it")
+                    InputError(
+                        "haply",
+                        "send frames as documented",
+                        failed,
+                        "report this message to the developers of tissue",
+                    )
                 )
                 goes_on = False
         with suppress(OSError, WebSocketException):

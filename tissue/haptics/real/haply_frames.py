@@ -212,16 +212,24 @@ def problem_of(state: ServiceState) -> str:
     ids = state.device_ids
     if not ids:
         return (
-            "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "
-            "Haply Hub"
+            "haply must list an Inverse3, got none. Plug the device in, switch it on, "
+            "and look for it in Haply Hub"
         )
     if name not in ids:
-        required = f"name one of the devices {', '.join(ids)} behind #"
+        required = f"name one of the devices {', '.join(ids)} after #"
         return str(InputError("hardware.address", required, name, f"use #{ids[0]}"))
     for entry, must, remedy in (
-        ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
-        ("power_supply", "have power", "connect its power supply"),
-        ("ready", "be ready", "wait until its light shows that it is, and start again"),
+        (
+            "calibrated",
+            "be calibrated",
+            "calibrate the device as Haply Hub shows, and start the run again",
+        ),
+        ("power_supply", "have power", "connect the power supply of the device"),
+        (
+            "ready",
+            "be ready",
+            "wait until the light of the device shows that it is ready, and start the run again",
+        ),
     ):
         # A status that is not stated does not prevent the use.
         if state.status(entry) is False:

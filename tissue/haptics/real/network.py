@@ -378,7 +378,9 @@ class NetworkAdapter(HardwareAdapter):
         got = "".join(dropped) or "none"
         required = f"send packets to {place}"
         received = f"{got} in {LOOK_S:g} s"
-        return cls.missing(str(InputError("a device", required, received, "start its program")))
+        return cls.missing(
+            str(InputError("a device", required, received, "start the program of the device"))
+        )
 
     @property
     def address(self) -> str:

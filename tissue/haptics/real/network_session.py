@@ -161,8 +161,8 @@ It is a power of two, so that the places stay consecutive when the sequence numb
 MOST_WORDS = 400
 """Largest length of the sentence of a refusal [bytes]."""
 BUSY = (
-    "one device must be used at a time, got a second: end the first, or wait half a second after "
-    "it has stopped"
+    "one device must be used at a time, got a second one. End the first device, or "
+    "wait half a second after it has stopped"
 )
 
 

@@ -54,9 +54,8 @@ WINDOW = 10
 An encoder step of a Touch (0.055 mm) changes the velocity by 5.5 mm/s, instead of 55 mm/s.
 """
 MISSING = (
-    "must be installed for a Touch device, got none: pip install pyOpenHaptics, "
-    "and OpenHaptics with the "
-    "device's driver from 3dsystems.com"
+    "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
+    "and install OpenHaptics with the driver of the device from 3dsystems.com"
 )
 _OPEN: dict[int, str] = {}
 """Names of the devices that this process has open, by the library's number."""
@@ -222,7 +221,7 @@ def _opened(hd: Any, name: str) -> int:
             f"a device named {name}",
             "be connected",
             "none",
-            "check cable, power and the vendor's setup, by which it has that name",
+            "check cable, power and the name in the vendor's setup",
         )
     return number
 

@@ -133,7 +133,10 @@ def self_test(
         pause(PAUSE_S)
     if len(times) < FEWEST:
         raise InputError(
-            "a device", "give samples for its test", len(times), "check that it is on, and move it"
+            "a device",
+            "give samples for its test",
+            len(times),
+            "check that the device is on, and move it",
         )
     gaps = np.diff(times)
     shown = [each for each in trips if isfinite(each)]
@@ -186,7 +189,10 @@ def bump(
             adapter.push(np.zeros(3), np.zeros(3))
     if not places:
         raise InputError(
-            "a device", "give samples for its test", "none during the push", "check its cable"
+            "a device",
+            "give samples for its test",
+            "none during the push",
+            "check the cable of the device",
         )
     away = np.array(places) - places[0]
     return Bump(

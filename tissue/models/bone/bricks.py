@@ -279,8 +279,8 @@ class BrickStore:
         if self._owner is not owner:
             raise InputError(
                 "bone",
-                "have no later tool to copy or restore its state",
-                "one",
+                "be used by no later tool when its state is copied or restored",
+                "a later tool",
                 "make a bone for each loop, for example by bone.uncut()",
             )
 
@@ -332,8 +332,8 @@ class BrickStore:
         if (rows < 0).any():
             raise InputError(
                 "snapshot",
-                "lie within the bone that is made here",
-                f"one that needs {int((rows < 0).sum())} more bricks of voxels",
+                "lie within the bone that this loop has prepared",
+                f"a snapshot with {int((rows < 0).sum())} further blocks of voxels",
                 "use a larger reach_mm in both loops",
             )
         flags = self.touched.numpy()

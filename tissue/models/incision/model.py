@@ -97,7 +97,7 @@ class IncisionModel:
             raise InputError(
                 "motion",
                 "start with the blade outside the tissue",
-                f"it {1000.0 * depth:g} mm inside",
+                f"a blade {1e3 * depth:g} mm inside",
                 "start above the surface",
             )
         self.cuts.clear()

@@ -299,7 +299,7 @@ class NeedleModel:
             raise InputError(
                 "motion",
                 "start with the needle's tip outside the organ",
-                f"it {1000.0 * travel:g} mm inside",
+                f"a tip {1e3 * travel:g} mm inside",
                 "start above the surface",
             )
         self.insertion = Insertion(self.tissue, travel_m=travel)
@@ -390,7 +390,7 @@ class NeedleModel:
             raise InputError(
                 "the needle's axis",
                 "meet the surface at more than 10 degrees",
-                f"a cosine of {cosine:.2f} to its normal",
+                f"a cosine of {cosine:.2f} between axis and normal",
                 "point the needle into the organ",
             )
         return below

@@ -55,14 +55,14 @@ class Membrane:
         require_positive(
             f"puncture_N of the {self.name}",
             self.puncture_N,
-            "leave the membrane out if it does not hold",
+            "leave out a membrane that has no resistance",
         )
         require_range(
             f"hold_N of the {self.name}",
             self.hold_N,
             0.0,
             LARGEST_N,
-            "use 0 for a hole that does not cling",
+            "use 0 for a hole that does not hold the shaft",
         )
 
 
@@ -110,7 +110,7 @@ class ShaftFriction:
                     f"static_{side}_N_m",
                     f"be at least sliding_{side}_N_m ({sliding:g})",
                     f"{static:g}",
-                    "a shaft at rest is not easier to move than a sliding one",
+                    "use a static friction of at least the sliding friction",
                 )
 
 
@@ -144,9 +144,7 @@ class NeedleTissue:
     membranes: tuple[Membrane, ...] = ()
 
     def __post_init__(self) -> None:
-        require_positive(
-            "linear_N_m", self.linear_N_m, "an organ that does not push back needs no model"
-        )
+        require_positive("linear_N_m", self.linear_N_m, "give the stiffness of the organ")
         require_range(
             "quadratic_N_m2",
             self.quadratic_N_m2,
@@ -167,7 +165,7 @@ class NeedleTissue:
         if len({*names, "parenchyma"}) <= len(names):
             raise InputError(
                 "membranes",
-                "have different names and none parenchyma",
+                "have different names, none of them parenchyma",
                 ", ".join(names),
                 "rename one",
             )
@@ -177,7 +175,10 @@ class NeedleTissue:
                 "linear_N_m",
                 f"be greater than the static friction per length ({static:g} N/m)",
                 f"{self.linear_N_m:g}",
-                "a softer organ would let a needle that is drawn back jump out",
+                (
+                    "use a larger stiffness or less friction: otherwise the needle would "
+                    "jump out when it is pulled back"
+                ),
             )
 
     def pull_N(self, deflection_m: float) -> float:

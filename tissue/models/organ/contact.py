@@ -180,17 +180,17 @@ def list_arrays(triangles: int, device: str) -> Lists:
 class ContactOutcome(Enum):
     """Outcome of a contact solve. The value holds the remedy."""
 
-    CONVERGED = "the forces hold to the tolerance"
+    CONVERGED = "the forces have converged within the tolerance"
     NOT_CONVERGED = (
-        "the sweeps ran out: allow more, loosen the tolerance, or move the tool in smaller steps"
+        "no convergence: allow more sweeps, raise the tolerance, or move the tool in smaller steps"
     )
     IMMOVABLE = (
         "the tool enters where the organ's supports do not yield: hold fewer nodes, or press "
         "elsewhere"
     )
     MISSING = (
-        "the compliance of nodes in reach is not there: fill the blocks of nodes_in_reach before "
-        "the solve"
+        "the compliance of nodes in reach is missing: fill the blocks of "
+        "nodes_in_reach before the solve"
     )
 
 
@@ -453,7 +453,7 @@ class SurfaceContact:
 
         Example: the share of the compliance that a viscous organ has within a tick.
         """
-        self.result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
+        self.result.compliance_scale = require_positive("factor", factor, "use 1 for no change")
         self._body.scale = wp.float64(factor)
         self._points.ready.zero_()
         gather_all_again(self._patch)
@@ -513,7 +513,7 @@ class SurfaceContact:
         """
         if not isfinite(tip_m.sum() + rotation.sum()):
             raise InputError(
-                "tip_m and rotation", "be finite", f"{tip_m}, {rotation.tolist()}", "stop the tool"
+                "tip_m and rotation", "be finite", f"{tip_m}, {rotation.tolist()}", "fix the pose"
             )
         if not self._placed:
             self._keep(tip_m, rotation)

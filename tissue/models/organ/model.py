@@ -253,7 +253,10 @@ class LiverModel:
         """
         if self._law is not None:
             raise InputError(
-                "organ.law", "be linear for a copy of its state", "hyperelastic", "use linear"
+                "organ.law",
+                "be linear if the state of the organ is copied",
+                "hyperelastic",
+                "use linear",
             )
         creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
         crept = self._crept_N.copy()

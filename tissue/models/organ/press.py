@@ -146,9 +146,9 @@ def press(
     if before_m > SLANTED * probe.size_m[0]:
         raise InputError(
             "point_m",
-            "be the first that the tool touches",
-            f"one that meets the organ {1e3 * before_m:.3g} mm before it",
-            "come along another direction, or take a smaller tool",
+            "be the first point that the tool touches",
+            f"a tool that touches the organ {1e3 * before_m:.3g} mm before this point",
+            "approach along another direction, or use a smaller tool",
         )
     motion = ToolMotion(tip_m=start_m.copy(), rotation=rotation.copy())
     model.place(motion)
@@ -202,9 +202,9 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
             return clear
     raise InputError(
         "point_m",
-        "have a free path before it",
-        f"a tool that meets the organ elsewhere {1e3 * clear:.3g} mm before the place",
-        "come along another direction, or take a smaller tool",
+        "have a free path in front of it",
+        f"a tool that touches the organ elsewhere {1e3 * clear:.3g} mm before this point",
+        "approach along another direction, or use a smaller tool",
     )
 
 

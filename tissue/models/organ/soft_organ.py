@@ -201,7 +201,12 @@ class SoftOrgan:
         self.capsule = capsule
         self._density = density_kg_m3
         if law is not None and density_kg_m3 is not None:
-            raise InputError("law", "be None with a weight", "one", "leave one out")
+            raise InputError(
+                "law",
+                "be None for an organ with weight",
+                "a law",
+                "leave the law or the weight out",
+            )
 
     @property
     def mesh(self) -> TetMesh:
@@ -281,8 +286,8 @@ class SoftOrgan:
             raise InputError(
                 "motion",
                 "bring the tool to tissue that can move",
-                "a tool that touches only what is held",
-                "move it, or change what holds the organ",
+                "a tool that touches only held tissue",
+                "move the tool, or hold another part of the organ",
             )
         return touchable, faces
 

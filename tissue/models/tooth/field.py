@@ -316,9 +316,9 @@ def _ligament_springs(
     if area == 0.0:
         raise InputError(
             "anatomy",
-            "hold a tooth that something supports",
+            "hold a tooth with a support",
             "none",
-            "give its ligament or its bone",
+            "give the ligament or the bone of the tooth",
         )
     return springs
 

@@ -174,7 +174,10 @@ class ToothModel:
         """
         if self.stress is not None or self.heat is not None:
             raise InputError(
-                "scene", "have no stress and no heat", "one of them", "leave out both to copy it"
+                "scene",
+                "have no stress and no heat if its state is copied",
+                "one of them",
+                "leave out both",
             )
         return {"milling": self.milling.state(), "pulp": copied(self, ("_least_m",))}
 

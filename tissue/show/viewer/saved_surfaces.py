@@ -175,7 +175,10 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
         # the image states its origin in digits that are far finer than a thousandth of a voxel
         if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
             raise InputError(
-                "poses", f"be of the bone in {file}", "those of other voxels", "run the scene again"
+                "poses",
+                f"belong to the bone in {file}",
+                "poses for other voxels",
+                "run the scene again",
             )
         return _over_time(
             exact, saved.trace, scene, end=end, poses=cut, compute=str(saved.summary.get("compute"))

@@ -99,7 +99,9 @@ def view(
     series = saved_fields(saved)
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
-        raise InputError("movie", "be of a run that lasts", saved.path, "use --screenshot")
+        raise InputError(
+            "movie", "show a run with at least two moments", saved.path, "use --screenshot instead"
+        )
     if opened is not None:
         serve_view(saved.path, choice, opened)
     elif not files:
@@ -128,7 +130,7 @@ def _check_arguments(
         refused |= {(name, "for an imported bone"): True for name in options}
     for (name, where), is_refused in refused.items():
         if is_refused:
-            raise InputError(f"{name} must be left out {where}: leave it out")
+            raise InputError(f"{name} must be left out {where}. Leave it out")
     if web:
         require_web()
     if "movie" in files:
@@ -144,7 +146,7 @@ def _require_display(instead: str) -> None:
     problem = display_problem()
     if problem is not None:
         raise InputError(
-            f"view must have a display to open a window, but {problem}: pass {instead}"
+            f"view must have a display to open a window, but {problem}. Pass {instead}"
         )
 
 
@@ -334,7 +336,7 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
                 child.kill()
                 child.communicate()
     # the last line of a driver's output may be long
-    raise InputError(f"--web must serve a page, but {why[:200]}: {REMEDY}")
+    raise InputError(f"--web must serve a page, but {why[:200]}. {REMEDY[:1].upper()}{REMEDY[1:]}")
 
 
 def _start(

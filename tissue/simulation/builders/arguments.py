@@ -129,12 +129,12 @@ def given_note(
                 part,
                 f"be left out where materials states {full}",
                 shown(one.stated),
-                "remove one of them",
+                "remove one of the two",
             )
     if not used:
         raise InputError(
             "materials",
-            f"hold a constant that the {by} rests on",
+            f"hold a constant that the {by} uses",
             f"{', '.join(given.given)} in {name}",
             f"name the materials of this {by}, or leave materials out",
         )

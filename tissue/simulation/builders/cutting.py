@@ -107,7 +107,8 @@ def milled(
     if cutter.spin_rad_s == 0.0:
         tissue = _probed(volume, cutter, motion, compute=compute)
         notes["tool"] = (
-            "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+            "it does not turn: the contact is rigid, nothing is cut, and no stress and "
+            "no heat are computed"
         )
     else:
         _require_chips(scene, cutter)
@@ -192,8 +193,8 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
     if chip_mm > radius_mm:
         raise InputError(
             "motion.feed_mm_s",
-            f"leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm",
-            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm",
+            f"give chips for each tooth thinner than the tool's radius of {radius_mm:.3g} mm",
+            f"{scene.motion.feed_mm_s:g}, which gives chips of {chip_mm:.3g} mm",
             "use a slower feed, or a higher tool.spin_rpm",
         )
 
@@ -210,14 +211,20 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
             raise InputError(
                 "cutting.density_exponent",
-                "be left out where all that the tool can reach has the density of the coefficients",
+                (
+                    "be left out if all bone in reach of the tool has the density of the "
+                    "coefficients"
+                ),
                 f"{cutting.density_exponent:g}",
                 "set another coefficient such as cutting.tangential_chip_N_mm2, or remove it",
             )
     if is_given(cutting, "material") and layers <= set(CUT_AS):
         raise InputError(
             "cutting.material",
-            "be left out where the tool reaches no bone, for layers of a tooth have their own",
+            (
+                "be left out if the tool reaches no bone, because the layers of a tooth "
+                "have their own material"
+            ),
             cutting.material,
             "set a coefficient such as cutting.tangential_chip_N_mm2, or remove it",
         )
@@ -229,7 +236,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     ):
         raise InputError(
             "anatomy.ligament_thickness_mm",
-            "be left out where the tool reaches no ligament and no stress is computed",
+            "be left out if the tool reaches no ligament and no stress is computed",
             f"{anatomy.ligament_thickness_mm:g}",
             "add [stress], or remove it",
         )
@@ -244,8 +251,10 @@ def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str
     if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
         raise InputError(
             "tool.spin_rpm",
-            "not be 0 without a device, because a tool that does not turn cuts nothing and a "
-            "motion that is given would push it through the bone",
+            (
+                "not be 0 without a device, because the given motion would push a tool "
+                "that cuts nothing through the bone"
+            ),
             "0",
             "use 500, or device = touch",
         )
@@ -495,8 +504,8 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
     count = cutter.cutting_area_m2 / spacing_m**2
     if count > MOST_ELEMENTS:
         raise InputError(
-            f"depth_mm = {1e3 * depth_m:g} with tolerance = {tolerance:g} needs {count:.2g} "
-            "elements on this cutter, "
-            f"more than {MOST_ELEMENTS}. Use a larger tolerance or depth_mm."
+            f"depth_mm = {1e3 * depth_m:g} with tolerance = {tolerance:g} needs "
+            f"{count:.2g} cutting elements on this cutter, more than {MOST_ELEMENTS}. "
+            "Use a larger tolerance or depth_mm."
         )
     return spacing_m

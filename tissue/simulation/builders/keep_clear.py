@@ -82,6 +82,6 @@ def keep_clear(
     for name, structure in found.items():
         below_mm = 1e3 * (structure.slack_m + float(TOLERANCE_M))
         notes[f"keep clear of {name}"] = (
-            f"its distance is in the trace, exact or up to {below_mm:.2g} mm too small"
+            f"the distance is in the trace, exact or up to {below_mm:.2g} mm too small"
         )
     return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))

@@ -455,14 +455,14 @@ def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: st
     if verdict.critical_N_m == 0.0 and not settings.scene_name:  # of a caller's loop
         return InputError(
             "delay_ms",
-            "leave some stiffness stable",
+            "allow a stable stiffness",
             f"{settings.coupling.delay_ms:g}",
-            f"lower it or low_pass_ms, use another predictor, or {allow}",
+            f"lower delay_ms or low_pass_ms, use another predictor, or {allow}",
         )
     if verdict.critical_N_m == 0.0:
         return InputError(
             "coupling.damping_N_s_m",
-            "leave some stiffness stable",
+            "allow a stable stiffness",
             f"{settings.coupling.damping_N_s_m:g}",
             "lower it, coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or "
             f"{allow}",

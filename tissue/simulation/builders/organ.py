@@ -200,7 +200,10 @@ def material_of(
                 "organ.capsule",
                 f"be false for {organ.material}",
                 "true",
-                "no capsule is cited for it: its constants were fitted to tissue under its capsule",
+                (
+                    f"set it to false: the constants of {organ.material} were fitted to "
+                    "tissue with its capsule"
+                ),
             )
         table = constants.constants("soft", f"{organ.material}_capsule")
         thick = table["thickness_um"]
@@ -226,7 +229,7 @@ def material_of(
                 "organ.viscous",
                 f"be false for {organ.material}",
                 "true",
-                "no relaxation is cited for it",
+                f"set it to false: the sources of {organ.material} state no relaxation",
             )
         relaxation = [(cited[f"prony_g{k}"].value, cited[f"prony_tau{k}_s"].value) for k in numbers]
         notes["relaxation"] = (
@@ -327,10 +330,7 @@ def _from_file(
             "anatomy.edge_mm",
             "be left out for tetrahedra from a file",
             f"{anatomy.edge_mm:g}",
-            (
-                "set anatomy.touch_edge_mm, by which they are divided where the tool goes, or "
-                "remove it"
-            ),
+            "set anatomy.touch_edge_mm to divide them near the tool, or remove it",
         )
     mesh = found.mesh
     turn = frame_along(anatomy.normal)
@@ -428,8 +428,9 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
             "be left out together",
             f"{organ.law} and {shown(getattr(organ, name))}",
             (
-                f"set organ.law=linear or remove organ.{name}, a law of large strains has an "
-                "isotropic organ without weight, on its condensed compliance"
+                f"set organ.law=linear or remove organ.{name}: a law of large strains "
+                "supports only an isotropic organ without weight and the condensed "
+                "compliance"
             ),
         )
     first, shear = lame_Pa[0].tolist()
@@ -478,5 +479,5 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
         f"organ.{LAW_SHAPES[organ.law][0]}",
         f"be given with organ.law = {organ.law}",
         "none",
-        "state it, or set organ.law=linear",
+        "set it, or set organ.law=linear",
     )

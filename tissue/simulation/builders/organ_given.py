@@ -114,7 +114,7 @@ class SoftMaterial:
         if any(np.shape(each) != (2,) for each in self.relaxation):
             raise InputError(
                 "relaxation",
-                "be pairs of a share and a time [s]",
+                "be a list of pairs: a share and a time [s]",
                 list(self.relaxation),
                 "use for example [(0.3, 1.0)]",
             )
@@ -139,9 +139,16 @@ class SoftMaterial:
             if known is None:
                 has = ", ".join(part_names)
                 got = f"{name!r}{nearest(str(name), part_names)}"
-                raise InputError("parts", "name parts of the mesh", got, f"it has {has}")
+                raise InputError(
+                    "parts",
+                    "name parts of the mesh",
+                    got,
+                    f"use parts of the mesh, which has {has}",
+                )
             if known in found:
-                raise InputError("parts", "name each part once", f"{known} twice", "remove one")
+                raise InputError(
+                    "parts", "name each part once", f"{known} twice", "remove one of the two"
+                )
             found[known] = float(modulus)
         return found
 
@@ -181,7 +188,7 @@ class SoftMaterial:
                 "organ.fibre_modulus_ratio",
                 f"be {bound} for stable tissue of Poisson's ratio {ratio:g}",
                 f"{along:g}",
-                "change it or organ.poisson_ratio",
+                "change this ratio or organ.poisson_ratio",
             )
         return transversely_isotropic(
             young_fibre_Pa=1e3 * along,
@@ -304,9 +311,9 @@ def _named(held: NDArray[Any], mesh: TetMesh, points_mm: Array) -> Nodes:
     if not is_numbers or held.min() < 0 or held.max() >= count:
         raise InputError(
             "held",
-            f"be a side, a part, a mask of the {count} points or their numbers",
+            f"be a side, a part, a mask of the {count} points or indices of points",
             f"an array of {held.dtype} and shape {held.shape}",
-            "number points from 0",
+            "count the indices from 0",
         )
     near = COINCIDE * 1e3 * float(np.ptp(mesh.nodes_m, axis=0).max())
     away, nodes = cKDTree(1e3 * mesh.nodes_m).query(points_mm[held])

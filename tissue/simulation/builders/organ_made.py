@@ -206,7 +206,7 @@ class StatedOrgan:
                 "law and density_kg_m3",
                 "be left out together",
                 f"{table.law} and {given['density_kg_m3']}",
-                "remove one, a law of large strains has an organ without weight",
+                "remove one of the two: a law of large strains supports no weight",
             )
         return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below, table)
 
@@ -298,7 +298,10 @@ def of_surface(
     without = [name for name in inclusions if name not in stated.material.parts]
     if without:
         raise InputError(
-            "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
+            "parts",
+            "give a modulus for every inclusion",
+            f"none for {without[0]}",
+            "add the modulus in kPa",
         )
     # refuse invalid materials before meshing, which takes minutes
     stated.material.moduli_kPa(("body", *inclusions))
@@ -354,13 +357,15 @@ def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: flo
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)
         if out.min() > 0.0:
-            raise InputError(key, "lie inside the surface", "all of it outside", "move it")
+            raise InputError(
+                key, "lie inside the surface", "an inclusion outside", "move the inclusion"
+            )
         if out.max() > off_m:
             raise InputError(
                 key,
                 "lie inside the surface",
-                f"it up to {1000.0 * float(out.max()):.3g} mm outside",
-                "move it, or cut it off there",
+                f"an inclusion that extends {1e3 * float(out.max()):.3g} mm outside",
+                "move the inclusion, or cut it off at the surface",
             )
         for other, before in inclusions.items():
             if other == name:
@@ -373,7 +378,7 @@ def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: flo
             if deep > off_m:
                 raise InputError(
                     key,
-                    f"not reach into inclusions[{other!r}]",
-                    f"it {1000.0 * deep:.3g} mm deep",
-                    "subtract one from the other",
+                    f"not overlap inclusions[{other!r}]",
+                    f"an overlap {1e3 * deep:.3g} mm deep",
+                    "subtract one inclusion from the other",
                 )

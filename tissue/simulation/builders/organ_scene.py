@@ -307,5 +307,8 @@ def require_outside(mesh: TetMesh, motion: Motion) -> None:
     if ((weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)).any():
         at = ", ".join(f"{1e3 * value:.4g}" for value in tip)
         raise InputError(
-            "motion", "start outside the organ", f"a tip inside it at ({at}) mm", "start higher"
+            "motion",
+            "start outside the organ",
+            f"a tip inside the organ at ({at}) mm",
+            "start higher",
         )

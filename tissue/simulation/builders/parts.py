@@ -267,7 +267,7 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
                 "enclose a solid where the tool goes",
                 f"{anatomy.name} {how} {box_text((low, high))}, for a tool that reaches "
                 f"{box_text(region)}",
-                f"{remedy}, or move the site away from it",
+                f"{remedy}, or move the site away from this place",
             )
 
 
@@ -381,7 +381,7 @@ def require_device(device: object, kind: str = "") -> None:
             "device",
             "have read and command",
             f"{type(device).__name__} without {' and '.join(missing)}{known}",
-            "see tissue.Sample for what read gives",
+            "add these methods; read returns a tissue.Sample",
         )
 
 
@@ -407,7 +407,7 @@ def require_stated_rate(
         ) * (1.0 - 1e-6):
             raise InputError(
                 "device",
-                f"give the {limits.rate_Hz:g} samples a second of its constants",
-                f"{stated.rate_Hz:g} by {type(held).__name__}",
+                f"give the {limits.rate_Hz:g} samples a second that its constants state",
+                f"{stated.rate_Hz:g} from {type(held).__name__}",
                 remedy,
             )

@@ -175,8 +175,8 @@ def perception_for(
     )
     held = weber_of(observer, quantile=CAUTION)
     sentence = (
-        f"felt by {observer.name}: changes below {held.kappa:.3g} of (F + {held.offset:.3g} N) "
-        "are held back"
+        f"as perceived by {observer.name}: changes below {held.kappa:.3g} of (F + "
+        f"{held.offset:.3g} N) are held back"
     )
     if law.gain < 1.0:
         sentence += (

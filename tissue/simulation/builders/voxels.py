@@ -96,7 +96,7 @@ def volume_of(
         raise InputError(
             "motion",
             "bring the tool to the bone",
-            f"one that with the tool and a margin stays {box_text(region)}",
+            f"a motion whose region, with the tool and a margin, lies {box_text(region)}",
             f"move it to the bone {box_text(bone)}",
         )
     low, high = _covered(region, bone, spacing)
@@ -239,7 +239,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
         raise InputError(
             "voxels.spacing_mm",
             f"leave the bone within the free memory of {free / 1e9:.1f} GB",
-            f"{spacing * 1e3:g} which needs {needed(spacing) / 1e9:.1f} GB",
+            f"{spacing * 1e3:g}, which needs {needed(spacing) / 1e9:.1f} GB",
             f"use {round(fits * 1e3, 2):g}",
         )
 
@@ -373,8 +373,8 @@ def _site(parameters: Placed, surface: "Surface") -> "Site":
             f"be given for {parameters.file}",
             "none",
             (
-                f"give a point on its surface, which lies {box_text(box)}, and "
-                "anatomy.normal, or use anatomy.kind = glenoid"
+                "give anatomy.normal and a point on the surface of the bone, which "
+                f"lies {box_text(box)}, or use anatomy.kind = glenoid"
             ),
         )
     return place_site(surface, centre_mm=centre, normal=normal, along=along)

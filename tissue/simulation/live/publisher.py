@@ -172,7 +172,7 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
             "--slicer-drives",
             "be left out where something else moves the tool",
             mover,
-            "leave one of both out",
+            "leave one of the two out",
         )
     try:
         socket.create_server((LOCAL, link.port)).close()
@@ -182,7 +182,7 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
             "--slicer-port",
             f"be a free port of {LOCAL}",
             f"{link.port} ({why})",
-            "end the program that has it, or give another",
+            "end the program that uses it, or give another port",
         ) from None
 
 

@@ -100,7 +100,7 @@ class LiveSettings:
                 "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "
                 "force is sent"
             )
-        mouse = "the mouse moves the tool in a {}; it feels nothing, the force is shown"
+        mouse = "the mouse moves the tool in a {}; the force is shown but cannot be felt"
         if self.opened is not None:
             return True, mouse.format("browser")
         if opens_device(scene):
@@ -141,9 +141,9 @@ class LiveSettings:
         if opens_device(scene):
             raise InputError(
                 "--web",
-                "be left out with a real device, which runs without any window",
+                "be left out with a real device, which runs without a window",
                 scene.held.kind,
-                "leave it out, or set device = touch to use the mouse",
+                "leave --web out, or set device = touch to use the mouse",
             )
 
 
@@ -303,7 +303,10 @@ class LiveObserver(RunObserver):
         time_s = float(row[0])
         if skipped > 0.0:
             if self._skipped_s == 0.0:
-                what = f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock skips"
+                what = (
+                    f"the ticks were more than {1e3 * BEHIND_S:g} ms late: the clock "
+                    "skipped this time"
+                )
                 self._events.append((time_s, f"{what} from here"))
             self._skipped_s += self._clock.skipped_s
         window = self._window
@@ -311,7 +314,7 @@ class LiveObserver(RunObserver):
             return not self._stopped
         window.show(index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s))
         if index % LOOK_TICKS == 0 and (words := window.failed()) is not None:
-            what = f"the window ended by itself, and the run with it: {words}"
+            what = f"the window ended unexpectedly, and the run ended with it: {words}"
             self._events.append((time_s, what))
             self._stopped = True
         ends = self._stopped or window.closed
