@@ -128,7 +128,7 @@ def _check_arguments(
         refused |= {(name, "for an imported bone"): True for name in options}
     for (name, where), is_refused in refused.items():
         if is_refused:
-            raise InputError(f"{name} must be left out {where}: leave it out")
+            raise InputError(name, f"be left out {where}", PRESENT, "leave it out")
     if web:
         require_web()
     if "movie" in files:
