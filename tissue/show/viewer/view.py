@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.models.tissue_model import TICK_S
