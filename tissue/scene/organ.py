@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, Strict, model_validator
 
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from tissue.scene.names import ORGAN_MATERIALS
 from tissue.scene.part import FileName, Length_mm, Needs, OneOf, Part, Rule, Vector
 
@@ -128,7 +128,7 @@ def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
     for name, _ in listed:
         if name in LAYERS:
             raise InputError(
-                "anatomy.membrane_depths_mm", f"not name the {name}", "it", "choose another name"
+                "anatomy.membrane_depths_mm", f"not name the {name}", PRESENT, "choose another name"
             )
     for (above, depth_mm), (below, other_mm) in pairwise(listed):
         if depth_mm == other_mm:
