@@ -162,7 +162,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
             raise InputError(
                 "a DICOM folder",
                 "hold DICOM files only",
-                f"{place} of another kind",
+                f"another kind of content in {place}",
                 "move this file out of the folder",
             )
     if not found:

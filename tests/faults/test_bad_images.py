@@ -330,7 +330,7 @@ BAD = {
     ),
     "slice empty": (
         lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")),
-        "file 3 of 4 of another kind",
+        "another kind of content in file 3 of 4",
     ),
     "rows against pixels": (
         lambda f: dicom(f, rows=50),
@@ -399,7 +399,7 @@ BAD = {
     "unknown syntax": (lambda f: dicom(f, syntax="1.2.3.4.5"), "a damaged one"),
     "text among slices": (
         lambda f: dicom(f, change=lambda p: text(p, "z.dcm")),
-        "file 5 of 5 of another kind",
+        "another kind of content in file 5 of 5",
     ),
     "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "two slices or more"),
     # others

@@ -50,10 +50,15 @@ BAD_TEXT = [
         "must name nodes of the file, got 77",
     ),
     ("tets", "short.msh", MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3"), "complete sections"),
-    ("tets", "long.msh", MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3 7 8"), "complete sections"),
+    (
+        "tets",
+        "long.msh",
+        MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3 7 8"),
+        "complete sections",
+    ),
     ("tets", "twice.msh", MSH.replace("\n2 40.0 0.0 0.0", "\n1 40.0 0.0 0.0"), "complete sections"),
     ("tets", "count.msh", MSH.replace("$Elements\n6", "$Elements\n9"), "complete sections"),
-    ("tets", "names.msh", MSH.replace('"nodule"', '"liver"'), "different names"),
+    ("tets", "names.msh", MSH.replace('"nodule"', '"liver"'), "names that differ"),
     ("tets", "binary.msh", MSH.replace("2.2 0 8", "2.2 1 8"), "complete sections|not installed"),
     ("tets", "new.msh", MSH.replace("2.2 0 8", "4.1 0 8"), "complete sections|not installed"),
     ("tets", "text.msh", "a mesh", "text of version 1 or 2"),
@@ -76,7 +81,7 @@ BAD_TEXT = [
     ("observer", "list.json", "[]", "file of an observer"),
     ("observer", "cut.json", '{"format": "tissue obs', "must be a file of an observer"),
     ("trials", "list.jsonl", "[]\n", "file of trials"),
-    ("predictor", "text.npz", "no archive", "must be whole"),
+    ("predictor", "text.npz", "no archive", "must be a whole file"),
 ]
 
 

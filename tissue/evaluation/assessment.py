@@ -37,12 +37,12 @@ __all__ = [
 
 
 GAP_S = 0.15
-"""Breaches closer than a period of slow tremor are one.
+"""Longest gap between two breaches that count as one [s], about a period of slow tremor.
 
-A trembling hand that rests at a limit would otherwise make a breach a period.
+Otherwise a trembling hand that rests at a limit would make one breach in each period.
 """
 FORCE_MARGIN = 1.25
-"""Ratio of the trainee's allowed force to the reference's peak force without a given limit.
+"""Default limit of the trainee's force, as a ratio to the peak force of the reference.
 
 The value is a convention, not a standard.
 """
@@ -104,7 +104,7 @@ class Quantity:
     reference: Array | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Return the spans above the limit. Spans a short gap apart are joined."""
+        """Return the spans above the limit. Two spans with a short gap between them are joined."""
         above = np.flatnonzero(self.values > self.limit)
         found = []
         for span in (
@@ -132,7 +132,7 @@ class Assessment:
         Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
         ..., "reference": ...}.
     breaches
-        Limits that were passed, in the order of time.
+        Spans of time in which a limit was exceeded, in the order of time.
     events
         Events of the trainee that the reference does not have: time [s] and a sentence each.
     time_s
@@ -141,7 +141,8 @@ class Assessment:
         Distance from the reference's path at the aligned place [mm], size of the force [N], and
         depth along the reference tool's axis from its first contact [mm].
     notes
-        Differences between the two runs that limit the meaning of the figures, a sentence each.
+        One sentence for each difference between the two runs that limits the meaning of the
+        figures.
     unscored
         Reason why the run has no score; empty with a score.
     """
@@ -172,8 +173,9 @@ def assess(
     tool's paths finds the corresponding moment of the reference for each tick of the trainee. A
     pause is therefore not an error.
 
-    The score is that of the hand's steadiness (see `tissue.evaluation.steadiness`). Distances from
-    the path and forces are not part of it: they depend on the device more than on the hand.
+    The score rates the steadiness of the hand (see `tissue.evaluation.steadiness`). Distances from
+    the path and forces are not part of it: these figures depend on the device more than on the
+    hand.
 
     Parameters
     ----------
@@ -289,7 +291,7 @@ def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str,
 
 
 def _steadiness(run: AssessedRun, trace: Table) -> tuple[Steadiness | None, str]:
-    """Return tremor and score of the hand on the device of a run, or the reason for their lack."""
+    """Return tremor and score of the hand in a run, or the reason why there are none."""
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
         return None, "the run has no device whose constants are known"
     constants = run.scene.constants
@@ -306,7 +308,7 @@ def _steadiness(run: AssessedRun, trace: Table) -> tuple[Steadiness | None, str]
 
 
 def _least_distances(mine: Summary, theirs: Summary) -> dict[str, dict[str, float]]:
-    """Return the least distances of both runs to the structures that are kept clear [mm]."""
+    """Return the smallest distances of both runs from the structures that are kept clear [mm]."""
     first, second = (
         {name: each["least_distance_mm"] for name, each in one.get("keep_clear", {}).items()}
         for one in (mine, theirs)
@@ -340,13 +342,14 @@ def _approach(trace: Table) -> tuple[Array, Array]:
 
 
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
-"""Parts of a scene that make the task: in another tissue or with another tool, other forces and
-depths are right.
+"""Parts of a scene that define the task.
+
+In another tissue or with another tool, other forces and depths are correct.
 """
 NUMERICAL = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
 )
-"""Keys of these parts that change the computation and not the task."""
+"""Keys of these parts that change only the computation, not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Keys that may differ between a trainee and a reference without a note.
 
@@ -405,7 +408,7 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
 
 
 def _same_file(key: str, one: object, other: object) -> bool:
-    """Return whether a key names files of one name and content.
+    """Return whether a key names two files of the same name and content.
 
     A file that is not on this machine is compared by its name. A trainee's run may come from
     another machine with another path to the anatomy.

@@ -44,7 +44,7 @@ COLUMNS = (
     "limits_passed",
 )
 LEAST_ATTEMPTS = 3
-"""Number of attempts from which their spread gives the interval."""
+"""Number of attempts from which on the interval is computed from their spread."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 INCH_PER_ROW = 0.32
 """Height of a trainee in the picture."""
@@ -59,7 +59,7 @@ class Attempt:
 
     @property
     def steadiness(self) -> Steadiness:
-        """Tremor and score; only runs with a score are attempts."""
+        """Tremor and score. Only runs with a score are attempts."""
         assert self.found.steadiness is not None, self.name
         return self.found.steadiness
 
@@ -139,18 +139,18 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
     Parameters
     ----------
     folder
-        Folder with a folder for each trainee. This is a run, or contains the runs of all attempts,
-        whose names give their order: ``attempt2`` comes before ``attempt10``.
+        Folder with a folder for each trainee. The folder of a trainee is a run, or contains the
+        runs of all attempts. The names of the runs give their order: ``attempt2`` comes before
+        ``attempt10``.
     reference
-        Run with which all are compared.
+        Run with which all other runs are compared.
     load
         Function that reads the run of a folder.
 
     Raises
     ------
     InputError
-        If a folder holds no run, a run is of another task than the reference, or no run has a
-        score.
+        If a folder holds no run, a run has another task than the reference, or no run has a score.
     """
     people = []
     left_out = []

@@ -32,9 +32,9 @@ LINES = {
 
 
 def scene_stability(scene: Scene) -> StabilityMap:
-    """Map the closed-loop stability of a scene's device and operator about its coupling.
+    """Map the closed-loop stability of a scene's device and operator around its coupling stiffness.
 
-    The hand has its reflex if this lowers the critical stiffness.
+    The model of the hand includes the reflex if the reflex lowers the critical stiffness.
 
     Raises
     ------
@@ -115,8 +115,10 @@ def write_stability_files(
 
 
 def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
-    """Draw both charts: growth by eigenvalues as shading, the measured boundary, lines of
-    theory, the chosen point.
+    """Draw both charts.
+
+    They show the growth from eigenvalues as shading, the measured boundary, lines of theory, and
+    the chosen point.
     """
     # inches; the margins are shares of the figure: title and chosen point above, legend below
     chart = figure(9.0, 4.9)

@@ -19,32 +19,34 @@ Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
 """Band of physiological hand tremor; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
 SMOOTH_HZ = 40.0
-"""Cut-off of the velocity that sets the direction of friction, above the band of tremor."""
+"""Cut-off of the velocity that determines the direction of friction, above the tremor band [Hz].
+"""
 STICKS_M_S = 0.05
-"""Speed below which the friction of the device counts as viscous.
+"""Speed below which the friction of the device is treated as viscous [m/s].
 
-The friction of a device that sticks is not known, only that it is at most the Coulomb friction. The
-value was chosen with `python tests/bench/bench_assessment.py --sticks` from 0.005 to 0.1 m/s. At
-0.005 m/s the tremor found in slow scenes is twice as large on a device with 0.26 N of friction.
+The friction of a device that sticks is not known. It is at most the Coulomb friction. The value was
+chosen with `python tests/bench/bench_assessment.py --sticks` from 0.005 to 0.1 m/s. At 0.005 m/s
+the tremor found in slow scenes is twice as large on a device with 0.26 N of friction.
 """
 WINDOW_S = 0.25
-"""Window over which a tremor is averaged: two to three periods."""
+"""Window over which the tremor is averaged [s], two to three periods long."""
 QUANTILE = 0.75
-"""Quantile over the windows.
+"""Quantile of the tremor over the windows.
 
-The mean would be set by the few windows of a blow, the median by those in which the device sticks.
+A few windows with an impact would dominate the mean. Windows in which the device sticks would
+dominate the median.
 """
 PAD_S = 0.5
-"""Time by which the ends are continued, for the filters."""
+"""Time by which the signal is extended at both ends for the filters [s]."""
 LEAST_WINDOWS = 4
 PATH_HZ = 4.0
 """Cut-off of the motion along the path, below the band of tremor."""
 DRAWS = 1000
-"""Draws of the noise in all windows, for the interval."""
+"""Number of random draws of the noise in all windows, for the interval."""
 LEAST_MM = 1e-4
 """Smallest tremor of a score [mm], far below that of a hand. Without tremor a score is infinite."""
 TYPICAL = "intermediate"
-"""Hand whose grip is assumed: one person's grip is not known."""
+"""Group whose grip is assumed, because the grip of an individual person is not known."""
 NOVICE, EXPERT = "novice", "expert"
 
 
@@ -58,7 +60,7 @@ class Steadiness:
         Root mean square of the intended motion between 8 and 12 Hz, all three axes together.
     score
         0 for the tremor of a novice and 100 for that of an expert, by the constants of hands.toml.
-        It is linear in the logarithm of the tremor, and may exceed both ends.
+        It is linear in the logarithm of the tremor, and may lie outside this range.
     low, high
         95 % interval of the score over the windows of the run.
     """
@@ -81,8 +83,8 @@ def steadiness(
     Parameters
     ----------
     position_m, force_N
-        Measured position of the device, and the force that it played, a row per tick of 1 ms, shape
-        (n, 3).
+        Measured position of the device, and the force that it played, with a row per tick of 1 ms,
+        shape (n, 3).
     device
         Inertia, damping and friction of the device.
     constants
@@ -91,8 +93,8 @@ def steadiness(
     Raises
     ------
     InputError
-        If the run is too short, or the device moved so slowly that its friction hides the tremor:
-        slower than the tremor of a novice, so that it stops and reverses in every period.
+        If the run is too short, or the device moved so slowly that its friction hides the tremor. A
+        device slower than the tremor of a novice stops and reverses in every period.
     """
     ticks = round(WINDOW_S / TICK_S)
     count = len(position_m) // ticks
@@ -141,16 +143,16 @@ def hand_motion_m(
     The hand pulls the device towards its intended position by a spring, a damper and a reflex. The
     force on the device follows from its motion, its inertia, its damping, its friction and its
     motors. Solved for the intended position, the result does not depend on the device or on the
-    tissue, as far as the grip is known. Filters have no lag.
+    tissue, as far as the grip is known. The filters have no lag.
 
     Parameters
     ----------
     position_m, force_N
         Position of the device, and the force that it played, a row per tick, shape (n, 3).
     device, grip
-        Parameters of both sides. The mass of the grip moves with the device.
+        Parameters of device and grip. The mass of the grip moves with the device.
     band_Hz
-        Ends of the band, at half of the amplitude.
+        Ends of the band, at which the filter halves the amplitude.
     """
     frequency = _frequencies_Hz(len(position_m))
     s = 2j * np.pi * frequency
@@ -171,7 +173,7 @@ def hand_motion_m(
 
 
 def _require_motion(position_m: Array, novice: HandParameters) -> None:
-    """Check that a device moves faster than a tremor for a quarter of the time."""
+    """Check that a device moves faster than a tremor for at least a quarter of the time."""
     frequency = _frequencies_Hz(len(position_m))
     place = _spectrum(position_m - position_m[0])
     along = 2j * np.pi * frequency * place / (1.0 + (frequency / PATH_HZ) ** 4)
@@ -194,13 +196,13 @@ def _frequencies_Hz(ticks: int) -> Array:
 
 
 def _spectrum(values: Array) -> Spectrum:
-    """Return the spectrum of rows of ticks, whose ends are continued."""
+    """Return the spectrum of rows of ticks, which are extended at both ends."""
     pad = round(PAD_S / TICK_S)
     return np.fft.rfft(np.pad(values, ((pad, pad), (0, 0)), mode="edge"), axis=0)
 
 
 def _signal(spectrum: Spectrum, ticks: int) -> Array:
-    """Return the rows of ticks of a spectrum, without the continued ends."""
+    """Return the rows of ticks of a spectrum, without the extensions at both ends."""
     pad = round(PAD_S / TICK_S)
     whole: Array = np.fft.irfft(spectrum, ticks + 2 * pad, axis=0)
     return whole[pad : pad + ticks]

@@ -115,7 +115,7 @@ class Trained:
             raise InputError(what, "be an existing file", path, "train it with 'tissue train'")
         again = f"train it again with 'tissue train {scene or 'SCENE'}'"
         if not is_zipfile(path):  # NumPy would read it as a pickle
-            raise InputError(what, "be a complete file that 'tissue train' wrote", path, again)
+            raise InputError(what, "be a whole file that 'tissue train' wrote", path, again)
         try:
             held = read_npz(path)
             whole = read_json(str(held.pop("json")))

@@ -358,7 +358,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     rows = np.empty((max(len(whole) - 1, 0), len(columns)))
     for number, line in enumerate(whole[1:]):
         if len(line) != len(columns):
-            raise _line_error(path, number, f"hold {len(columns)} values a line", len(line))
+            raise _line_error(path, number, f"hold {len(columns)} values in each line", len(line))
         for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
             try:
                 rows[number, place] = index[cell] if name == "layer" else number_in(cell)

@@ -171,7 +171,10 @@ REFUSED = {
     ),
     "empty": (lambda: force_mae_N([], []), "force_N must have shape"),
     "constant": (lambda: latency_ms(FORCE, FORCE, tick_s=TICK_S), "force_N must vary"),
-    "short": (lambda: latency_ms(FORCE[:60], FORCE[:60], tick_s=TICK_S), "longest_ms must span"),
+    "short": (
+        lambda: latency_ms(FORCE[:60], FORCE[:60], tick_s=TICK_S),
+        "longest_ms must be at least one tick",
+    ),
     "late": (
         lambda: latency_ms(
             np.arange(400) > 250, np.arange(400) > 200, tick_s=TICK_S, longest_ms=20

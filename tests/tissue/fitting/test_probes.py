@@ -102,7 +102,7 @@ def test_presses_in_other_units_and_names(tmp_path, head, columns):
     ("text", "columns", "sentence"),
     [
         ("depth_mm,load\n0,1\n1,2\n", (), "hold force_N, got depth_mm, load"),
-        ("depth_mm,force_N\n0,0\n1,1\n2,2\n3,3\n", (), f"hold {FEWEST_PROBES} presses or more"),
+        ("depth_mm,force_N\n0,0\n1,1\n2,2\n3,3\n", (), f"hold at least {FEWEST_PROBES} presses"),
         ("depth_mm,force_N\n0,0\n1,1\n", ("load=force_N",), "column"),
     ],
 )

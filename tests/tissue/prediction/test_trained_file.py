@@ -96,7 +96,7 @@ def test_a_file_cut_or_changed_anywhere_is_refused(tmp_path):
     whole = path.read_bytes()
     for length in np.linspace(1, len(whole) - 1, 25).astype(int):
         path.write_bytes(whole[:length])
-        with pytest.raises(InputError, match="predictor file must be whole"):
+        with pytest.raises(InputError, match="predictor file must be a whole file"):
             Trained.read(path)
     content = bytearray(whole)
     for at in range(40, len(content), 97):

@@ -43,9 +43,11 @@ from tissue.scene.load import load_scene
 __all__ = ["Contrast", "CutCells", "ExplicitCutting"]
 
 THRUST_N = 20.0
-"""Thrust above the edge force. The equation is linear in it, so that no result depends on it."""
+"""Thrust beyond the edge force [N]. The equation is linear in the thrust, so no result depends on
+its value.
+"""
 STEPS = 400
-"""Steps after which a mode of 2 % growth is a thousand times as large."""
+"""Number of steps: a mode that grows by 2 % in each step is then a thousand times as large."""
 MASS_KG = 0.05
 """Mass in the sweep of the step."""
 
@@ -78,7 +80,7 @@ def drag_N_s_m() -> float:
 
 
 def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
-    """Compute the distance of the speed to the steady one after 400 steps, relative to it."""
+    """Compute the relative difference of the speed from the steady speed after 400 steps."""
     drag = drag_N_s_m()
     settled = THRUST_N / drag
     speed = 0.0
@@ -94,7 +96,7 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
 
 
 def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
-    """Push a drill into bone for 0.5 s; return the late mean axial force and the largest speed.
+    """Push a drill into bone for 0.5 s; return the mean late axial force and the largest speed.
 
     The force is in N and the speed in m/s.
     """
@@ -141,7 +143,7 @@ class ExplicitCutting(Page):
     )
 
     def measure(self) -> Data:
-        """Find the longest stable step over mass, and sweep the step at one mass."""
+        """Find the longest stable step for several masses, and vary the step at one mass."""
         # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
@@ -170,7 +172,7 @@ class ExplicitCutting(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare the longest explicit step with 2 m / c, and the implicit rule with a steady feed.
 
-        The implicit rule is used with steps beyond the limit of the explicit one.
+        The implicit rule is used with steps longer than the limit of the explicit rule.
         """
         step = data["step"]
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
@@ -223,20 +225,20 @@ class ExplicitCutting(Page):
 CUT_EDGE_M = 1e-3
 CELLS = 3
 SINGULAR = 1e14
-"""Condition number above which a matrix of doubles is indistinguishable from a singular one."""
+"""Condition number above which a matrix in double precision counts as singular."""
 
 
 def body_of(particles: ParticleSet, edge_m: float, strength: float) -> ParticleBody:
-    """Return a body on cells of an edge, held at its base."""
+    """Return a body of particles in cubic cells of edge `edge_m`, held at its base."""
     grid = HexGrid.around(particles.position_m, edge_m=edge_m, origin_m=np.zeros(3))
     supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     return ParticleBody(particles, grid, supports, inner_strength=strength)
 
 
 def cut_block(fill: float, strength: float) -> ParticleBody:
-    """Return a block of full cells, 8 particles each, under a layer of cut cells.
+    """Return a block of full cells with 8 particles each, under a layer of cut cells.
 
-    A cut cell has one particle of a volume ``fill``.
+    A cut cell holds one particle, which fills the share ``fill`` of the cell.
     """
     # two particles along each edge, at the middles of the eight parts of a cell
     places = 0.25 + 0.5 * np.argwhere(np.ones((2, 2, 2)))
@@ -256,7 +258,7 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 def conditions(body: ParticleBody) -> tuple[float, float]:
     """Compute the condition number of the stiffness, plain and scaled by its diagonal.
 
-    It is limited to 1e17.
+    The result is limited to 1e17.
     """
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)
@@ -271,7 +273,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
-    """Compute the compliance at a force on the top [m/N]."""
+    """Compute the compliance for a force on the top [m/N]."""
     # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
@@ -280,7 +282,7 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 
 
 def at_fill(fill: float) -> dict[str, float]:
-    """Measure condition numbers and compliance with and without inner stiffness."""
+    """Measure condition numbers and compliance with and without the stabilising inner stiffness."""
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
     # A thousandth of the inner stiffness closes the matrix and adds next to nothing to the
@@ -296,7 +298,7 @@ def at_fill(fill: float) -> dict[str, float]:
 
 
 class CutCells(Page):
-    """Singular stiffness of a cell with few particles, and inner stiffness that closes it."""
+    """Singular stiffness of a cell with few particles, and inner stiffness as a remedy."""
 
     name = "cut_cells"
     title = "Cut cells: how little may a cell hold?"
@@ -384,7 +386,7 @@ class CutCells(Page):
 EDGE_M = 8e-3
 TOLERANCE = 1e-6
 REAL = 42e3
-"""Contrast of enamel (84 GPa) to pulp (2 MPa)."""
+"""Ratio of the modulus of enamel (84 GPa) to the modulus of pulp (2 MPa)."""
 CONTRASTS = np.array([1.0, 10.0, 1e2, 1e3, 4200.0, REAL, 1e6])
 MOST = 5000
 """Iterations after which a plain solve stops."""
@@ -393,7 +395,7 @@ MOST = 5000
 def soft_middle(cells: int, contrast: float) -> ParticleBody:
     """Return a block of 84 GPa, held at its base, with a soft ball and a soft bottom layer.
 
-    Both are softer than the block by the contrast.
+    The modulus of both is the modulus of the block divided by the contrast.
     """
     position = (np.argwhere(np.ones((2 * cells,) * 3)) + 0.5) * 0.5 * EDGE_M / cells
     # a ball of half the block's width as pulp, and a layer of an eighth of its height as ligament
@@ -431,7 +433,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     count = 0
 
     def stop_at_goal(iterate: Array) -> None:
-        """Stop at the goal, which every fifth iterate is compared with."""
+        """Stop at the goal. Only every fifth iterate is compared with the goal."""
         nonlocal count
         count += 1
         left = iterate - exact
@@ -449,7 +451,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
 
 
 class Contrast(Page):
-    """Contrast of moduli: its effect on conjugate gradients with and without a multigrid."""
+    """Effect of the contrast of moduli on conjugate gradients with and without a multigrid."""
 
     name = "contrast"
     title = "Modulus contrast: do iterations follow it?"
@@ -482,7 +484,7 @@ class Contrast(Page):
         return {"contrast": table}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the growth of plain iterations with the range of the multigrid's."""
+        """Compare the growth of plain iterations with the range of iterations of the multigrid."""
         table = data["contrast"]
         plain = table["plain"]
         multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])
@@ -498,7 +500,7 @@ class Contrast(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Request a solve in too few iterations, and without supports."""
+        """Request a solve with too few iterations, and a solve without supports."""
         body = soft_middle(8, REAL)
         # two of the 6 to 8 iterations that a cold solve takes
         short = body.solve(pushed(body), limit=2, cold=True)

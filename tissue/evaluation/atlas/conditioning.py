@@ -1,8 +1,9 @@
-"""Conditioning of a tool held on a device: change of its path by a small change of the device path.
+"""Conditioning of a tool on a device: change of the tool path after a small change of the device
+path.
 
-The device path of a closed loop is recorded once. It is then replayed without feedback, unchanged
-and changed. The functions read the trace and the true poses of the device. Of the tool they only
-use the mass.
+The device path of a closed loop is recorded once. It is then replayed without feedback, once
+unchanged and once changed. The functions read the trace and the true poses of the device. The only
+property of the tool that they use is the mass.
 """
 
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 OBLIQUE = np.array([0.48, -0.36, 0.8])
-"""Unit direction of a shift, along no axis of a scene."""
+"""Unit direction of a shift. It is not parallel to any axis of a scene."""
 
 
 @runtime_checkable
@@ -166,8 +167,8 @@ def recorded_path(scene: Scene) -> DevicePath:
 def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Course:
     """Run a scene with a given device path, on which forces have no effect.
 
-    The velocity of a sample is the difference to the previous sample, as on a simulated device. The
-    mass of a tool with inertia is multiplied by ``mass_share``.
+    The velocity of a sample is its difference from the previous sample divided by the tick, as on a
+    simulated device. The mass of a tool with inertia is multiplied by ``mass_share``.
     """
     times_s = TICK_S * np.arange(len(path.positions_m), dtype=np.float64)
     device = RecordedDevice(times_s, path.positions_m, path.quaternions)
@@ -178,10 +179,10 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
 
 
 def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
-    """Return the distance between two tool paths over the shift of the tool [m].
+    """Return the distance between two tool paths divided by the shift of the tool [m].
 
-    The first value is that one second after the first contact, or at the end of a shorter run, the
-    second the largest of the run. A free tool has 1.
+    The first value is taken one second after the first contact, or at the end of a shorter run. The
+    second value is the largest of the run. A free tool has the value 1.
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
     later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
@@ -189,9 +190,9 @@ def amplification(course: Course, reference: Course, shift_m: float) -> tuple[fl
 
 
 def force_error(course: Course, reference: Course) -> float:
-    """Return the RMS difference of the forces over the RMS force of the reference.
+    """Return the RMS difference of the forces divided by the RMS force of the reference.
 
-    Counted are ticks in contact in either run.
+    Ticks with contact in at least one of the runs are counted.
     """
     touching = course.touches | reference.touches
     difference = (course.forces_N - reference.forces_N)[touching]

@@ -37,24 +37,26 @@ __all__ = ["HeldTool"]
 LIGHT = 1e-4
 """Factor on the mass of the tool in the runs of the massless quasi-static limit.
 
-Chosen. The damper, which grows with the root of the mass, falls to a hundredth.
+The value was chosen. The damping grows with the square root of the mass, so it falls to a
+hundredth.
 """
 SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries": 1.6}
 """Duration of the run of each scene that cuts [s], which includes one second of contact."""
 SHIFTS_M = np.array([1e-9, 1e-6, 1e-5])
 SEED = 1
 MOST = 10.0
-"""Amplification above which a tool is ill-conditioned.
+"""Amplification above which a tool counts as ill-conditioned.
 
-Chosen. At commit c4a1af96, this page finds at most 2.6 with the tool of the engine. In the massless
-limit it finds 23 for a shift of 1 nm in ``molar``, and at most 3.7 in the other scenes.
+The value was chosen. At commit c4a1af96, this page finds at most 2.6 with the tool of the engine.
+In the massless limit it finds 23 for a shift of 1 nm in ``molar``, and at most 3.7 in the other
+scenes.
 """
 STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), ("v-", "#CC79A7"))
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
 
 
 def _columns(scene: Scene, path: DevicePath, rule: str, *, mass_share: float) -> Table:
-    """Measure amplification and force error over the shift."""
+    """Measure amplification and force error for each shift."""
     reference = replayed(scene, path, mass_share=mass_share)
     rows = []
     for shift_m in SHIFTS_M.tolist():
@@ -66,7 +68,7 @@ def _columns(scene: Scene, path: DevicePath, rule: str, *, mass_share: float) ->
 
 @cache
 def _measured() -> Data:
-    """Replay the path of one hand in every scene, by the engine and in the massless limit."""
+    """Replay the path of one hand in every scene, with the mass and in the massless limit."""
     data: Data = {}
     for name, seconds in SECONDS.items():
         scene = in_a_hand(load_scene(name), seed=SEED, seconds=seconds)
@@ -156,7 +158,7 @@ def _rows(data: Data) -> Iterator[Answer]:
 
 
 def _replays() -> Iterator[Answer]:
-    """Yield the answers for a path replayed twice, and for a shift on a wall."""
+    """Yield the answers for a path that is replayed twice, and for a shifted path on a wall."""
     # The burr touches after 0.4 s, the ball after 0.5 s.
     scene = in_a_hand(load_scene("milling"), seed=SEED, seconds=0.6)
     path = recorded_path(scene)

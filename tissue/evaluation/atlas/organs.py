@@ -45,8 +45,8 @@ __all__ = ["BadTetrahedra", "LargeRotation", "Locking"]
 
 LENGTH = 10.0
 YOUNG = 1000.0
-"""Bar of 10 m x 1 m x 1 m and 1 kPa under 1 N at its end, as the published cantilever. The
-result is scale-free.
+"""Modulus of a bar of 10 m x 1 m x 1 m with a force of 1 N at its end, as the published cantilever.
+The result is scale-free.
 """
 MESHES = {
     "quadratic": (2, (16, 2, 2), ENGINE),
@@ -87,7 +87,7 @@ class Locking(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep 1 - 2 nu."""
+        """Vary 1 - 2 nu."""
         # 1 - 2 nu from 0.4 (nu = 0.3) to 2e-4 (nu = 0.4999), evenly on a logarithmic axis
         ratios = 0.5 * (1.0 - np.geomspace(0.4, 2e-4, 8))
         shear = YOUNG / (2.0 * (1.0 + ratios))
@@ -100,7 +100,7 @@ class Locking(Page):
         return {"bar": bar}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare linear and quadratic cells with the beam."""
+        """Compare linear and quadratic tetrahedra with Timoshenko's beam."""
         bar = data["bar"]
         ratio = bar["poisson_ratio"]
         linear = bar["linear_coarse_m"] / bar["timoshenko_m"]
@@ -121,7 +121,7 @@ class Locking(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Request the limit itself, and an organ of locking cells."""
+        """Request a solve at the limit itself, and an organ of tetrahedra that lock."""
         _, note = elasticity_of(
             # any mesh will do: the note depends on order and Poisson's ratio only
             box((0.02, 0.02, 0.02), (1, 1, 1)),
@@ -185,7 +185,7 @@ def turned(nodes_m: Array, degrees: float) -> Array:
 
 
 def false_stress_Pa(law: Law) -> Array:
-    """Compute the pull on an end over its area with both ends rotated [Pa].
+    """Compute the pull on an end, divided by its area, after both ends were rotated [Pa].
 
     The result is NaN where a solve does not converge.
     """
@@ -218,7 +218,7 @@ class LargeRotation(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep the angle for all laws."""
+        """Vary the angle for all laws."""
         stresses = {f"{law.name.lower()}_pa": false_stress_Pa(law) for law in Law}
         theory = YOUNG_PA * (1.0 - np.cos(np.deg2rad(ANGLES)))
         return {"turn": {"angle_deg": ANGLES, **stresses, "theory_pa": theory}}
@@ -275,7 +275,7 @@ class LargeRotation(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the false stress over the angle."""
+        """Draw the false stress as a function of the angle."""
         turn = data["turn"]
         # zeros on a logarithmic axis: below the rounding of a solve, 1e-12 of the modulus
         least = 1e-13
@@ -308,7 +308,7 @@ def middle_node(nodes_m: Array) -> int:
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return a cube of 4 x 4 x 4 bricks with a middle node lowered to a fraction of its height."""
+    """Return a cube of tetrahedra whose middle node is lowered to a fraction of its height."""
     # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
@@ -352,7 +352,7 @@ class BadTetrahedra(Page):
     source = "Mean ratio of Liu and Joe (1994); rules of the repair in meshes.tets.quality"
 
     def measure(self) -> Data:
-        """Sweep the remaining height of the cell."""
+        """Vary the remaining height of the cell."""
         # two heights in a decade, from a good cell to a flat one
         return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
 
@@ -404,7 +404,7 @@ class BadTetrahedra(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the condition number over the height."""
+        """Draw the condition number as a function of the height."""
         table = data["sliver"]
         height = table["height"]
         bad = height[table["quality"] < SLIVER].max()

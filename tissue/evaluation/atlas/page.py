@@ -1,4 +1,6 @@
-"""Pages of the atlas: sweep, verdict, answers of the engine, panels, and the files of all pages."""
+"""Pages of the atlas: sweep of a parameter, verdict, answers of the engine, panels, and files of
+all pages.
+"""
 
 import platform
 from abc import ABC, abstractmethod
@@ -69,7 +71,9 @@ ENGINE = ("o", "#0072B2")
 """Format and colour of the curve of theory, of the failing method and of the engine."""
 Place = Literal["best", "upper left", "lower right", "center right", ""]
 Curve = tuple[str, ArrayLike, tuple[str, str]]
-"""Label, values over the sweep or one for all of it, and matplotlib's format and colour."""
+"""Label, values over the sweep (or one value for the whole sweep), and matplotlib's format and
+colour.
+"""
 
 
 class Conduct(Enum):
@@ -115,7 +119,7 @@ class Verdict:
     holds
         True if the method of the engine held in the whole sweep.
     sentence
-        Both in words, with the figures of the sweep.
+        Both results in words, with the figures of the sweep.
     """
 
     fails: bool
@@ -131,7 +135,7 @@ class Page(ABC):
     name
         Short name. The files of the page begin with it.
     title, question
-        Text for the reader.
+        Title and question for the reader.
     source
         Source of the theory, and parameters of the sweep.
     """
@@ -147,7 +151,7 @@ class Page(ABC):
 
     @abstractmethod
     def judge(self, data: Data) -> Verdict:
-        """Return the verdict, from the data alone."""
+        """Return the verdict. It follows only from the data."""
 
     @abstractmethod
     def ask(self) -> list[Answer]:
@@ -159,7 +163,10 @@ class Page(ABC):
 
 
 def refused(asked: str, call: Callable[[], object]) -> Answer:
-    """Make a call that should be refused. The answer is silently wrong if it is accepted."""
+    """Make a call that should be refused.
+
+    If the call is accepted, the answer counts as silently wrong.
+    """
     try:
         call()
     except InputError as error:
@@ -170,7 +177,7 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
 def shown(asked: str, right: bool, result: str, conduct: Conduct = Conduct.HOLDS) -> Answer:
     """Return an answer whose figures the caller has checked.
 
-    The answer is silently wrong if the figures are not right.
+    The answer counts as silently wrong if the figures are not right.
     """
     return Answer(asked, conduct if right else Conduct.SILENT, result)
 
@@ -198,7 +205,7 @@ def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: 
 
 
 def log_slope(x: Array, y: Array) -> float:
-    """Return the power of x with which y grows."""
+    """Return the exponent p of y ~ x^p, by a fit to the logarithms."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
@@ -387,7 +394,7 @@ def _document(entries: Sequence[Entry]) -> str:
 
 
 def _mark(entry: Entry) -> str:
-    """Return the behaviour of the engine on a page, or that the page is open."""
+    """Return the behaviour of the engine on a page, or the text for an open page."""
     found = {answer.conduct for answer in entry.answers}
     return (
         ", ".join(kind.value for kind in Conduct if kind in found)

@@ -1,4 +1,6 @@
-"""Pages on predicted forces: how far ahead, and on walls that a predictor was not trained on."""
+"""Pages on predicted forces: horizon of the prediction, and walls on which a predictor was not
+trained.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -99,7 +101,7 @@ def guarded(trained: Trained) -> Guarded:
 
 
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:
-    """Return the error of predictions over the size of the force, at most 1e6.
+    """Return the error of predictions divided by the size of the force, at most 1e6.
 
     The first 100 ticks are left out.
     """
@@ -112,7 +114,7 @@ def relative_error(predictions: Array, force: Array, horizon: int) -> float:
 
 
 class Horizon(Page):
-    """Prediction horizon: error of every predictor against zero-order hold."""
+    """Prediction horizon: error of every predictor, compared with zero-order hold."""
 
     name = "horizon"
     title = "Prediction horizon: how far ahead can a force be predicted?"
@@ -123,7 +125,7 @@ class Horizon(Page):
     source = "Trained on three recordings, tested on a fourth; device with six degrees of freedom"
 
     def measure(self) -> Data:
-        """Sweep the horizon on a recording that no predictor was trained on."""
+        """Vary the horizon on a recording with which no predictor was trained."""
         # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=4.0)
         force = recording.force_N
@@ -148,8 +150,8 @@ class Horizon(Page):
     def judge(self, data: Data) -> Verdict:
         """Find the horizon at which each predictor becomes worse than zero-order hold.
 
-        A predictor is useless where its error is a quarter of the force. At 64 ms the Koopman error
-        is 0.38.
+        A predictor counts as useless where its error exceeds a quarter of the force. At 64 ms the
+        error of the Koopman predictor is 0.38 of the force.
         """
         table = data["horizon"]
         horizon = table["ahead_ms"]
@@ -243,7 +245,7 @@ def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
     """
 
     def regressors(run: Recording) -> Array:
-        """Return positions and overlaps at all delays, and one."""
+        """Return positions and overlaps with the wall at all delays, and a constant one."""
         overlap = np.maximum(0.0, -run.position_m @ TURN[:, 2:])
         states = np.hstack((run.position_m, overlap))
         count = len(states) - LAGS
@@ -261,7 +263,8 @@ def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
 class TrainedElsewhere(Page):
     """Operators trained on one wall and used on another.
 
-    A regression uses positions, the operator of the engine displacements and stretches.
+    The regression uses positions. The operator of the engine uses displacements and stretches of
+    the coupling.
     """
 
     name = "trained_elsewhere"
@@ -276,7 +279,7 @@ class TrainedElsewhere(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep the stiffness of the wall that the operators are used on."""
+        """Vary the stiffness of the wall on which the operators are used."""
         learnt = recordings()
         trained = fit("wall", learnt)
         # an eighth to three times the stiffness of the training runs

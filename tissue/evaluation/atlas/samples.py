@@ -39,7 +39,7 @@ __all__ = ["LostSamples", "WildInput"]
 
 OMNI = device_parameters("omni")
 STIFFNESS_N_M = 1500.0
-"""Stiffness of the wall that is pressed [N/m]: stable, and 1.2 N under the expert's push."""
+"""Stiffness of the pressed wall [N/m]. The loop is stable, and the expert presses with 1.2 N."""
 FAULT_S = 0.15
 """Start of the faults [s], when the hand is at rest in the wall."""
 FIRST = round(FAULT_S / TICK_S)
@@ -54,7 +54,7 @@ VALID_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
 
 
 class _Jumping:
-    """Device with one sample that lies deeper by a jump."""
+    """Device with one sample that lies deeper in the wall by a given jump."""
 
     in_process = True
 
@@ -93,7 +93,7 @@ def pressed(
 
 
 def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure the force relative to that before a gap.
+    """Measure the force relative to the force before a gap in the samples.
 
     Return the force in the last tick of the gap, the largest after it, and the largest step in it.
     """
@@ -110,7 +110,7 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Sweep the length of the gap, with the guard and without it."""
+    """Vary the length of the gap, with the guard and without the guard."""
     guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
     bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old, a late one is too old at once. Then each
@@ -128,7 +128,7 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 
 
 class LostSamples(Page):
-    """Without a guard a stale force stays, with it the force fades and returns."""
+    """Lost samples: without a guard the last force stays, with a guard it fades and returns."""
 
     name = "lost_samples"
     title = "Dropped, late and repeated samples"
@@ -148,7 +148,7 @@ class LostSamples(Page):
         return {kind: over_gap(kind, gaps) for kind in STYLES}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare stale or stepping forces without the guard with the fading force with it."""
+        """Compare stale or jumping forces without the guard with the fading force of the guard."""
         tables = data.values()
         off = max(float(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max()) for t in tables)
         # 25 ms: the 20 ms of the fade, and the age that a repeated sample may have
@@ -255,7 +255,7 @@ class WildInput(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the force of one sample without the guard with that in its bounds."""
+        """Compare the force of one sample without the guard with the bounded force of the guard."""
         table = data["jump"]
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])

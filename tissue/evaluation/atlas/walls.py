@@ -75,7 +75,7 @@ def loops(along: str, values: Array) -> list[WallLoop]:
 
 
 class WallMap(Page):
-    """Critical stiffness over damping, delay and rate: measured, by eigenvalues and by bounds."""
+    """Critical stiffness by damping, delay and rate: measured, by eigenvalues, and by bounds."""
 
     name = "wall_map"
     title = "Stiffness × delay × damping × rate"
@@ -166,11 +166,11 @@ class WallMap(Page):
 
 ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
-"""Device with coarse encoders whose viscous friction alone allows 2 b / T = 2 kN/m."""
+"""Device with coarse encoders. Its viscous friction alone allows a wall of 2 b / T = 2 kN/m."""
 BUZZ_STEPS = 0.1
-"""Swing that counts as buzzing [encoder steps]. A resting device has none."""
+"""Peak-to-peak motion that counts as buzzing [encoder steps]. A device at rest has none."""
 PUSHES_N = (0.11, 0.37)
-"""Steady pushes onto the wall [N]. They bring the device to rest at different places between two
+"""Steady pushes onto the wall [N]. After each of them the device rests at another place between two
 encoder steps.
 """
 FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
@@ -193,7 +193,7 @@ class Push:
 
 
 def swing_steps(stiffness: float, friction: float) -> float:
-    """Measure the peak-to-peak position in the last third of the worst push [encoder steps].
+    """Measure the peak-to-peak motion under the worst push, in the last third [encoder steps].
 
     The wall also pulls.
     """
@@ -271,7 +271,7 @@ class Quantisation(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Check for buzzing below the critical stiffness and for quiet below the bound.
+        """Check that the device buzzes below the critical stiffness and rests below the bound.
 
         The bound follows from encoder and friction.
         """
@@ -334,8 +334,9 @@ class Quantisation(Page):
 STIFFNESS_N_M = 1000.0
 MASS_KG = 0.05
 SHORT_TICK_S = 2.5e-4
-"""Wall and device whose contact lasts 22 ms. At this tick the hold leaks little energy in that
-time.
+"""Stiffness and mass for which a contact lasts 22 ms, and the tick.
+
+At this tick, the zero-order hold adds little energy during a contact.
 """
 
 
@@ -349,7 +350,7 @@ def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
-    """Compute the final height of a device thrown at a wall from just above it [m].
+    """Compute the final height of a device that is thrown at a wall from just above the wall [m].
 
     Without a proxy the force is a penalty that pushes to the nearest face.
     """
@@ -381,7 +382,7 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
 
 
 class ThinWalls(Page):
-    """A fast tool crosses a penalty wall, but not one that a proxy renders."""
+    """A fast tool crosses a wall that a penalty renders, but not a wall that a proxy renders."""
 
     name = "thin_walls"
     title = "Thin walls and fast tools"
@@ -395,12 +396,12 @@ class ThinWalls(Page):
     )
 
     def measure(self) -> Data:
-        """Find the crossing speed of the penalty wall, and throw devices at proxies."""
+        """Find the speed at which a device crosses a penalty wall, and throw devices at proxies."""
         # walls of 0.1 mm, as thin as a voxel, to 20 mm
         thickness = np.geomspace(1e-4, 2e-2, 8)
 
         def penalty(thick: float) -> dict[str, float]:
-            """Return the crossing speed: measured, by energy, and by sampling alone."""
+            """Return the crossing speed: measured, from the energy, and from the sampling alone."""
             return {
                 "crossed_from_m_s": boundary(
                     # eleven bisections of four decades find the speed within 0.5 %
@@ -425,7 +426,7 @@ class ThinWalls(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare the crossing speed with the energy of half a wall, and count rejected devices.
 
-        A rejected device is thrown back by a proxy.
+        A rejected device is a device that a proxy throws back.
         """
         penalty = data["penalty"]
         thrown = data["proxy"]

@@ -48,7 +48,7 @@ __all__ = [
 
 
 Answer = Callable[[Comparison | Magnitude, int], float]
-"""Answers a trial of that number."""
+"""Function that answers a trial with the given number."""
 DIRECTION = np.array([0.0, 0.0, -1.0])
 """Direction in which forces push the hand: down."""
 LENGTH_S = 0.8
@@ -57,10 +57,13 @@ PAUSE_S = 0.4
 """Length of an interval, of its soft start and end, and of the pause between two [s].
 
 The constant force lasts 0.6 s, six times the 0.1 s over which a person averages a force
-(`integration_s` in perception.toml). A force without soft ends would be felt as a tap.
+(`integration_s` in perception.toml). A force without a soft start and end would be felt as a tap.
 """
 MOST_INVALID = 0.1
-"""Largest share of invalid samples in an interval: its force has faded for less than a ramp."""
+"""Largest share of invalid samples in an interval.
+
+The force then fades for less time than a ramp takes.
+"""
 
 
 class StoppedError(Exception):
@@ -77,7 +80,7 @@ def play(
     clock: Callable[[], float] = perf_counter,
     wait: Callable[[float], None] = sleep,
 ) -> None:
-    """Apply a force for a limited time with soft edges, and always end with zero force.
+    """Apply a force for a limited time with a soft start and end, and always end with zero force.
 
     Without valid samples the force fades, as in a run.
 
@@ -216,17 +219,17 @@ class Person:
             self._wait(PAUSE_S)
 
     def _length(self, force_N: float) -> int:
-        """Return the length of a bar in characters; 60 fit into a line of a terminal."""
+        """Return the length of a bar in characters. A line of a terminal has space for 60."""
         return max(round(60.0 * force_N / self._limits.force_limit_N), 1)
 
 
 def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
-    """Return the one observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
+    """Return the observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
 
     Raises
     ------
     InputError
-        If the name is another.
+        If the name has another form.
     """
     kind, *parts = spec.split(":")
     group, seed = (
@@ -254,7 +257,7 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
     """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
-        """Answer a trial of that number."""
+        """Answer the trial with the given number."""
         # 2 distinguishes this stream from the streams of `Session.ask` (0) and of other users of
         # the seed
         rng = np.random.default_rng([seed, 2, trial])
@@ -319,7 +322,7 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
     Raises
     ------
     InputError
-        If the observer's file is there already and may not be replaced, or the log is of another
+        If the observer's file exists and may not be replaced, or the log belongs to another
         session.
     """
     if out.suffix != ".json":

@@ -4,7 +4,7 @@ The discrimination is computed with and without a scaled force. A person feels a
 individual noise, which is added after the mapping. The scatter of the force itself is added before
 the mapping. A mapping that rises with the force adds no information to a noise that passes through
 it, so the scatter of tissue, hand and device is scaled together with the force. The mapping can
-change only the part of the difference that exceeds the person's noise. A power above 1 spreads
+change discrimination only in relation to the noise that is added after it. A power above 1 spreads
 forces, and a gain lifts them over the low-force term. A power below 1, or a common factor that
 keeps forces within the device, does the opposite. Calibration maps every person to the exponent of
 the reference. People with a lower exponent gain and people with a higher exponent lose. The mean
@@ -46,16 +46,16 @@ RESAMPLES = 2000
 The probability beyond an end is then known to 2.5 ± 0.35 %, one standard error.
 """
 Command = Callable[[Array], Array]
-"""Force at the device [N] for the one that shall be felt [N], any shape."""
+"""Function from the force that shall be felt to the force at the device [N], any shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).
 
-    Each of two intervals is felt with noise of unit variance on a scale on which the threshold
-    kappa (F + offset) has the length 0.954. Therefore 75 % of the answers at the threshold are
-    right. A force is rated with the number alpha (F / 1 N)^beta, with noise of its logarithm.
+    Each of two intervals is felt with noise of unit variance. On this scale the threshold kappa (F
+    + offset) has the length 0.954, so 75 % of the answers at the threshold are right. A force is
+    rated with the number alpha (F / 1 N)^beta, with noise of its logarithm.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class SimulatedObservers:
     kappa, offset_N
         Weber's fraction and its term for low forces [N].
     lapse
-        Share of strong stimuli with a wrong answer. Twice this share is answered blindly.
+        Share of wrong answers to strong stimuli. Twice this share is guessed.
     sigma
         Standard deviation of the logarithm of a rated number.
     freedom
@@ -96,7 +96,8 @@ class SimulatedObservers:
         Parameters
         ----------
         base_N, step_N
-            Smaller force and difference, one value or one value for each observer, shape (n,).
+            Smaller force and difference: a single value, or one value for each observer, shape
+            (n,).
         rng
             Generator of the noise. Equal generators give the same noise for all forces.
         trial
@@ -120,7 +121,7 @@ class SimulatedObservers:
         )
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
-        """Return the number that each gives to a force [N], shape (n,)."""
+        """Return the number with which each observer rates a force [N], shape (n,)."""
         return self.alpha * np.asarray(force_N) ** self.beta * np.exp(self.sigma * self._noise(rng))
 
     def _noise(self, rng: np.random.Generator) -> Array:
@@ -162,9 +163,10 @@ def calibrated_commands(
     numbers: int = 24,
     limits: ForceRange | None = None,
 ) -> list[Command]:
-    """Return the force to command for each person after a calibration by rated numbers.
+    """Return the function that gives the force to command for each person after a calibration.
 
-    The calibration maps each person to the reference (E5).
+    The calibration uses forces that the people rated with numbers, and maps each person to the
+    reference (equation E5).
 
     Parameters
     ----------
@@ -222,7 +224,8 @@ def share_right(
     people
         Observers.
     first, second
-        The two stimuli. For equal levels there is no right answer, and half of the answers count.
+        The two stimuli. If their levels are equal, there is no right answer, and half of the
+        answers count as right.
     seed
         Seed of scatter and noise.
     trials
@@ -258,7 +261,7 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
     threshold at the weaker force. A difference of mean m and deviation s is then a distance of mean
     0.954 m / t and deviation 0.954 s / t between two intervals, each felt with noise of unit
-    variance. d' is the distance without scatter that is discriminated equally often.
+    variance. d' is the distance without scatter at which equally many answers are right.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
@@ -283,8 +286,9 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:
-    """Return the sizes of force as the device plays them [N], any shape: `ForceRange.play` for
-    many.
+    """Return the sizes of forces as the device plays them [N], any shape.
+
+    This is `ForceRange.play` for arrays.
     """
     knee = device.knee_share * device.limit_N
     above = device.limit_N - knee

@@ -1,4 +1,4 @@
-"""A population from the logs of many sessions."""
+"""Fit of a population to the logs of many sessions."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -81,8 +81,8 @@ def fit_population(
     """Fit the hierarchy to all logs in a folder, write the population and return sentences.
 
     The file describes an observer known only as a member of the population. A table next to it
-    holds intervals and diagnostics of every parameter of the population. With ``progress`` every
-    chain shows a bar.
+    holds intervals and diagnostics of every parameter of the population. With ``progress``, every
+    Markov chain shows a progress bar.
 
     Raises
     ------
@@ -167,7 +167,7 @@ GREY = "0.6"
 
 
 def posterior_panel(session: Session) -> "Panel":
-    """Return the posterior of the Weber fraction as bars of text, with the estimates under it."""
+    """Return the posterior of the Weber fraction as bars of text, with the estimates below."""
     from rich.panel import Panel
 
     masses = session.threshold.weber_masses()[:, 0]
@@ -235,7 +235,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
 
 
 def _answers(session: Session, axes: "Axes") -> None:
-    """Draw the shares of right answers over the step in thresholds, in bins of equal count."""
+    """Draw the shares of right answers against the step in thresholds, in bins of equal count."""
     weber, offset, lapse = (
         float(get()[0])
         for get in (

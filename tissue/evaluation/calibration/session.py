@@ -1,4 +1,4 @@
-"""Calibration session: next question, current result, and limits of the result."""
+"""Calibration session: next question, present result, and limits of the result."""
 
 import json
 import os
@@ -35,16 +35,16 @@ class Plan:
     Attributes
     ----------
     seed
-        Decides which interval holds the greater force, and the order of the forces that are given
-        numbers.
+        Seed that determines which interval holds the larger force, and the order of the forces that
+        are rated with numbers.
     trials
-        Comparisons of two intervals.
+        Number of comparisons of two intervals.
     numbers
-        Forces that are given a number.
+        Number of forces that are rated with a number.
     force_limit_N
         Largest force of the device [N].
     prior
-        Belief about the threshold before the first trial.
+        Prior of the threshold before the first trial.
     """
 
     seed: int = 0
@@ -303,7 +303,7 @@ class TrialLog:
     Raises
     ------
     InputError
-        If the file is of another origin, observer or plan, or holds a line that is not a trial. The
+        If the file has another origin, observer or plan, or holds a line that is not a trial. The
         file is left unchanged.
     """
 
@@ -351,7 +351,7 @@ class TrialLog:
             ) from problem
 
     def take(self, asked: Comparison | Magnitude, answer: float) -> None:
-        """Take an answer into the session and bring it to disk."""
+        """Add an answer to the session and write it to disk."""
         trial = self.session.trial
         self.session.take(asked, answer)
         entry = {

@@ -48,9 +48,9 @@ __all__ = [
 ]
 
 OFFERED_US = 800.0
-"""99th percentile of a tick above which no finer setting is offered [us].
+"""99th percentile of the time of a tick above which no finer setting is offered [us].
 
-The loop of the hand takes the remaining time.
+The remaining time of a tick is for the loop of device and hand.
 """
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
@@ -89,9 +89,7 @@ class Frontier:
 
     @property
     def bounds(self) -> tuple[Measured, ...]:
-        """Rows of a table that are no settings: of the law and of rounding, where they were
-        measured.
-        """
+        """Rows for errors that no setting reduces (elastic law, rounding), as far as measured."""
         law = nan if self.law is None else self.law.error
         errors = {("linear law", "law"): law, ("float32", "rounding"): self.rounding}
         return tuple(
@@ -108,7 +106,7 @@ class Frontier:
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
-    """Return the Pareto-optimal measurements in median tick and error, cheapest first."""
+    """Return the measurements that are Pareto-optimal in tick time and error, cheapest first."""
     best: list[Measured] = []
     for point in sorted(points, key=lambda each: (each.median_us, each.force_error)):
         if not best or point.force_error < best[-1].force_error:
@@ -119,7 +117,7 @@ def undominated(points: Sequence[Measured]) -> list[Measured]:
 def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) -> Frontier:
     """Measure every setting of a scene that was not measured on this machine before.
 
-    Every measurement is kept at once, so that an interrupted chart continues.
+    Every measurement is stored immediately, so that an interrupted chart can continue.
 
     Parameters
     ----------
@@ -161,7 +159,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
-    """Return the uncertainty of the reference, kept next to the measurements."""
+    """Return the uncertainty of the reference, which is stored next to the measurements."""
     gap_file = path.with_suffix(".gap")
     if (kept := read_entry(gap_file)) is None:
         short = short_of(of_model(scene), quick)
@@ -187,14 +185,14 @@ def _kept(path: Path) -> dict[str, Measured]:
 
 
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
-    """Write measurements as a table. A reader never sees half of it."""
+    """Write measurements as a table. A reader never sees an incomplete table."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_bytes(_table(points).encode())
 
 
 def measured_of(text: str) -> list[Measured]:
-    """Return the measurements of a table's text, without rows if it has other columns."""
+    """Return the measurements in the text of a table; none if the table has other columns."""
     table = csv.DictReader(StringIO(text, newline=""))
     if tuple(table.fieldnames or ()) != COLUMNS:
         return []
@@ -213,11 +211,11 @@ def _table(points: Sequence[Measured]) -> str:
 SAFETY = 1.5
 """Ratio of a demanded error to the largest allowed error of a setting at the measured places.
 
-The margin keeps the error within the demand at other places. The value was set on seeds 1-10 of an
-earlier force law. It was then tested on five further motions of each of four scenes and of four
-imaged teeth and scapulae: every demand is kept. With 1.25, the demands of all but one tooth are
-kept. With 1, a demand of 1 % is kept by two motions in five on another tooth
-(tests/bench/held_out.py).
+The margin keeps the error within the demand at other places. The value was chosen with seeds 1-10
+of an earlier force law. It was then tested with five further motions on each of four scenes and of
+four imaged teeth and scapulae: the error stays within every demand. With 1.25, the error exceeds a
+demand on one tooth. With 1, the error stays within a demand of 1 % for only two of five motions on
+another tooth (tests/bench/held_out.py).
 """
 
 
@@ -225,7 +223,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
     """Return the cheapest measurement that satisfies a demand.
 
     Without a demanded error, the most accurate measurement is returned. An error counts as at least
-    `gap`, the uncertainty of the reference. Rows that are not settings are skipped.
+    `gap`, the uncertainty of the reference. Rows that are not settings are ignored.
 
     Raises
     ------

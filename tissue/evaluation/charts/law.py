@@ -44,21 +44,26 @@ __all__ = ["LawError", "law_error", "linear_error", "with_law"]
 LAW = "neo-hookean"
 """Law that replaces the linear one. It needs no constants beyond the small-strain constants."""
 CITED_LAW = "exponential"
-"""Law that replaces the linear one for a material with a cited rate of it."""
+"""Law that replaces the linear one for a material with a published rate of this law."""
 EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
 """Depth over the ball's radius, and error of the linear force there against the exponential law.
 
-The rate is 4.6, the cited one of a pressed liver, on a layer of ten radii
-(`tests/tissue/evaluation/test_law_choice.py`). On a layer of five radii the errors are 1.2 times as
-large, on 2.5 radii 1.8 times.
+The rate is 4.6, the published value of a pressed liver. The layer is ten radii thick
+(`tests/tissue/evaluation/test_law_choice.py`). The errors are 1.2 times as large on a layer of five
+radii, and 1.8 times on a layer of 2.5 radii.
 """
 INSTANTS = 4
-"""Number of solved instants of the contact, in the middle of equal parts of it.
+"""Number of instants at which the contact is solved.
 
-An instant takes two nonlinear solves, about 5 s each in liver-press.
+They lie in the middle of equal parts of the contact.
+
+Each instant takes two nonlinear solves of about 5 s in liver-press.
 """
 POSES = 400
-"""Poses of the motion that are searched for contact: 0.1 mm apart on a path of 40 mm."""
+"""Number of poses of the motion that are searched for contact.
+
+On a path of 40 mm they are 0.1 mm apart.
+"""
 COARSER = 1.4
 """Ratio of the mesh's edges to the scene's edges.
 
@@ -66,8 +71,9 @@ With 1.4, liver-press takes 40 s on one core. A graded slab with a nodule takes 
 needs short cells, and the gradients need more iterations.
 """
 TOLERANCE = 1e-4
-"""Residual of a solve, and distance of a node to the ball over its radius. The laws differ by
-per cents.
+"""Residual of a solve, and distance of a node from the ball relative to its radius.
+
+The laws differ by several per cent.
 """
 
 
@@ -112,7 +118,9 @@ class LawError:
 
 
 def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
-    """Compare both laws on the motion of a scene. The result is kept on disk.
+    """Compare both laws on the motion of a scene.
+
+    The result is stored on disk.
 
     The comparison needs a ball on a path into an organ that is isotropic, weightless and without a
     capsule. The result is None for other scenes.
@@ -191,9 +199,9 @@ def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
 
 
 def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
-    """Return tips of the tool spread evenly over its contact [m], and its direction.
+    """Return positions of the tip spread evenly over the contact [m], and the tool's direction.
 
-    The contact is with the undeformed body.
+    The contact is the contact with the undeformed body.
     """
     assert isinstance(scene.tool, Probe)
     motion = motion_of(scene, step_s=TICK_S)
@@ -215,7 +223,7 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
 def _pressed(
     solver: "NewtonSolver", *, tips_m: Array, direction: Array, radius_m: float
 ) -> tuple[Array, Array]:
-    """Solve for the force on the ball at each tip [N], and its depth [m].
+    """Compute the force on the ball [N] and its depth [m] at each position of the tip.
 
     The result is NaN where a solve does not converge.
     """
@@ -253,7 +261,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     Parameters
     ----------
     scene
-        Scene that is moved by its script. Other scenes keep their law.
+        Scene whose tool a script moves. Other scenes keep their law.
     wanted
         Demanded fidelity.
 
@@ -318,7 +326,10 @@ def _law_of_material(scene: Scene) -> str:
 
 
 def _largest_depth_mm(scene: Scene) -> float:
-    """Return the largest indentation by the script [mm], on the coarsest cells; kept on disk."""
+    """Return the largest indentation by the script [mm], on the coarsest cells.
+
+    The result is stored on disk.
+    """
     coarse = changed(of_model(scene), settings_of(scene, quick=True)[0].changes)
 
     def make() -> dict[str, NDArray[np.generic]]:

@@ -59,11 +59,11 @@ __all__ = [
 
 
 LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
-"""Last place of a float32 at 10 mm, the size of a path: 1 nm."""
+"""Resolution of a float32 at 10 mm, the size of a path: 1 nm."""
 
 
 def of_model(scene: Scene) -> Scene:
-    """Return the scene moved by its script, without all that no script depends on."""
+    """Return the scene moved by its script, without parts that have no effect on such a run."""
     return changed(scene, {"device": "none"})
 
 
@@ -84,7 +84,8 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
     """Return the force of a run and its reference on the same motion, each shape (n, 3) [N].
 
-    By hand it is the played force, and its reference is a loop without delay on the finest model.
+    For a hand it is the played force. Its reference is the force of a loop without delay on the
+    finest model.
     """
     if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
@@ -97,9 +98,9 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
     """Return the uncertainty of the reference: differences below it are not resolved.
 
-    With an exact geometry it is the uncertainty of its force. By hand, the finest grid is the
-    reference, and the uncertainty is the error of this grid. Without an exact geometry it is the
-    grid-convergence index of the finest grid.
+    With an exact geometry, it is the uncertainty of the force on this geometry. For a hand, the
+    reference is the finest grid, and the uncertainty is the error of this grid. Without an exact
+    geometry, it is the grid-convergence index of the finest grid.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -137,12 +138,12 @@ def reference_words(scene: Scene, gap: float) -> str:
 
 
 def float32_error(scene: Scene) -> float:
-    """Return the relative change of a cutting force for a path moved by a float32's last place.
+    """Return the relative change of a cutting force if the path is rounded to float32.
 
     Voxels are cut in float32, which rounds all coordinates to about this length. If a tool only
     grazes voxels, the rounding decides whether it touches. The change is then much larger than the
-    last place of a force. The result is NaN for models that compute in float64: organs, needles and
-    walls.
+    resolution of the force. The result is NaN for models that compute in float64: organs, needles
+    and walls.
     """
     motion = scene.motion
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
@@ -157,24 +158,25 @@ def float32_error(scene: Scene) -> float:
 
 
 BOUNDS = ("law", "rounding")
-"""Families of rows that are no settings: errors that no setting reduces."""
+"""Families of rows that are not settings but errors that no setting reduces."""
 EXCERPT_S = {True: 1.2, False: 3.0}
-"""Time that is run after the first contact [s], quick or not."""
+"""Simulated time after the first contact [s], for a quick chart (True) or a full one."""
 LATE_S = 0.3
-"""Additional time of a hand on the path of a script [s]."""
+"""Additional time that a hand needs for the path of a script [s]."""
 MARGIN_MM = 0.5
-"""Bone around the reach of a script, the smallest margin of a scene. No force depends on it, but
-the time to build.
+"""Bone around the reach of a script [mm], the smallest margin of a scene.
+
+No force depends on this margin. The time to build the bone does.
 """
 STRAY_MM = 1.5
-"""Bone around the reach of a hand, which strays from the path."""
+"""Bone around the reach of a hand, which deviates from the path [mm]."""
 REPEATS = 2
 """Runs of a setting at a single place. The fastest run counts.
 
 A quick chart of a loop uses one run.
 """
 SETTLED = 20
-"""Ticks in contact that are not counted: the first ones load code."""
+"""Number of ticks in contact that are not counted, because the first ones load code."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +190,8 @@ class Measured:
     scene, setting, family
         Scene and setting. Rows of the families in `BOUNDS` are not settings.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the run, the worst of all places. F_ref of a law is neo-Hookean.
+        ||F - F_ref|| / ||F_ref|| over the run, the largest of all places. For the error of a law,
+        F_ref is the neo-Hookean force.
     error_50_ms
         Error of means over 50 ms.
     median_us, p99_us, missed
@@ -198,14 +201,14 @@ class Measured:
     engaged_mm2, step_mm
         Mean area in contact, and edge of a voxel or element.
     elements, met
-        Quantities that the time of a tick grows with. For a cutter: its elements, and voxels over
-        the area in contact. For an organ: contacts that a tick visits in all its sweeps, and pairs
-        of contacts.
+        Numbers that determine the time of a tick. For a cutter: its cutting elements, and the
+        voxels in the area of contact. For an organ: the contacts that a tick visits in all its
+        sweeps, and the pairs of contacts.
     built_s
         Time to build the scene, run it and find its error [s], of one run.
     machine
         Machine of the measurement.
-    """  # noqa: E501 a table
+    """
 
     key: str = ""
     scene: str
@@ -225,7 +228,7 @@ class Measured:
     machine: str
 
     def row(self) -> dict[str, str]:
-        """Return the values as text that reads back to the same bits."""
+        """Return the values as text from which exactly the same numbers can be read."""
         return {
             name: repr(value) if isinstance(value, float) else str(value)
             for name, value in asdict(self).items()
@@ -233,19 +236,19 @@ class Measured:
 
     @classmethod
     def of_row(cls, row: dict[str, str]) -> "Measured":
-        """Return the measurement of a table's row."""
+        """Return the measurement in a row of a table."""
         return cls(**{each.name: each.type(row[each.name]) for each in fields(cls)})  # type: ignore[operator]
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:
-    """Return the excerpt of a scene that its settings are run on."""
+    """Return the excerpt of a scene with which its settings are run."""
     return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
 
 
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
-    """Return the scene up to some time after its path first touches, with little tissue around it.
+    """Return the scene up to some time after the first contact, with little tissue around the path.
 
-    A hand has the same path as a script, so both have the same references, and more time.
+    A hand has the same path as a script, so both have the same references. The hand gets more time.
     """
     if isinstance(scene.tool, Tool):
         # a hand strays from its path, so that it needs more of the scene's own margin
@@ -270,7 +273,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
     """
 
     def found() -> dict[str, NDArray[np.generic]]:
-        """Run the scene for a doubled time until the tool touches."""
+        """Run the scene with its duration doubled again and again until the tool touches."""
         whole = _length_s(scene)
         span = span_s
         while span < whole:
@@ -300,7 +303,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 
 def _length_s(scene: Scene) -> float:
-    """Return the duration of a scene [s], or zero if only its run shows the duration."""
+    """Return the duration of a scene [s], or zero if it is not known before the run."""
     # the duration of a tool that is pushed follows from the force, so that only its run shows it
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
@@ -308,8 +311,9 @@ def _length_s(scene: Scene) -> float:
 
 
 def _until(scene: Scene, end_s: float) -> Scene:
-    """Return the scene up to a time. A path ends there too, because an organ is prepared along
-    the path.
+    """Return the scene up to a time.
+
+    A path ends at that time too, because an organ is prepared along its path.
     """
     if 0.0 < _length_s(scene) <= end_s:
         return scene

@@ -41,8 +41,9 @@ SCENE = "wall"
 EXAMPLE = Observer.known(
     "example", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2
 )
-"""Observer of the pictures where none is given. Its intensity grows less with the force than the
-reference's.
+"""Simulated observer that is drawn by default.
+
+Its perceived intensity grows less with the force than that of the reference observer.
 """
 
 
@@ -64,7 +65,7 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
 
 
 def _people(someone: Observer, path: Path) -> None:
-    """Draw intensity and threshold over force, of the population and of one observer."""
+    """Draw intensity and threshold against force, for the population and for one observer."""
     chart, (left, right) = _panels(1, 2)
     # a decade on both sides of 1 N, where the reference's intensity is 1
     forces = np.geomspace(0.1, 10.0, 200)
@@ -100,7 +101,7 @@ def _people(someone: Observer, path: Path) -> None:
 
 
 def _command(someone: Observer, path: Path) -> None:
-    """Draw the command and its intensity over force."""
+    """Draw the commanded force and its perceived intensity against force."""
     chart, (left, right) = _panels(1, 2)
     limit_N = device_parameters(DEVICE).force_limit_N
     device = ForceRange(limit_N=limit_N)
@@ -132,7 +133,7 @@ def _command(someone: Observer, path: Path) -> None:
 
 
 def _deadband(someone: Observer, path: Path) -> None:
-    """Draw a recorded force as the deadband plays it."""
+    """Draw a recorded force and the force that the deadband plays."""
     # any seed will do: the title names the share of this run
     run = simulate(load_scene(SCENE, {"device": DEVICE, "hand": "novice", "seed": 3}))
     wanted = run.trace.vectors("filtered_force", "N")

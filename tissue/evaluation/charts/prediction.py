@@ -48,16 +48,19 @@ __all__ = [
 FIRST_SEED = 10_000
 """First seed of unseen runs. Training uses seeds from 0 on."""
 SHARES = (0.7, 1.3)
-"""Ratio of the tissue's force in unseen runs to its force in training, in turn."""
+"""Ratios of the tissue's force in unseen runs to its force in training.
+
+The runs use them in turn.
+"""
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
 """Latency of the compared loops [ms], near the paper's mean of 4.3 ms."""
 SLOW_TICKS = 10
 """Ticks between two answers of the slow model: 100 Hz, a tenth of the haptic rate."""
 SIZES = (3, 6, 12)
-"""Numbers of training runs: the fewest that a fit accepts, its double, and the default."""
+"""Numbers of training runs: the smallest that a fit accepts, twice as many, and the default."""
 SIZED_RUNS = 8
-"""Number of unseen runs for the comparison of training sizes, each of which is a fit."""
+"""Number of unseen runs for the comparison of training sizes. Each size needs a separate fit."""
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",
@@ -77,7 +80,7 @@ class PredictorComparison:
     errors
         Errors by predictor, shape (runs, horizons).
     cost_us
-        Median and 99th percentile of a tick's call [us], by predictor.
+        Median and 99th percentile of the time of the calls in a tick [us], by predictor.
     sizes
         Error at 4 ms by number of training runs.
     slow
@@ -98,8 +101,9 @@ class PredictorComparison:
 
 
 def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorComparison:
-    """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and
-    stiffer, 4 ms of latency.
+    """Measure all predictors on unseen runs of a scene.
+
+    These runs have other seeds, tissue that is 30 % softer or stiffer, and 4 ms of latency.
 
     Raises
     ------
@@ -227,10 +231,11 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
-    """Return the errors at 4 ms in words, and a comparison with the other predictors.
+    """Return the errors 4 ms ahead in words, and a comparison with the other predictors.
 
-    Our predictor is compared with zero-order hold and with the best other predictor. It is called
-    better or worse only where the interval of the paired difference over runs excludes zero.
+    The predictor of the engine is compared with zero-order hold and with the best other predictor.
+    It is called better or worse only if the interval of the paired difference over runs excludes
+    zero.
     """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:
@@ -260,7 +265,10 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
 
 
 def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> None:
-    """Write all tables. Errors are shares of the force, low and high their 95 % interval."""
+    """Write all tables.
+
+    Errors are relative to the force; low and high are the ends of their 95 % interval.
+    """
     rows: dict[str, list[Sequence[object]]] = {name: [] for name in HEADS}
     for each in found:
         name = each.scene
@@ -280,13 +288,14 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
 
 
 LIMIT_US = 20.0
-"""Median cost of a prediction that is aimed at [us]."""
+"""Target of the median time of a prediction [us]."""
 
 
 def draw_scene(found: PredictorComparison, path: Path) -> None:
     """Draw the results of all predictors on a scene.
 
-    The panels show error over horizon, cost and training size, and with a model at 100 Hz.
+    The panels show the error against horizon, cost and training size, and the error with a model at
+    100 Hz.
     """
     # inches: a row of four panels over the legend
     chart = figure(14.0, 4.2)

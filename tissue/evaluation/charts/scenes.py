@@ -1,4 +1,4 @@
-"""Charts of scenes: frontiers by script and by hand, as pictures and tables."""
+"""Charts of scenes: frontiers of scripted and of held tools, as pictures and tables."""
 
 from collections.abc import Sequence
 from math import isnan
@@ -76,9 +76,9 @@ def chart_scenes(
 def charted(scene: Scene) -> list[Scene]:
     """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
 
-    A wall is touched only by hand. A cutting scene is charted only by script. In a chart's short
-    excerpt, the hand presses less than the friction of its device, so its force error would be
-    noise (54 to 200 % in ``milling``).
+    A wall is charted only with a hand. A cutting scene is charted only with a script. In a chart's
+    short excerpt, the hand presses less than the friction of its device, so its force error would
+    be noise (54 to 200 % in ``milling``).
     """
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         return [scene if scene.device is None else of_model(scene)]
@@ -149,17 +149,17 @@ FAMILIES = {
 }
 """Colour, mark and label of each family of settings, after Okabe and Ito (2008) where possible."""
 LEAST = 1e-4
-"""Error that is drawn for zero [%], on logarithmic axes."""
+"""Error that is drawn in place of zero on logarithmic axes [%]."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
-"""Looks in the overview. The second colour is dark enough for text."""
+"""Colours and labels in the overview. The second colour is dark enough for text."""
 COLUMNS = 4
 
 
 def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
-    """Draw a panel for each frontier: median tick with its 99th percentile against force error.
+    """Draw a panel for each frontier: median and 99th percentile of a tick against force error.
 
-    The uncertainty of the reference is shaded. Lines across are errors that no setting reduces: of
-    the linear law, dashed, and of float32, dotted.
+    The uncertainty of the reference is shaded. Horizontal lines are errors that no setting reduces:
+    the error of the linear law (dashed) and of float32 (dotted).
     """
     # inches for each panel with its legend to the right
     chart = figure(7.0 * len(found), 4.6)

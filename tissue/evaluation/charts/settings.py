@@ -1,4 +1,4 @@
-"""Settings of a scene from coarse to fine, grids of its convergence, and places on a grid."""
+"""Settings of a scene from coarse to fine, grids for its convergence, and places on a grid."""
 
 import os
 import platform
@@ -51,23 +51,24 @@ __all__ = [
 ]
 
 LATENCY_MS = 4
-"""Latency of the compared loops where a scene has none. The mean that the paper reports is 4.3
-ms.
-"""
+"""Latency of the compared loops if the scene has none [ms]. The mean in the paper is 4.3 ms."""
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
-"""Lengths of the three grids of a grid-convergence index over the scene's lengths, quick or not."""
+"""Relative lengths of the three grids of a grid-convergence index, for a quick chart or not."""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
-"""Lengths of tetrahedra. Half the edge takes seven times the unknowns, 140,000 of a liver. With
-ratios nearer to 1 the scatter of the force from mesh to mesh would hide the order."""
+"""Relative lengths of tetrahedra on the three grids.
+
+Half the edge gives seven times as many unknowns, 140,000 for a liver. With ratios nearer to 1, the
+scatter of the force from mesh to mesh would hide the order of convergence.
+"""
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
 """Shifts along x and y as shares of the coarsest step, and factors of the depth.
 
 The error of a discretisation depends on the place of the tool on the grid or mesh: a path along
-voxels is cut better than one between them. No share is a half, third or quarter, so that the place
-differs on finer grids as well.
+voxels has a smaller error than a path between voxels. No share is a half, a third or a quarter, so
+the place differs on finer grids as well.
 """
 COARSEST = 4.0
-"""Ratio of the coarsest voxel of a quick chart to the scene's voxel, see `_voxels`."""
+"""Ratio of the coarsest voxel of a quick chart to the voxel of the scene, see `_voxels`."""
 Changes = Mapping[str, object]
 
 
@@ -88,8 +89,8 @@ class Setting:
     compute
         Warp device.
     finer
-        True if the setting is finer than the scene. It is offered if the finer settings before it
-        keep the time of a tick.
+        True if the setting is finer than the scene. It is offered only if the finer settings before
+        it stay within the time of a tick.
     """
 
     name: str
@@ -137,7 +138,7 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
 
 
 def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Return the lengths of three grids over the scene's lengths, coarse to fine.
+    """Return the lengths of three grids relative to the scene's lengths, coarse to fine.
 
     The result is empty for a scene without a grid.
     """
@@ -155,7 +156,7 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
-    """Return all lengths of the scene's grid times a share.
+    """Return all lengths of the scene's grid multiplied by `share`.
 
     Fields that do not influence the force are left out.
     """
@@ -176,7 +177,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return the scene at three places of a path on a grid, else the scene alone."""
+    """Return the scene with its path at three places on the grid, or alone without a grid."""
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
     if isinstance(scene.tool, Tool):
@@ -193,7 +194,7 @@ def placed(scene: Scene) -> list[Scene]:
 
 
 def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
-    """Return the scene with a laterally shifted path, deepened below z = 0 by a factor."""
+    """Return the scene with a laterally shifted path, deeper by a factor below z = 0."""
     assert isinstance(scene.motion, PathMotion)
     points = np.array(scene.motion.points_mm)
     points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
@@ -221,7 +222,7 @@ def force_only(scene: Scene) -> dict[str, object]:
 
 
 def _shell_mm(tool: Tool) -> float:
-    """Return the distance of the cutter's elements [mm]."""
+    """Return the distance between the cutter's elements [mm]."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
     return tool.shell_spacing_mm or 1e3 * float(
@@ -278,8 +279,9 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
     """Return the simpler cutting laws and drill of a scene by name.
 
-    Each leaves out one refinement that the scene has. The last law leaves out the size effect as
-    well: without a minimum chip thickness it would grow without bound.
+    Each of them leaves out one refinement that the scene has. The last law leaves out the size
+    effect as well, because the size effect grows without bound if there is no minimum chip
+    thickness.
     """
     found: dict[str, Changes] = {}
     if _of_law(scene, "minimum_chip_um") > 0.0:
@@ -368,7 +370,7 @@ PACKAGES = ("meshes", "kernels", "tissue")
 
 
 def scene_text(scene: Scene) -> str:
-    """Return the part of a scene that its numbers depend on, as text.
+    """Return the part of a scene that determines its results, as text.
 
     Description and fidelity are left out.
     """
@@ -377,7 +379,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def machine() -> str:
-    """Return the key of a measured time: processor, cores, and versions of the libraries."""
+    """Return the key of a measured time, from processor, cores and versions of the libraries."""
     import psutil
 
     return (
@@ -390,8 +392,8 @@ def machine() -> str:
 def sources() -> str:
     """Return the checksum of all code and constants.
 
-    Both the time of a tick and its error may change with any of them. External parts count by their
-    names and by the code of their packages.
+    The time of a tick and the error may change with any of them. External parts are included by
+    their names and by the code of their packages.
     """
     # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
@@ -403,7 +405,7 @@ def sources() -> str:
 
 
 def _code_of(part: Any) -> str:
-    """Return the numbers of an external part and the checksum of the package that it calls."""
+    """Return the numbers of an external part and the checksum of the package with its code."""
     if isinstance(part, Mapping):
         return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
     if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):

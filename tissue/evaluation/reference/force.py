@@ -1,5 +1,6 @@
-"""Cutting force by adaptive quadrature over the cutter's surface: no voxels, no elements fixed to
-the tool.
+"""Cutting force by adaptive quadrature over the cutter's surface.
+
+It uses no voxels and no elements that are fixed to the tool.
 
 The surface is r(s), z(s) turned by the angle phi; s is the length along the half section. Averaged
 over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi
@@ -11,8 +12,9 @@ the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
 c is the effective chip thickness and e the share of the edge force, functions of h by
 `tissue.materials.constants.effective_chip`. t is the direction in which the spin moves the point, n
 the outward normal, a the axis from tip to shank. Every K is the coefficient of the layer at the
-point, times (density / reference density) ** exponent. A point is engaged where it advances (v . n
-> 0), lies in the solid (signed distance below 0), and in nothing that the tool has swept before.
+point multiplied by (density / reference density) ** exponent. A point is engaged where it advances
+(v . n > 0), lies in the solid (signed distance below 0), and lies outside the volume that the tool
+has swept before.
 
 Smooth cells in (s, phi) are integrated by two by two Gauss points. Cells that a boundary may cross
 are divided into four, down to a finest size, where one point per cell decides. The distances are
@@ -37,9 +39,9 @@ from tissue.materials.constants import CuttingCoefficients, effective_chip
 __all__ = ["Resolution", "Solid", "wrench_at"]
 
 GAUSS = 0.5 / 3.0**0.5
-"""Gauss points lie this far from the middle of a cell of length 1."""
+"""Distance of the Gauss points from the middle of a cell of length 1."""
 TOUCHING_M = 1e-11
-"""Distance to an older cut below which surface counts as lying on it, without contact [m]."""
+"""Distance to an earlier cut below which the surface counts as lying on it, without contact [m]."""
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
@@ -62,7 +64,7 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Return a bound of the signed distance [m], shape (n,), negative inside.
+        """Return a bound of the signed distance [m], shape (n,); it is negative inside.
 
         The points [m] have shape (n, 3).
         """
@@ -103,7 +105,7 @@ class Resolution:
     Attributes
     ----------
     coarsest
-        Cells on a radius of the tool before any is divided.
+        Number of cells on a radius of the tool before any cell is divided.
     divisions
         Number of times that a cell crossed by a boundary is divided into four.
     """
@@ -118,7 +120,7 @@ class Resolution:
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells of one piece: middle and size in (s, phi), each shape (n, 2), s in [m]."""
+    """Cells of one piece: middle and size in (s, phi), each of shape (n, 2), with s in [m]."""
 
     middle: Array
     size: Array
@@ -159,7 +161,7 @@ def wrench_at(
 
 
 class _AtTick:
-    """The integral over the surface at one tick, in the tool's frame."""
+    """Integral over the surface at one tick, in the tool's frame."""
 
     def __init__(self, tick: int, path: ToolPath, cutter: Cutter, solid: Solid) -> None:
         self.tick = tick
@@ -204,7 +206,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
-        """Return the cells that may be engaged, flagging those engaged in one layer alone."""
+        """Return the cells that may be engaged, and flags for those engaged in a single layer."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]

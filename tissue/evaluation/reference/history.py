@@ -1,6 +1,6 @@
 """Reference force of a whole run, and errors against it.
 
-The force is interpolated between evaluated ticks and kept on disk.
+The force is interpolated between evaluated ticks and stored on disk.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,22 +39,23 @@ __all__ = [
 
 
 COARSEST_TICKS = 32
-"""Ticks between two evaluations at the most, less than the 50 ms of the reported means."""
+"""Largest number of ticks between two evaluations, less than the 50 ms of the reported means."""
 INTERPOLATION = 2e-3
-"""Share of the mean force that a line between two evaluations may miss the tick between them by.
+"""Largest error of a line between two evaluations at the tick between them, over the mean force.
 
-Beyond it, both halves are evaluated too. The uncertainty of the built-in scenes, interpolation
-included, is then 0.01 to 0.03 % (``tests/bench/bench_reference.py``).
+Above this error, both halves are evaluated too. The uncertainty of the built-in scenes,
+interpolation included, is then 0.01 to 0.03 % (``tests/bench/bench_reference.py``).
 """
 JUMP = 0.05
-"""Relative jump of the velocity between two ticks from which the force may jump too.
+"""Relative jump of the velocity between two ticks from which on the force may jump too.
 
-Motion within a leg of a path changes its velocity by less from tick to tick, corners by more.
+Within a leg of a path, the velocity changes by less from tick to tick. At corners it changes by
+more.
 """
 CHECKED = 32
-"""Ticks at which the reference is evaluated again, twice as fine, for its uncertainty.
+"""Number of ticks at which the reference is evaluated again with twice the resolution.
 
-Each takes four times as long as before.
+Each of these evaluations takes four times as long as the first one.
 """
 WINDOW_TICKS = 50
 """Ticks of a mean over 50 ms."""
@@ -70,10 +71,11 @@ class ReferenceForce:
         Force on the tool [N] and torque about its tip [N m] in the world at every tick, shape (n,
         6).
     uncertainty
-        Its own error relative to the force, both as root mean squares over ticks spread over the
-        contact: the difference to an evaluation twice as fine, interpolation included.
+        Error of the reference relative to the force: the difference from an evaluation with twice
+        the resolution, interpolation included. Both are root mean squares over ticks spread over
+        the contact.
     evaluations
-        Ticks at which it was evaluated.
+        Ticks at which the reference was evaluated.
     """
 
     wrench: Array
@@ -158,8 +160,8 @@ def force_on_path(
     Parameters
     ----------
     kept_by
-        Identification of cutter and solid: with the path the key of the cache. Without it nothing
-        is kept.
+        Identification of cutter and solid. Together with the path it is the key of the cache.
+        Without it nothing is stored.
     """
     fine = resolution or Resolution()
     report = progress or silent
@@ -214,8 +216,9 @@ def _over_ticks(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Compute the wrench at every tick, shape (n, 6), and its evaluation flag, shape (n,).
 
-    Every stretch without a jump is halved until the line between two evaluations agrees with the
-    tick between them. A stretch in which contact begins or ends is halved down to single ticks.
+    Every part of the path without a jump is halved until the line between two evaluations agrees
+    with the tick between them. A part in which contact begins or ends is halved down to single
+    ticks.
     """
     count = len(path.tips_m)
     wrench = np.zeros((count, 6))
@@ -288,7 +291,7 @@ def means_over_50_ms(values: Array) -> Array:
 
 
 FORMAL_ORDER = 2.0
-"""Order of the force in the spacing, and the highest that an index is computed with."""
+"""Formal order of convergence of the force, and the highest order that an index uses."""
 ASYMPTOTIC = 0.5, 2.2
 """Observed orders that count as asymptotic.
 
@@ -297,7 +300,7 @@ formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific 
 """
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
-"""Roache's safety factors, within the asymptotic range and outside it."""
+"""Roache's safety factors within the asymptotic range and outside this range."""
 STEEPEST = 30.0
 """Largest searched order, of either sign. Larger orders count as infinite.
 
@@ -307,7 +310,7 @@ At a ratio of 1.2, two differences would have to differ by a factor of 240.
 
 @dataclass(frozen=True)
 class Order:
-    """Convergence in one norm, as shares of the norm of the finest force.
+    """Convergence in one norm, relative to the norm of the finest force.
 
     Attributes
     ----------
@@ -315,9 +318,9 @@ class Order:
         Observed order. Infinite if the two finer forces agree, negative if they lie farther apart
         than the two coarser ones, NaN if all three agree.
     index
-        Index of each grid, coarsest first.
+        Grid-convergence index of each grid, coarsest first.
     distance
-        Distance of each grid to the finest, coarsest first.
+        Difference of each grid from the finest grid, coarsest first.
     """
 
     order: float
@@ -338,8 +341,8 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Different spacing of each grid, in any unit. All other lengths of the grid must change by
-        the same factor.
+        Spacings of the three grids, all different, in any unit. All other lengths of the grid must
+        change by the same factor.
     """
     order = np.argsort(spacings)[::-1]
     h = [float(spacings[k]) for k in order]

@@ -19,11 +19,11 @@ __all__ = ["ConvexPart", "ToolPath", "convex_parts"]
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
-"""Length to which the nearest position on a path is bracketed [m]."""
+"""Precision to which the nearest position on a path is bracketed [m]."""
 STRAIGHT_M = 5e-9
 """Largest bend of a point's path through the tool's frame within a leg [m].
 
-It is far below a chip, which has tenths of a micrometre and more.
+It is far below a chip thickness, which is a tenth of a micrometre or more.
 """
 
 
@@ -133,7 +133,7 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
     """Return the distance [m] from a piece, and a component along its normal [m].
 
-    The component belongs to the line from the nearest point of the piece.
+    It is the component of the line from the nearest point of the piece.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
@@ -219,10 +219,11 @@ class ToolPath:
     ) -> Array:
         """Return the signed distance [m] from all volume that the tool has swept before a tick.
 
-        The distance is negative inside. The points, shape (n, 3), are in the world. On the leg that
-        the tick belongs to, the first part is left out: no point on a convex body that advances on
-        a straight path was inside it before. The distance is infinite if nothing was swept. Above
-        ``within``, shape (n,) [m], the result is only known to be larger than ``within``.
+        The distance is negative inside. The points, shape (n, 3), are in the world. On the leg to
+        which the tick belongs, the first part is left out: no point on a convex body that advances
+        on a straight path was inside the body before. The distance is infinite if nothing was
+        swept. Above ``within``, shape (n,) [m], the result is only known to be larger than
+        ``within``.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -236,7 +237,7 @@ class ToolPath:
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:
-        """Join ticks to legs whose paths in the tool's frame are straight and do not turn back."""
+        """Join ticks to legs whose paths in the tool's frame are straight and do not reverse."""
         last = len(self.tips_m) - 1
         legs: list[tuple[int, int]] = []
         start = 0

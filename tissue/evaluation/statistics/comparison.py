@@ -47,7 +47,7 @@ __all__ = [
 ]
 
 ROUNDING = 1e-12
-"""Variation among users below this share of the values is the rounding of their sums."""
+"""Variation among users, relative to the values, below which it is rounding of their sums."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,12 @@ class MetricComparison:
     cells
         Means of every user under every method.
     tests
-        Tests of method, group and both, if the table holds them.
+        Tests of method, group and their interaction, if the table holds several methods and groups.
     pairs
-        All pairs of methods, then of groups, with Tukey's test as the other one.
+        All pairs of methods, then all pairs of groups. Tukey's test is their alternative test.
     sizes
-        Cohen's d of every pair of methods (from differences within users) and of groups.
+        Cohen's d of every pair of methods (from differences within users) and of every pair of
+        groups.
     """
 
     metric: str
@@ -88,7 +89,7 @@ def compare(
     metric
         Name of the metric.
     task
-        Name of the task. Tasks are not pooled, since their metrics have different scales.
+        Name of the task. Tasks are not pooled, because their metrics have different scales.
     rng
         Generator of the sign flips.
 
@@ -128,8 +129,8 @@ def compare(
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
     """Test a metric over all tasks, by sign flips and by the mixed model.
 
-    The returned model has the tests by sign flips, each with the model's test as another one. A
-    question whose stratum holds no variation keeps the model's test, with a note.
+    The returned model holds the tests by sign flips. The test of the mixed model is the alternative
+    of each. A question whose stratum holds no variation keeps the model's test, with a note.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
@@ -151,7 +152,7 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
 def stratum_test(
     cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
 ) -> tuple[HypothesisTest, SignTest]:
-    """Test one effect by sign flips, with F as another test.
+    """Test one effect by sign flips, with the F test as an alternative.
 
     Parameters
     ----------
@@ -167,7 +168,7 @@ def stratum_test(
     Returns
     -------
     tuple of HypothesisTest and SignTest
-        The test for the report, and its pairs.
+        The test for the report, and the results of its pairs.
     """
     values = cells.values
     groups = cells.groups
@@ -217,7 +218,7 @@ def _symmetry(scores: Array, groups: Ints) -> tuple[Assumption, ...]:
 def _f_tests(
     exact: Strata, scores: Array, groups: Ints, between: bool, question: str
 ) -> tuple[HypothesisTest, ...]:
-    """Return the F test of an effect with its assumptions, and the one corrected for sphericity.
+    """Return the F test of an effect with its assumptions, and the F test corrected for sphericity.
 
     The scores on orthonormal contrasts have shape (users, contrasts).
     """
@@ -264,13 +265,14 @@ def manova(
 
     The unit is the user. Groups are compared by users' means over their trials, and methods by
     users' differences between methods. The rows of the analysis are therefore independent, although
-    every user has trials under every method. Sign flips turn all metrics of a user together and
-    take the largest t over all of them.
+    every user has trials under every method. Each sign flip applies to all metrics of a user
+    together. The statistic is the largest t over all metrics.
 
     Parameters
     ----------
     table
-        Trials, of one task or of several (a user's means then go over all).
+        Trials of one task or of several. With several tasks, the means of a user are taken over all
+        tasks.
     metrics
         Two metrics or more.
     factor
@@ -308,7 +310,7 @@ def manova(
 
 
 def _pairs(signs: SignTest, tukey: Sequence[HypothesisTest]) -> list[HypothesisTest]:
-    """Return the test of each pair by sign flips, with Tukey's as another test."""
+    """Return the test of each pair by sign flips, with Tukey's test as an alternative."""
     found = []
     for index, other in enumerate(tukey):
         difference = float(signs.differences[index])
@@ -342,8 +344,9 @@ def _sizes(
 
 
 def _equal_variances(scores: Array, groups: Ints) -> Assumption:
-    """Run Levene's test about medians (Brown and Forsythe 1974): smallest p of the columns, by
-    Bonferroni.
+    """Run Levene's test about medians (Brown and Forsythe 1974).
+
+    The result is the smallest p of the columns, corrected by Bonferroni's factor.
     """
     found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
     p = min(1.0, len(found) * float(found.min()))
@@ -358,7 +361,7 @@ def tukey_groups(
     Parameters
     ----------
     samples
-        Values of each group, one per user, two groups or more, each of shape (users,).
+        Values of two groups or more, one value per user, each of shape (users,).
     names
         Names of the groups.
     metric
@@ -373,7 +376,7 @@ def tukey_groups(
     Raises
     ------
     InputError
-        If no group varies within.
+        If the values do not vary within any group.
     """
     groups = [np.asarray(each, dtype=float) for each in samples]
     if max(np.ptp(group) for group in groups) == 0.0:

@@ -18,7 +18,7 @@ from tissue.evaluation.statistics.trials import Cells
 __all__ = ["QUESTIONS", "Power", "joint_rates", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 2_000
-"""Number of populations. It resolves a rate of 5 % to 0.5 % (one standard error)."""
+"""Number of populations. A rate of 5 % then has a standard error of 0.5 %."""
 QUESTIONS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
 """Factors within users of each question, and whether groups are compared."""
 Rejects = NDArray[np.bool_]
@@ -67,22 +67,23 @@ def redrawn_power(
 
     The null hypothesis is made true by subtracting the means of each group and method. Users are
     drawn from a smoothed distribution of the residuals (Silverman and Young 1987): a drawn user is
-    one of the group, plus normal noise of the group's covariance. Without the noise, ten users
-    repeat so often that sign flips seem to raise too many false alarms.
+    a user of the group plus normal noise with the covariance of the group. Without the noise, the
+    same ten users are repeated so often that sign flips seem to give too many false alarms.
 
-    In 25 normal studies with a true rate of 5 %, the mean estimate of sign flips is 5.1 to 5.4 % by
-    question (single studies 3.7 to 6.4 %), and without the noise 5.6 to 7.8 % (up to 10.8 %). The
-    estimate of F is too high, since the covariance of ten users is never spherical. Its mean is
-    5.5 % for groups, 5.9 % for methods and 7.1 % for both (up to 8.4 %). ``python
-    tests/bench/bench_null.py --only redrawn`` measures these rates.
+    In 25 normal studies with a true rate of 5 %, the mean estimate for sign flips is 5.1 to 5.4 %,
+    depending on the question (3.7 to 6.4 % in single studies). Without the noise it is 5.6 to 7.8 %
+    (up to 10.8 %). The estimate for F is too high, because the covariance of ten users is never
+    spherical. Its mean is 5.5 % for groups, 5.9 % for methods and 7.1 % for their interaction (up
+    to 8.4 %). ``python tests/bench/bench_null.py --only redrawn`` measures these rates.
 
-    Power refers to an effect of the measured size, which includes the error of the measurement. The
-    power is too high if the true effect is zero or small.
+    The power applies to an effect of the measured size, which includes the error of the
+    measurement. The estimated power is too high if the true effect is zero or small.
 
     Parameters
     ----------
     cells
-        Means of metrics by one factor within users. Several metrics are tested together.
+        Means of each metric at the levels of one factor within users. Several metrics are tested
+        together.
     rng
         Generator that draws users and signs.
     populations
@@ -121,7 +122,8 @@ def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Gene
     Returns
     -------
     Array
-        Shape (populations, users, columns). The covariance is the unbiased one of each group.
+        Shape (populations, users, columns). The covariance is the unbiased covariance of each
+        group.
     """
     columns = residuals.shape[1]
     parts = []
@@ -161,7 +163,7 @@ def rejection_rates(
     rng
         Generator of the sign flips.
     questions
-        Questions to answer, if the design can answer them.
+        Questions to answer. Those that the design cannot answer are skipped.
     """
     found: list[Power] = []
     for question in _answerable(questions, null.shape[-1], groups):
@@ -211,7 +213,7 @@ def joint_rates(
     rng
         Generator of the sign flips.
     questions
-        Questions to answer, if the design can answer them.
+        Questions to answer. Those that the design cannot answer are skipped.
     """
     found: list[Power] = []
     metrics, _, methods = null.shape[1:]
@@ -267,7 +269,10 @@ def _answerable(questions: Sequence[str], methods: int, groups: Ints) -> list[st
 
 @lru_cache(maxsize=64)
 def _critical_range(levels: int, degrees: int) -> float:
-    """Return the critical value of the studentised range, which takes 0.3 s."""
+    """Return the critical value of the studentised range.
+
+    The computation takes 0.3 s.
+    """
     return float(studentized_range.ppf(LEVEL, levels, degrees))
 
 

@@ -1,4 +1,4 @@
-"""The composite index: metrics signed alike, standardised, weighted by their squared loadings."""
+"""Composite index: metrics with one direction, standardised, weighted by their squared loadings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
 
 
 SMALLEST_GAP = 1.25
-"""Ratio of the first two variances below which the first direction is not distinct.
+"""Ratio of the first two variances below which the first direction does not count as distinct.
 
 The value is a convention.
 """
@@ -53,9 +53,10 @@ class Index:
     Attributes
     ----------
     metrics, weights
-        Metrics and their weights with intervals over resampled users; weights sum to one.
+        Metrics, and their weights with intervals over resampled users. The weights sum to one.
     means
-        Mean of each method with an interval over resampled users, weights fitted anew in each.
+        Mean of each method with an interval over resampled users. The weights are fitted again to
+        each resampled population.
     assumptions
         Checks that metrics agree in sign, that the first component is distinct, and that weights
         are stable.
@@ -91,8 +92,8 @@ def weights_of(standard: Array) -> tuple[Array, Array, Array]:
     Returns
     -------
     weights, loadings, variances
-        Shape (..., metrics) each. The weights sum to one, the loadings sum to a positive number,
-        and the variances decrease.
+        Shape (..., metrics) each. The weights sum to one. The loadings sum to a positive number.
+        The variances are in decreasing order.
     """
     variances, vectors = np.linalg.eigh(standard)
     first = vectors[..., -1]
@@ -105,10 +106,10 @@ def composite_index(
 ) -> Index:
     """Compute the composite index with weights from the first principal component.
 
-    Metrics are oriented (higher is better) and standardised within each task, since the scales of
-    tasks differ. They are then weighted by the squared loadings of the first component of their
-    correlation. Published weights from raw metrics have mixed signs and depend on the units. The
-    weights here have neither problem.
+    Metrics are oriented so that higher is better, and standardised within each task, because the
+    scales of tasks differ. They are then weighted by the squared loadings of the first principal
+    component of their correlation matrix. Published weights from raw metrics have mixed signs and
+    depend on the units. The weights of this function have neither problem.
 
     Parameters
     ----------
@@ -170,16 +171,17 @@ def composite_index(
 
 
 def _correlation(rows: Array, times: Array) -> Array:
-    """Return the correlation matrix of rows that count several times."""
+    """Return the correlation matrix of rows, each of which counts several times."""
     covariance = np.atleast_2d(np.cov(rows.T, aweights=times, ddof=0))
     size = np.sqrt(np.diag(covariance))
     return covariance / size / size[:, None]
 
 
 def _means(values: Array, shares: Array) -> Array:
-    """Return means of values by the shares of their rows, shape (k,), where shares is (k, rows).
+    """Return weighted means of values, shape (k,), for weights of the rows of shape (k, rows).
 
-    A method that a drawn population does not hold gets zero; NaN would spread to every percentile.
+    A method that a resampled population does not hold gets zero, because NaN would spread to every
+    percentile.
     """
     return shares @ values / np.maximum(shares.sum(axis=1), 1.0)
 
@@ -214,7 +216,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
 
 
 def _effects(names: Sequence[str], values: Array, limits: Array) -> tuple[Effect, ...]:
-    """Return the values by name with the limits of each, shape (2, values)."""
+    """Return the values by name, each with its limits; the limits have shape (2, values)."""
     return tuple(
         Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True)
     )

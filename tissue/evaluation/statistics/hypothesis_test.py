@@ -1,5 +1,7 @@
-"""Result of a hypothesis test: effect sizes with exact intervals, assumptions and their checks,
-other tests of the same question.
+"""Result of a hypothesis test.
+
+It holds effect sizes with exact intervals, assumptions with their checks, and other tests of the
+same question.
 """
 
 from dataclasses import dataclass
@@ -30,11 +32,14 @@ __all__ = [
 ]
 
 ALPHA = 0.05
-"""Share of false alarms that a test allows itself."""
+"""Share of false alarms that a test allows."""
 LEVEL = 0.95
 """Coverage of an interval."""
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
-"""Chances of a figure below the measured one at the lower and at the upper end of an interval."""
+"""Probabilities of a smaller value than the measured one.
+
+The true value is then the lower or the upper end of an interval.
+"""
 MOST = 5000
 """Largest sample with a known p value of Shapiro and Wilk's test (Royston 1995)."""
 
@@ -61,7 +66,7 @@ class Assumption:
 
 @dataclass(frozen=True)
 class Effect:
-    """The size of an effect with its interval, of coverage :data:`LEVEL`."""
+    """Size of an effect with its interval of coverage :data:`LEVEL`."""
 
     name: str
     value: float
@@ -83,15 +88,16 @@ class HypothesisTest:
     question
         Question of the test, such as "force_error: method".
     statistic_name, statistic, degrees
-        Figure that the test computes, such as F, and its degrees of freedom.
+        Statistic of the test, such as F, and its degrees of freedom.
     p
-        Probability of such a large figure without an effect.
+        Probability of such a large statistic without an effect.
     effect
         Size of the effect, if the test has one.
     assumptions
         Assumptions of the test.
     alternatives
-        Other tests of the same question, which do not decide, such as those of the paper.
+        Other tests of the same question, such as the tests of the paper. They are reported but do
+        not decide.
     note
         Further information for the reader. May be empty.
     """
@@ -119,7 +125,7 @@ class HypothesisTest:
 
     @property
     def figures(self) -> str:
-        """The statistic with its degrees of freedom and p."""
+        """Statistic with its degrees of freedom and p, as text."""
         degrees = f"({', '.join(f'{each:.4g}' for each in self.degrees)})" if self.degrees else ""
         return f"{self.statistic_name}{degrees} = {self.statistic:.4g}, {format_p(self.p)}"
 
@@ -133,7 +139,7 @@ def format_p(p: float) -> str:
 
 
 def require_statsmodels() -> None:
-    """Raise an error if the extra that holds statsmodels is not installed."""
+    """Raise an error if statsmodels is not installed."""
     try:
         import statsmodels  # noqa: F401
     except ImportError:
@@ -154,12 +160,12 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
     Parameters
     ----------
     first, second
-        Samples, one finite value per user, two or more. In paired samples, entry i of both is the
-        same user.
+        Samples of two or more finite values, one per user. In paired samples, entry i of both
+        samples belongs to the same user.
     paired
         Divide by the standard deviation of the differences ("d of differences"), not by the pooled
-        standard deviation of the samples. The two answer different questions and have different
-        names.
+        standard deviation of the samples. The two results answer different questions and have
+        different names.
 
     Raises
     ------
@@ -191,10 +197,10 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
 def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     """Return partial eta squared from F (Cohen 1973).
 
-    It is the share of variation that an effect explains, relative to effect and error.
+    It is the variation that the effect explains, divided by the variation of effect and error.
 
-    The interval (Steiger 2004) is L / (L + above + below + 1) of the noncentralities L of F at its
-    ends.
+    The ends of the interval are L / (L + above + below + 1), where L is the noncentrality of F at
+    each end (Steiger 2004).
 
     Parameters
     ----------
@@ -208,9 +214,9 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
 
 
 def _noncentrality(statistic: float, above: float, below: float, chance: float) -> float:
-    """Return the noncentrality at which an F below the given one has this probability.
+    """Return the noncentrality at which an F below the given F has the probability `chance`.
 
-    The result is zero if the probability is smaller even without noncentrality.
+    The result is zero if this probability is smaller even for a noncentrality of zero.
     """
 
     def excess(shift: float) -> float:
@@ -227,14 +233,15 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
 
 
 def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") -> Assumption:
-    """Check normality as an assumption: refused where one of two tests refuses it at half the usual
-    chance.
+    """Check normality as an assumption.
+
+    The assumption is rejected if one of two tests rejects it at half of :data:`ALPHA`.
 
     The tests are Shapiro and Wilk's (1965), p by Royston (1995), for up to 5,000 values, and
     Anderson and Darling's (1952) with estimated mean and variance (Stephens 1986), for 8 or more.
-    In a large sample the slightest departure is refused, so skewness and excess kurtosis are
-    reported too: below about 1 and 2 in size they hardly matter to a comparison of means (West et
-    al. 1995 warn from 2 and 7).
+    In a large sample the slightest departure is rejected, so skewness and excess kurtosis are
+    reported too. If their sizes are below about 1 and 2, they hardly matter for a comparison of
+    means (West et al. 1995 warn from 2 and 7 on).
 
     Raises
     ------
@@ -288,7 +295,7 @@ def symmetric_residuals(residuals: Array) -> Assumption:
 def mardia(residuals: ArrayLike) -> Assumption:
     """Test joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis.
 
-    Each is tested at half the usual chance.
+    Each of them is tested at half of :data:`ALPHA`.
 
     Parameters
     ----------

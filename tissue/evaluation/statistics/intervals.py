@@ -19,7 +19,7 @@ class Interval(NamedTuple):
 
 
 def mean_interval(values: Array) -> Interval:
-    """Return the mean over the first axis with its symmetric interval by Student's t.
+    """Return the mean over the first axis with its symmetric interval from Student's t.
 
     Use it for values of both signs, such as differences. The interval of a single unit has no
     width.
@@ -32,9 +32,10 @@ def mean_interval(values: Array) -> Interval:
 def signed_interval(values: Array) -> Interval:
     """Return the mean over the first axis with an interval that keeps the sign of the values.
 
-    The t interval is computed for the logarithm of the mean, whose standard error is that of the
-    mean over the mean (delta method). Errors and times are positive, and a symmetric interval of a
-    few skewed values can end below zero. Values of both signs have the symmetric interval.
+    The t interval is computed for the logarithm of the mean. Its standard error is the standard
+    error of the mean divided by the mean (delta method). Errors and times are positive, and a
+    symmetric interval of a few skewed values can end below zero. Values of both signs get the
+    symmetric interval.
     """
     mean = float(values.mean())
     if not ((values > 0.0).all() or (values < 0.0).all()):

@@ -1,5 +1,6 @@
-"""Metrics of one trial: force error, latency, smoothness, distance from the target, alignment of
-two paths.
+"""Metrics of one trial.
+
+They are force error, latency, smoothness, distance from the target, and alignment of two paths.
 """
 
 import numpy as np
@@ -26,16 +27,16 @@ __all__ = [
 SPARC_CUTOFF_HZ = 10.0
 """Highest counted frequency of a hand's movement (Balasubramanian et al. 2015).
 
-Values of 5 to 20 Hz are in use.
+Published values range from 5 to 20 Hz.
 """
 SPARC_AMPLITUDE = 0.05
 """Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
-"""Exponent of the finer sampling of the spectrum, base 2 (Balasubramanian et al. 2015)."""
+"""Exponent of the power of two by which the spectrum is refined (Balasubramanian et al. 2015)."""
 POINTS = 800
 """Samples of each path for the alignment. Distances are refined between them.
 
-The alignment takes memory and time with their square.
+Memory and time of the alignment grow with the square of this number.
 """
 
 
@@ -45,7 +46,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     Parameters
     ----------
     force_N, ideal_N
-        The force that was played and the ideal one [N], shape (ticks,) or (ticks, 3).
+        Played force and ideal force [N], shape (ticks,) or (ticks, 3).
 
     Raises
     ------
@@ -64,9 +65,10 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 def excess_error(error: float, least_error: float) -> float:
     """Compute the excess over the smallest possible error, sqrt(error^2 - least_error^2).
 
-    The result is 0 where the error is smaller. The smallest possible error is the error of a
-    perfect force through the same device. Independent errors add in squares, so the excess is the
-    part that a better force could remove.
+    The result is 0 if the error is smaller than the smallest possible error. The smallest possible
+    error is the error of a perfect force that is played through the same device. The squares of
+    independent errors add up, so the excess is the part of the error that a better force could
+    remove.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
@@ -94,9 +96,9 @@ def latency_ms(
 ) -> float:
     """Compute the lag of the played force behind the ideal force [ms].
 
-    The lag is the shift with the best correlation. The correlation is computed over the overlap,
-    and its peak by a parabola through three shifts. A leading force, such as a predicted one, gives
-    a negative value.
+    The lag is the shift with the best correlation. The correlation is computed over the overlap of
+    both signals. Its peak is found by a parabola through three shifts. A force that leads, such as
+    a predicted force, gives a negative lag.
 
     Parameters
     ----------
@@ -105,13 +107,14 @@ def latency_ms(
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift in either direction [ms]; 50 is twelve times the latency of a study's loop.
+        Largest shift in either direction [ms]. The default of 50 ms is twelve times the latency of
+        a study's loop.
 
     Raises
     ------
     InputError
-        If a force is constant, or the best shift lies at the end of the range, where a better shift
-        may lie outside.
+        If a force is constant, or the best shift lies at the end of the range. A better shift may
+        then lie outside the range.
     """
     force, ideal = _pair(force_N, ideal_N)
     reach = round(1e-3 * longest_ms / tick_s)
@@ -142,9 +145,9 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
     """Return the mean size of the change of acceleration between ticks [m/s^2].
 
     Lower is smoother. This is the published "smoothness index" in the form of its printed formula:
-    mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times the tick, so it can be compared only between
-    trials of one tick. It grows with roughness, although its published table reads as if higher
-    were better.
+    mean |dv[i+1]/dt - dv[i]/dt|. It equals the jerk multiplied by the tick, so it can be compared
+    only between trials with the same tick. It grows with roughness, although its published table
+    reads as if higher were better.
 
     Parameters
     ----------
@@ -159,12 +162,15 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
 
 
 def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Compute the spectral arc length of a movement, where nearer to zero is smoother.
+    """Compute the spectral arc length of a movement.
 
-    The measure is SPARC (Balasubramanian et al. 2012, 2015). It is minus the length of the
-    normalised magnitude spectrum of the speed. The spectrum is used from its first to its last
-    frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. The result has no
-    unit. It does not depend on the movement's size or, below the cutoff, on its duration.
+    A value nearer to zero means a smoother movement.
+
+    The measure is SPARC (Balasubramanian et al. 2012, 2015). The result is minus the length of the
+    curve of the normalised magnitude spectrum of the speed. The spectrum is used from its first to
+    its last frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. The
+    result has no unit. It does not depend on the movement's size or, below the cutoff, on its
+    duration.
 
     Parameters
     ----------
@@ -272,7 +278,7 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
     The rows never decrease (Sakoe and Chiba 1978). The sum of distances over pairs is the smallest
     among all monotonic alignments of both paths. Both start at their first points. The alignment
-    may end before the last point of the model, so that an incomplete but correct path has no
+    may end before the last point of the model, so that a correct but incomplete path has no
     deviation.
 
     Parameters

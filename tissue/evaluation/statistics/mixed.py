@@ -35,12 +35,12 @@ ITERATIONS = 400
 Simulated studies of 45 people converge within 25 iterations.
 """
 LEAST = 1e-6
-"""Share of the variance that must be left over for the likelihood to be bounded."""
+"""Smallest residual share of the variance for which the likelihood is bounded."""
 
 
 @dataclass(frozen=True)
 class Components:
-    """Variances in the square of the metric's unit.
+    """Estimated variances, in the square of the metric's unit.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Components:
     user_method
         Variance of the interaction of users with methods, within a task.
     trial
-        Variance of trials of one user, shared by all methods that render that trial.
+        Variance between trials of one user. All methods that render a trial share its value.
     residual
         Remaining variance.
     user_task
@@ -72,7 +72,7 @@ class MixedModel:
     components
         Variances of users, of users by method, of trials and of the rest.
     tests
-        One of each fixed effect: F with the degrees of freedom of the stratum that it is tested in.
+        One test of each fixed effect: F with the degrees of freedom of its stratum.
     """
 
     components: Components
@@ -84,17 +84,18 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
 
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
-    The interaction of users with methods is a separate term. Without it, the methods' test would
-    count trials of one user as independent (Barr et al. 2013). Trials that several methods render
-    are a separate term too. Terms that the table cannot separate (one trial per cell) are left out.
-    Wald's statistic is compared with F with the degrees of freedom of its stratum. Chi squared
-    would reject too often with few users. In a complete design this is the exact test of
-    :func:`tissue.evaluation.statistics.strata.strata`, unless a variance is estimated as zero.
+    The interaction of users with methods is a separate term. Without this term, the test of the
+    methods would treat the trials of one user as independent (Barr et al. 2013). Trials that
+    several methods render are a separate term too. Terms that the table cannot separate, because a
+    cell holds one trial, are left out. Wald's statistic is compared with F with the degrees of
+    freedom of its stratum. With few users, chi squared would reject too often. In a complete
+    design, this test equals the exact test of :func:`tissue.evaluation.statistics.strata.strata`,
+    unless a variance is estimated as zero.
 
     Raises
     ------
     InputError
-        If there is nothing to compare, or a group keeps fewer than two users.
+        If there is nothing to compare, or a group has fewer than two users left.
     """
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
@@ -166,7 +167,7 @@ def _convergence(
 ) -> Assumption:
     """Check whether the optimiser has reached the maximum.
 
-    It has been seen to report convergence wrongly without a residual.
+    The optimiser can report convergence wrongly if there is no residual.
     """
     name = "convergence"
     if not reported_convergence:
@@ -186,7 +187,7 @@ def _convergence(
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
     """Return the degrees of freedom of the stratum of a term or coefficient.
 
-    They are the users' degrees of freedom times those of the factors within users.
+    They are the users' degrees of freedom multiplied by those of the factors within users.
     """
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
@@ -252,9 +253,9 @@ NODES = 96
 
 
 SLOPE_SPREAD = 10.0
-"""Standard deviation of slopes and intercept in the prior, over the residual standard deviation.
+"""Standard deviation of slopes and intercept in the prior, relative to the residual.
 
-It is almost uninformative.
+This prior is almost uninformative.
 """
 SHAPE = SCALE = 0.01
 """Parameters of the inverse gamma prior of the residual variance, almost uninformative.
@@ -271,11 +272,10 @@ class Posterior:
     Attributes
     ----------
     slopes
-        Change of the response for one unit of each predictor, median and credible interval, in
-        their own units.
+        Change of the response for one unit of each predictor: median and credible interval in the
+        units of response and predictor.
     correlation
-        Share of the variance about the line that is variance between users, mean over the
-        posterior.
+        Variance between users divided by the variance about the line, mean over the posterior.
     chances
         Probability that each slope is positive.
     sentence
@@ -289,7 +289,7 @@ class Posterior:
 
 
 def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]) -> Posterior:
-    """Regress one metric of the trials without failure on others, see :func:`regression`.
+    """Regress one metric on other metrics of the trials that did not fail, see :func:`regression`.
 
     Users are random effects.
     """
@@ -328,8 +328,8 @@ def regression(
     response
         Name of the response.
     slope_spread
-        Standard deviation of slopes and intercept in the prior, over the residual standard
-        deviation, in standardised columns.
+        Standard deviation of slopes and intercept in the prior, divided by the residual standard
+        deviation. Both refer to standardised columns.
 
     Raises
     ------
@@ -408,7 +408,7 @@ def _conjugate(
 ) -> tuple[Array, Array, Array]:
     """Return centre and width of every coefficient's t distribution, and the log evidence.
 
-    They are returned at each ratio of variances.
+    They are returned for each ratio of variances.
 
     With counts n, the inverse covariance of one user's rows is I - 11' k, k = ratio / (1 + n
     ratio). Only sums over users are therefore needed.

@@ -13,20 +13,22 @@ __all__ = ["EFFECT", "POPULATIONS", "POWER", "effect_names", "planned_people", "
 EFFECT = 1.0
 """Effect of interest in standard deviations.
 
-The standard deviation is that of the differences within people between two methods, or of people of
-one group. The value is chosen in the range 0.5 to 2 as the smallest relevant effect. The paper's
-force errors of penalty and Koopman differ by 2.8 to 2.9 standard deviations (its table of force
-errors, root mean square of both columns' spreads).
+For methods, the unit is the standard deviation of the differences within people between two
+methods. For groups, it is the standard deviation of the people of one group. The value was chosen
+in the range 0.5 to 2 as the smallest relevant effect. The paper's force errors of penalty and
+Koopman differ by 2.8 to 2.9 standard deviations (from its table of force errors, with the root mean
+square of the spreads of both columns).
 """
 POWER = 0.8
 """Power for which the number of people is planned (Cohen 1988, section 2.4)."""
 MOST_PEOPLE = 200
 """Largest number of people per group that is considered. No registered effect needs as many."""
 POPULATIONS = 20_000
-"""Simulated studies for a power.
+"""Number of simulated studies for one value of the power.
 
-At 5 % of one of 54 tests, 19 of them reach the critical value. Its uncertainty changes a power of
-0.8 by 0.02 (standard deviation of 12 repetitions), and 35 planned people by up to 2.
+With 5 % divided by 54 tests, 19 of these studies exceed the critical value. The uncertainty of the
+critical value changes a power of 0.8 by 0.02 (standard deviation of 12 repetitions), and a planned
+number of 35 people by up to 2.
 """
 
 
@@ -50,21 +52,21 @@ def planned_power(
 ) -> dict[str, float]:
     """Return the power of each deciding test of one metric on one task for an effect of interest.
 
-    One method, or one group, or one method in one group, differs by ``effect`` from all others,
-    which are equal. The unit of the effect is the standard deviation of differences within people
+    One method, one group, or one method in one group differs by ``effect`` from all others. The
+    others are equal. The unit of the effect is the standard deviation of differences within people
     between two methods, or of people's means in a group. Values are normal with equal spreads.
 
     The power is the share of simulated studies whose largest t exceeds the critical value. The
     critical value is the quantile 1 - alpha of simulated studies without an effect. Sign flips
-    would need 20 / alpha flips for each study. At 5 % they find 0.01 to 0.02 fewer effects.
+    would need 20 / alpha flips for each study. At alpha = 5 %, their power is 0.01 to 0.02 lower.
 
     Parameters
     ----------
     people
-        People in a group. The effect is on means over a person's trials, so the number of trials
-        does not count.
+        People in a group. The effect refers to means over a person's trials, so the number of
+        trials has no influence.
     groups, methods
-        Numbers of both.
+        Number of groups and number of methods.
     alpha
         Share of false alarms of one test, after correction.
     rng

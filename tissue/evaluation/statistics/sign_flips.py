@@ -1,7 +1,7 @@
-"""Tests by sign flips, which decide in a study.
+"""Tests by sign flips. The decisions of a study follow from these tests.
 
 They compare all pairs of levels or groups by t statistics, each with its own standard error. Unlike
-F and shuffled labels, they allow methods and groups that differ in spread.
+F tests and shuffled labels, they are valid for methods and groups that differ in spread.
 """
 
 from dataclasses import dataclass
@@ -30,15 +30,18 @@ A whole study has 54 planned tests, and each decides at p = 0.0009. A p of this 
 error of 0.0002.
 """
 FLIPS_OF_RATES = 199
-"""Number of sign flips where thousands of data sets are tested. 199 flips hold 5 % exactly."""
+"""Number of sign flips where thousands of data sets are tested.
+
+With 199 flips, a level of 5 % is exact.
+"""
 BLOCK = 2_000_000
-"""Number of values that are held at once, 16 MB."""
+"""Number of values that are in memory at once, 16 MB."""
 SMALLEST = 1e-12
-"""Lower bound of a variance relative to the mean square, above the rounding of both."""
+"""Lower bound of a variance relative to the mean square. It is larger than the rounding of both."""
 EQUAL = 1e-9
 """Relative difference below which two statistics count as equal.
 
-Rounding is 1e-16 of the mean square, which a small variance magnifies.
+The rounding error is 1e-16 of the mean square. A small variance magnifies it.
 """
 
 
@@ -49,7 +52,8 @@ class SignTest:
     Attributes
     ----------
     statistic, p
-        Largest absolute t over all pairs, and the share of flips that reach it.
+        Largest absolute t over all pairs, and the share of flips whose largest t is at least as
+        large.
     differences, errors
         Mean difference of each pair with its standard error, shape (pairs,).
     pair_p
@@ -158,7 +162,7 @@ def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
 
 
 def _flipped(scores: Array, groups: Ints, *, between: bool) -> Array:
-    """Return the scores whose signs are turned: residuals, if groups are compared."""
+    """Return the scores whose signs are flipped: residuals if groups are compared."""
     if between:
         return scores - group_means(scores, groups)[..., groups, :]
     return scores
@@ -177,7 +181,8 @@ def flipped_p(measured: Array, flipped: Array) -> Array:
     measured
         Shape (...).
     flipped
-        Statistics after sign flips, shape (..., flips). The measured statistic counts as one more.
+        Statistics after sign flips, shape (..., flips). The measured statistic counts as one more
+        flip.
     """
     reached = (flipped >= measured[..., None] * (1.0 - EQUAL)).sum(axis=-1)
     return np.asarray((1.0 + reached) / (flipped.shape[-1] + 1.0))
@@ -196,10 +201,11 @@ def sign_test(
     The statistic is the largest absolute t over all pairs. Each t has its own standard error, from
     the variance within each group (Welch 1938).
 
-    Without an effect, and if errors are symmetric, the differences of a user are as likely with the
-    other sign. Flips of all scores of a user at once then give an exact test within users, whatever
-    the spreads and correlations of the methods. Groups are compared by flips of the residuals about
-    their means (Wu 1986; Liu 1988, the wild bootstrap), which is exact only in large groups.
+    Without an effect, and with symmetric errors, the differences of a user are equally likely with
+    the opposite sign. Flips of all scores of a user at once then give an exact test within users,
+    whatever the spreads and correlations of the methods. Groups are compared by flips of the
+    residuals about their means (Wu 1986; Liu 1988, the wild bootstrap), which is exact only in
+    large groups.
 
     Parameters
     ----------
@@ -256,7 +262,7 @@ def sign_test_p(
     scores
         Shape (data sets, users, scores).
     groups, between, rng, flips
-        As in :func:`sign_test`. Some hundred data sets share their signs.
+        As in :func:`sign_test`. A few hundred data sets use the same signs.
 
     Returns
     -------

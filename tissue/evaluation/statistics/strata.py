@@ -37,14 +37,14 @@ class Strata:
     Attributes
     ----------
     F, p
-        Statistic and its p value, shape of the populations.
+        F statistic and its p value, with the shape of the populations.
     error_square
         Mean square in the denominator of F.
     degrees
         Degrees of freedom of numerator and denominator.
     epsilon, corrected_p
-        Greenhouse and Geisser's (1959) measure of sphericity, 1 where it holds, and p with degrees
-        scaled by it.
+        Greenhouse and Geisser's (1959) measure of sphericity, which is 1 if sphericity holds, and p
+        with the degrees of freedom scaled by it.
     """
 
     F: Array
@@ -84,10 +84,11 @@ def effect_scores(
     chosen
         Factors in the effect.
     contrasts
-        Weights of the contrasts of a factor in the effect, shape (contrasts, levels), from its
-        number of levels.
+        Function from the number of levels of a factor in the effect to the weights of its
+        contrasts, shape (contrasts, levels).
     mean_weight
-        Weight of each level of a factor outside of the effect, from its number of levels.
+        Function from the number of levels of a factor outside the effect to the weight of each
+        level.
 
     Returns
     -------
@@ -128,8 +129,8 @@ def strata(
     """Test one effect against the variation between users in its stratum.
 
     In a balanced design with normal effects of users, of users by factor and of trials, these are
-    the exact tests that a mixed model approximates. Interactions of users with methods are
-    included.
+    the exact tests that a mixed model approximates. The variation includes interactions of users
+    with methods.
 
     Parameters
     ----------
@@ -204,12 +205,12 @@ def mauchly(scores: Array, groups: Ints) -> float:
 
 @dataclass(frozen=True)
 class Pillai:
-    """Pillai's trace over populations, and the F test of it.
+    """Pillai's trace over populations, and its F test.
 
     Attributes
     ----------
     trace, F, p
-        Trace, statistic and its p value, shape of the populations.
+        Trace, F statistic and its p value, with the shape of the populations.
     degrees
         Degrees of freedom of F.
     """

@@ -1,5 +1,6 @@
-"""The table of a study: one row a trial and method, in an order that does not depend on who
-finished first.
+"""Table of a study, with one row for each trial and method.
+
+The order of the rows does not depend on the order in which trials finished.
 """
 
 import csv
@@ -46,7 +47,7 @@ class Cells:
         Names of the crossed factors within users and their levels, the last one changing fastest
         along `levels`.
     dropped
-        Users left out because all their trials at some level failed.
+        Users that are left out because all their trials at one of the levels failed.
     """
 
     metric: str
@@ -73,8 +74,8 @@ class TrialTable:
     task, group, user, method
         Labels, shape (rows,). Equal labels in two groups denote two users.
     trial, seed
-        Number of the trial within its task, group and user, and the seed that reproduces it, shape
-        (rows,).
+        Number of the trial within its task, group and user, and the seed that reproduces the trial,
+        shape (rows,).
     failure
         Empty, or the reason of a failed trial, whose metrics are NaN.
     metrics
@@ -183,7 +184,7 @@ class TrialTable:
         return self.metrics[metric]
 
     def people(self) -> Text:
-        """Return the label of the user of every row, its group in front, shape (rows,)."""
+        """Return the label of the user of every row, preceded by the group, shape (rows,)."""
         return np.char.add(np.char.add(self.group, "/"), self.user)
 
     def complete(self) -> "TrialTable":
@@ -191,7 +192,7 @@ class TrialTable:
         return self._rows(self.failure == "")
 
     def shared(self) -> "TrialTable":
-        """Return the rows of trials that failed under none of the table's methods.
+        """Return the rows of trials that succeeded under all methods of the table.
 
         All methods are then compared on the same trials.
         """
@@ -208,7 +209,7 @@ class TrialTable:
         Raises
         ------
         InputError
-            If a group keeps fewer than two users, or the metric is constant.
+            If a group has fewer than two users left, or the metric is constant.
         """
         values = self.values(metric)
         kept = self.failure == ""

@@ -35,7 +35,10 @@ from tissue.scene.registry import GROUPS
 __all__ = ["case_sections", "median_interval", "needle_section", "travel_by_people"]
 
 TEETH = ("carious", "sound")
-"""Specimens of the drilling task. Their errors differ by more than the errors of methods."""
+"""Specimens of the drilling task.
+
+Their errors differ by more than the errors of different methods.
+"""
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 
@@ -136,7 +139,7 @@ def _drilling(table: TrialTable, seed: int) -> Section:
 def travel_by_people(needle: TrialTable, method: str) -> Array:
     """Return the median of each person's travel after the puncture [mm], shape (people,).
 
-    It is infinite if the person did not notice the puncture.
+    The travel is infinite if the person did not notice the puncture.
     """
     part = needle.where(method=method)
     travel = np.where(part.values("noticed") > 0.0, part.values("excess_mm"), inf)
@@ -149,9 +152,10 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 def median_interval(values: Array) -> tuple[float, float, float]:
     """Return the median and its interval of at least 95 %, by ranks.
 
-    Values may be infinite. The interval reaches from the k-th smallest value to the k-th largest. k
-    is the largest number for which a binomial count of n at 0.5 lies below k with a probability of
-    at most 2.5 %. For fewer than six values no such interval exists, and the result is infinite.
+    Values may be infinite. The interval reaches from the k-th smallest value to the k-th largest
+    value. The number k is the largest for which a binomial variable (n, 0.5) lies below k with a
+    probability of at most 2.5 %. For fewer than six values no such interval exists, and the result
+    is infinite.
     """
     ordered = np.sort(values)
     rank = int(binom.ppf(0.025, len(ordered), 0.5))
@@ -162,7 +166,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
-    """Report travel by group and method, who notices the puncture, and capsule or parenchyma."""
+    """Report travel by group and method, noticed punctures, and capsule against parenchyma."""
     rows = []
     groups = (each for each in GROUPS if each in table.group)
     for method, group in product(methods_of(table), groups):
@@ -213,7 +217,7 @@ def needle_section(table: TrialTable, seed: int) -> Section:
 
 
 def _difference(task: str) -> str:
-    """Return the reason why no figure of a task is compared with the paper's."""
+    """Return the reason why no figure of a task is compared with the paper."""
     return f"No figure here is compared with the paper's: {TASKS[task].differs}."
 
 

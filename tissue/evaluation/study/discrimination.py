@@ -1,5 +1,6 @@
-"""Discrimination of two forces at the skin: levels over trials, sensitivity d', right answers,
-and their changes.
+"""Discrimination of two forces at the skin.
+
+It covers levels over trials, sensitivity d', right answers, and their changes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,15 +47,16 @@ __all__ = [
 ]
 
 PEOPLE = 200
-"""Simulated people per group who compare forces. No method was tuned to them."""
+"""Number of simulated people per group who compare forces. No method was tuned to these people."""
 PLAIN = "koopman"
 """Method of plain scaling, the baseline of the other methods."""
 WIDEST = 12
-"""Letters of a line below a group of bars."""
+"""Largest number of letters in a line below a group of bars."""
 LEAST_D = 0.5
 """Sensitivity under plain scaling below which no relative change is given.
 
-A change in percent would be a division by almost zero: at 0.5, only 64 % of the answers are right.
+For a smaller sensitivity, a change in percent would be a division by almost zero. At 0.5, only 64 %
+of the answers are right.
 """
 CHANGES = (("change of d′", 2), ("in %", 1), ("change of right, points", 1))
 """Names and digits of the columns on changes."""
@@ -62,7 +64,7 @@ CHANGES = (("change of d′", 2), ("in %", 1), ("change of right, points", 1))
 
 @dataclass(frozen=True)
 class Felt:
-    """Force at the skin over the trials of people.
+    """Statistics of the force at the skin over the trials of several people.
 
     Attributes
     ----------
@@ -80,7 +82,7 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
-        """Return the summary of trials, each by a person number below ``count``, shape (n,).
+        """Return the statistics of trials; `person`, shape (n,), holds numbers below ``count``.
 
         Every person has at least one trial.
         """
@@ -90,7 +92,7 @@ class Felt:
         return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
 
     def of(self, who: Ints) -> "Felt":
-        """Return the forces of some people. A person may occur several times."""
+        """Return the forces of selected people. A person may occur several times."""
         return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
 
     @property
@@ -106,7 +108,7 @@ class Felt:
 class FeltPair:
     """Two forces at the skin that each person compares.
 
-    Differences between people's levels are not scatter.
+    Differences between the levels of different people do not count as scatter.
 
     Attributes
     ----------
@@ -118,7 +120,7 @@ class FeltPair:
     more: Felt
 
     def of(self, who: Ints) -> "FeltPair":
-        """Return the pair of some people. A person may occur several times."""
+        """Return the pair of selected people. A person may occur several times."""
         return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
@@ -135,11 +137,11 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Return changes against plain scaling as value, low and high, shape (3, 3).
+    """Return changes relative to plain scaling as value, low and high, shape (3, 3).
 
-    The rows are d', d' in percent, and right answers in percentage points, each of means over
-    observers. The 95 % intervals use Student's t of the changes with each person of the trials left
-    out in turn, the same person under both methods (jackknife, Efron 1982).
+    The rows are d', d' in percent, and right answers in percentage points, each computed from means
+    over observers. For the 95 % intervals, each person of the trials is left out in turn, under
+    both methods (jackknife, Efron 1982). The intervals use Student's t.
     """
     from scipy.stats import t
 
@@ -166,8 +168,8 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 def specimens(part: TrialTable) -> FeltPair | None:
     """Return the forces at the skin on the first two specimens of a task, the softer first.
 
-    Only people with trials on both are included. The result is None if there is no such person, or
-    nobody has two trials on one of them.
+    Only people with trials on both specimens are included. The result is None if there is no such
+    person, or if nobody has two trials on one of the specimens.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
     forces = part.values("skin_N")[chosen]
@@ -198,9 +200,9 @@ def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Return two forces by trial with the people of their trials, the same people in both.
+    """Return the pair of forces, each with its people; the same people are in both.
 
-    The result is None without any scatter.
+    The result is None if the forces have no scatter.
     """
     names = np.unique(less[1])
     first, second = (
@@ -213,7 +215,7 @@ def _pair(
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
     """Report sensitivity d' and right answers for every pair, group and method.
 
-    Their change against plain scaling is included.
+    The changes relative to plain scaling are included.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable | None]] = [
         (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
@@ -312,7 +314,7 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
 
 
 def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
-    """Draw right answers by pair and method: means over groups, and lines that span the groups."""
+    """Draw right answers by pair and method: means and ranges over groups."""
     names = list(dict.fromkeys(row["what"] for row in rows))
     shown: dict[tuple[int, str], list[float]] = {}
     for row in rows:

@@ -14,16 +14,16 @@ from tissue.system.progress import duration_text
 __all__ = ["COSTS", "cost", "expected_s", "expected_text", "probe_s"]
 
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
-"""Processor time of one method of a trial over that of `probe_s`, by task.
+"""Processor time of one method of a trial divided by the time of `probe_s`, by task.
 
 Measured by ``python tests/bench/bench_study.py --costs`` with one trial of six methods. On a busy
-machine, the probe varied from 0.25 to 0.48 s. Reaming is 1.49 times drilling, as their processor
-times in docs/performance.md.
+machine, the probe varied from 0.25 to 0.48 s. Reaming takes 1.49 times as long as drilling, the
+ratio of their processor times in docs/performance.md.
 """
 REFERENCE_COST = 3.2
-"""Time of a reference trial over that of a usual trial of one method.
+"""Time of a reference trial divided by the time of a usual trial of one method.
 
-It is 3.7, 4.8 and 2.6 for T1, T2 and T3, and 3.2 for their sums.
+The ratio is 3.7, 4.8 and 2.6 for T1, T2 and T3, and 3.2 for the sums of their times.
 """
 PROBE_S = 0.5
 """Simulated time of the probe [s]."""
@@ -42,7 +42,7 @@ def probe_s(clock: Callable[[], float] = perf_counter) -> float:
 
 
 def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
-    """Return the time of trials over that of `probe_s`."""
+    """Return the time of trials divided by the time of `probe_s`."""
     total = 0.0
     for key in keys:
         each = COSTS[key.task] * len(methods_of_trial(plan, key))
@@ -60,7 +60,8 @@ def expected_s(
     plan, keys
         Plan, and its trials that are to be run.
     workers, cores
-        Numbers of processes and of cores. Two processes on two cores are twice as fast as one.
+        Numbers of processes and of cores. Two processes on two cores are twice as fast as one
+        process.
     probed_s
         Time of `probe_s` [s].
     """

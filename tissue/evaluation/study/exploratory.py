@@ -1,4 +1,4 @@
-"""Figures of an older study, printed next to those of the registered one as exploratory."""
+"""Figures of an older study, printed as exploratory next to those of the registered study."""
 
 import csv
 from pathlib import Path
@@ -45,7 +45,7 @@ def read_trials(folder: Path) -> TrialTable:
 def exploratory_section(table: TrialTable, old: TrialTable, name: str) -> Section:
     """Compare the compared metrics of a study with those of an older study.
 
-    Nothing is tested. The intervals are those of means over people.
+    Nothing is tested. The intervals are intervals of means over people.
 
     Parameters
     ----------

@@ -55,12 +55,12 @@ RATIOS = {
 }
 """Columns on ratios of intensity."""
 UNRESOLVED = 0.05
-"""Share of rows whose least error exceeds the error, above which the excess is invalid.
+"""Share of rows, with an error below the smallest possible error, that makes the excess invalid.
 
 Above this share, the report marks the excess as not meaningful.
 """
 APART = 0.24
-"""Distance of two tasks' marks on a line, in lines."""
+"""Distance between the marks of two tasks on a line, in lines."""
 
 
 def force_section(table: TrialTable) -> Section:
@@ -122,7 +122,7 @@ def force_section(table: TrialTable) -> Section:
 def _unresolved(table: TrialTable) -> list[str]:
     """Name the tasks in which the smallest possible error is not a bound.
 
-    This happens where a tool takes a different course.
+    This happens if the tool takes a different path.
     """
     above = []
     for task in tasks_of(table):
@@ -171,7 +171,7 @@ def _points(
     metrics: Mapping[str, tuple[str, float]],
     size: tuple[float, float],
 ) -> bytes:
-    """Draw metrics with 95 % intervals over users, a panel each: name, label and factor.
+    """Draw metrics with 95 % intervals over users, one panel for each name, label and factor.
 
     Published force errors are drawn as diamonds.
     """
@@ -274,7 +274,7 @@ def task_section(table: TrialTable) -> Section:
 
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
-    """Report the ratio of force errors, Koopman over penalty, with one parameter changed."""
+    """Report the ratio of the force errors of Koopman and penalty, with one parameter changed."""
     tasks = folder.plan().compared
     base = [
         each
@@ -345,7 +345,7 @@ def reference_section(folder: StudyFolder) -> Section | None:
 
 
 def speed_section(folder: StudyFolder) -> Section:
-    """Report the seconds a trial by task, as they were measured while the study ran."""
+    """Report the time of a trial by task [s], as measured while the study ran."""
     plan = folder.plan()
     times: dict[str, list[float]] = {}
     for trial in folder.trials():
@@ -390,7 +390,10 @@ def _as_texts(tasks: Sequence[str], ratios: Array) -> dict[str, str]:
 
 
 def _picture(found: Mapping[str, Array], tasks: Sequence[str], usual: Array) -> bytes:
-    """Draw the ratios by variant, one colour a task, the study's own as lines."""
+    """Draw the ratios by variant with one colour for each task.
+
+    Lines show the ratios of the study itself.
+    """
     # 0.32 inches a line, 1.2 for axis and label
     figure, (axes,) = drawing(9.0, 0.32 * len(found) + 1.2)
     looks = zip(("#0072B2", "#D55E00", "#009E73"), "os^", strict=True)

@@ -59,7 +59,7 @@ class Stamp:
     plan_sha256, code_sha256
         Hashes of the registered plan and of the code of the run. Empty if the file records none.
     whole
-        True if the content is unchanged. True for a trial without a recorded hash too.
+        True if the content is unchanged, or if the trial has no recorded hash.
     """
 
     plan_sha256: str
@@ -172,7 +172,7 @@ class StudyFolder:
         Raises
         ------
         InputError
-            If there is no plan, or it is of another version.
+            If there is no plan, or the plan has another version.
         """
         return self._begun()[0]
 
@@ -223,7 +223,7 @@ class StudyFolder:
         return Stamp(plan_hash, code_hash, stated is None or stated == content_sha256(held))
 
     def has(self, key: TrialKey) -> bool:
-        """Return whether a trial is there."""
+        """Return whether the folder holds a trial."""
         return self._file(key).is_file()
 
     def read(self, key: TrialKey) -> Trial | None:
@@ -237,7 +237,7 @@ class StudyFolder:
         return trial if all(map(_is_row, trial.rows)) else None
 
     def write(self, trial: Trial) -> None:
-        """Keep a trial."""
+        """Write a trial to its file."""
         there = self.registrations()
         content = {
             "seed": trial.seed,
@@ -258,7 +258,7 @@ class StudyFolder:
     def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
         """Yield the existing trials in the plan's order.
 
-        They are the trials of the study itself, of one variant, or of all variants with None.
+        These are the trials of the study itself, of one variant, or, with None, of all variants.
         """
         for key in self.plan().all_trials():
             if variant in (None, key.variant) and (trial := self.read(key)) is not None:
@@ -309,14 +309,14 @@ class StudyFolder:
 
 
 def _is_row(row: Row) -> bool:
-    """Return whether a row is of a method: its name, and numbers or the sentence of its failure."""
+    """Return whether a row has the name of a method, and numbers or the sentence of its failure."""
     return "method" in row and all(
         isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items()
     )
 
 
 def _write(path: Path, content: Mapping[str, object]) -> None:
-    """Write JSON so that a reader never sees half of it."""
+    """Write JSON so that a reader never sees an incomplete file."""
     with whole_file(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1), "utf-8")
 
@@ -327,14 +327,17 @@ TRIALS_PER_WORKER = 3
 No worker waits, and memory does not grow with the number of trials.
 """
 LOSSES = 3
-"""Losses after which a running trial is run alone to check whether it ends its worker.
+"""Number of losses after which a running trial is run alone to check whether it ends its worker.
 
 One or two losses may be due to other trials on the same worker, or to the machine.
 """
 BARREN = 20
-"""Losses without a trial in between after which a study gives up, 21 s of pauses in all."""
+"""Number of consecutive losses after which a study gives up.
+
+The pauses between them take 21 s in all.
+"""
 PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s]: a cluster may still be starting."""
+"""Time that a scheduler may take to answer [s], because a cluster may still be starting."""
 
 
 def run_study(
@@ -359,8 +362,8 @@ def run_study(
     out
         Folder of the study. A folder with a part of the study is continued.
     workers
-        Number of processes. Default: one per core. A scheduler has its own workers; the number is
-        then the number of submitted trials.
+        Number of processes. Default: one per core. A scheduler has its own workers. With a
+        scheduler, the number limits the submitted trials.
     scheduler
         Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
         processes.
@@ -411,7 +414,7 @@ def _run_trials(
     connected = False
 
     def keep(trial: Trial) -> None:
-        """Write a trial that is still missing. A second copy is equal and ignored."""
+        """Write a trial that is still missing. A second copy is equal, so it is ignored."""
         folder.write(trial)
         waiting.pop(trial.key, None)
 
@@ -475,9 +478,9 @@ def _results(
     most: int,
     report: Callable[[str], None],
 ) -> Iterator[list[Trial]]:
-    """Submit trials, a few ahead, and yield the results that are there at a time.
+    """Submit a few trials in advance, and yield the results that are available at a time.
 
-    The trials under way are held in ``running``.
+    ``running`` holds the submitted trials.
     """
     fresh = iter(keys)
     while True:
@@ -516,7 +519,7 @@ def _in_worker(plan: Plan, key: TrialKey) -> Trial:
 def _keep_what_stays() -> None:
     """Exclude modules and kernels from garbage collection in all further runs.
 
-    They exist until all trials are done.
+    These objects exist until all trials are done.
     """
     gc.collect()
     gc.freeze()
