@@ -109,7 +109,8 @@ def steadiness(
     grip = hand_parameters(TYPICAL, constants)
     trembles = 1e3 * hand_motion_m(position_m, force_N, device, grip, band_Hz=BAND_HZ)
     tick = (trembles**2).sum(axis=1)
-    # Windows from every tick on: a few windows side by side would depend on where they begin.
+    # A window begins at every tick. With a few adjacent windows, the result would depend on where
+    # they begin.
     sums = np.concatenate([[0.0], np.cumsum(tick)])
     tremor = float(np.sqrt(np.quantile((sums[ticks:] - sums[:-ticks]) / ticks, QUANTILE)))
     square = tick[: count * ticks].reshape(count, ticks).mean(axis=1)

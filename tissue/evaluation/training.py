@@ -1,6 +1,4 @@
-"""Training of a scene's predictors: fit to recorded runs, forecast errors, validation on runs
-held out.
-"""
+"""Training of a scene's predictors: fit to recorded runs, forecast errors, and validation."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -63,7 +61,7 @@ __all__ = [
 
 
 DELAYS_MS = (0, 4, 8)
-"""Latencies of training runs, in turn [ms]: with a late force, a hand moves differently."""
+"""Latencies of training runs, in turn [ms]. A hand moves differently if the force is late."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class Recording:
     force_N
         Force on the device, without delay, shape (n, 3).
     contact
-        Contact as a loop receives it in every tick, rows of `Contact`, shape (n, CONTACT_WIDTH).
+        Contact that a loop receives in every tick, as rows of `Contact`, shape (n, CONTACT_WIDTH).
     group, seed
         Group of the hand, and its seed.
     model_s
@@ -99,10 +97,10 @@ class Recording:
     def samples(self) -> tuple[Array, Array]:
         """Return coordinates, shape (n, COORDINATES, 3), and targets, shape (n, 2 HORIZON, 3).
 
-        The n ticks are those with all targets. Before the first tick, the device was still. Targets
-        are the displacements to the later true positions of the device, which have no encoder
-        steps, and the changes to the later stretches between the true positions and the tool [m].
-        In front of a tool that cuts, the loop's filter is applied to the true positions.
+        The n ticks are those with all targets. Before the first tick, the device is assumed at
+        rest. Targets are the displacements to the later true positions of the device, which have no
+        encoder steps, and the changes to the later stretches between the true positions and the
+        tool [m]. In front of a tool that cuts, the loop's filter is applied to the true positions.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if Contact.of_row(self.contact[0]).cutting is not None:
@@ -126,7 +124,7 @@ class Recording:
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
     """Return the scene of a trial.
 
-    Hands, seeds and latencies are used in turn. Nothing is predicted, and no stress is computed in
+    Hands, seeds and latencies are used in turn. The run predicts no force and computes no stress in
     parallel to the ticks.
 
     Parameters
@@ -134,12 +132,13 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
     scene
         Scene. A scene without a device gets a Touch.
     index
-        Number of the trial, which is also its seed.
+        Number of the trial. It is also the seed of the trial.
     delay_ms
         Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
-        Ratio of the tissue's force to the scene's force at the same motion. If the force is linear
-        in the moduli or cutting coefficients, this equals a change of all of them by the ratio.
+        Ratio of the tissue's force to the scene's force for the same motion. If the force is linear
+        in the moduli or in the cutting coefficients, this is equivalent to multiplying all of them
+        by the ratio.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -153,7 +152,8 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         "coupling.force_scale": share * chosen_scale(held)[0],  # a scale is chosen for a device
     }
     made = changed(held, entries | ({"stress": None} if scene.stress is not None else {}))
-    # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.
+    # A loop whose latency is hidden is as stiff as a loop without latency, whatever the latency of
+    # the trial.
     prompt = changed(made, {"coupling.delay_ms": 0})
     return changed(
         made,
@@ -164,7 +164,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 class Recorder:
     """Runner of trials of one scene.
 
-    A linear elastic organ, which a run does not change, is built once.
+    A linear elastic organ is built only once, because a run does not change it.
     """
 
     def __init__(self, *, cores: int | None = None) -> None:
@@ -177,7 +177,7 @@ class Recorder:
         Raises
         ------
         InputError
-            If it cannot be built.
+            If the scene cannot be built.
         """
         motion, tissue = self._parts(scene)
         begin = motion.sweep_m()[0]
@@ -263,24 +263,29 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
 
 
 TRIALS = 12
-"""Runs of a scene by default, four a group of hands."""
+"""Default number of runs of a scene, four for each group of hands."""
 LEAST_TRIALS = 6
-"""Fewest runs: one of them validates."""
+"""Smallest number of runs. One of them is used for validation."""
 MOST_TRIALS = 10_000
 """Maximum number of runs.
 
-A hundred times the runs of the shipped predictors would take days and is treated as a typing error.
+A hundred times as many runs as for the shipped predictors would take days, so a larger number
+counts as a typing error.
 """
 HELD_OUT = 4
-"""Interval of the runs that validate: one run in this number. The others train.
+"""Interval between runs for validation: one run in this number.
 
-It shares no factor with the three groups of hands, so that each group validates in turn.
+The other runs are used for training.
+
+The number and the three groups of hands have no common factor, so each group is used for validation
+in turn.
 """
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
 MARGIN = 3.0
-"""Ratio to the largest mean square in training at which a window is outside of it; a prior."""
+"""Ratio to the largest mean square in training above which a window is outside; a prior.
+"""
 
 
 def train(
@@ -288,9 +293,9 @@ def train(
 ) -> Trained:
     """Train the predictors of a scene on runs by hands of all groups, and validate them.
 
-    The validation uses runs that are not in the training.
+    The validation uses runs that are not used for training.
 
-    The scene's own seed is not used: trial i has seed i.
+    The seed of the scene is not used: trial i has seed i.
 
     Raises
     ------
@@ -339,7 +344,7 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
     Raises
     ------
     InputError
-        If none of these runs touches anything.
+        If none of these runs has contact.
     """
     held_out = touching(held_out)
     if not held_out:
@@ -404,7 +409,7 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
 
 
 def _largest_square(moments: Moments, runs: Sequence[Recording]) -> float:
-    """Return the largest mean square of scaled coordinates, all axes together, in any tick."""
+    """Return the largest mean square of scaled coordinates in any tick, over all axes together."""
     squares = np.diag(moments.coordinates)
     return max(
         float(np.einsum("tca,c->t", run.samples()[0] ** 2, 1.0 / squares).max()) / COORDINATES
@@ -419,8 +424,8 @@ def forecast(
 
     The flag, shape (n,), is set if the forecast is from the primary predictor.
 
-    The predictor receives the force every `model_ticks`. Until the next force it receives the
-    contact of that tick, as in a loop.
+    The predictor receives a force every `model_ticks` ticks. Until the next force it receives the
+    contact of the same tick, as in a loop.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
@@ -466,7 +471,8 @@ def forecast_errors(
 
 
 def touching(runs: Sequence[Recording]) -> list[Recording]:
-    """Return the runs that have a force in ticks that can be predicted: a hand may come too late
-    for a short scene.
+    """Return the runs that have a force in ticks that can be predicted.
+
+    In a short scene, a hand may touch the tissue too late.
     """
     return [run for run in runs if run.force_N[max(HORIZONS) :].any()]

@@ -181,7 +181,7 @@ def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
     tissue.simulate(scene).save(tmp_path / "people" / "scripted")
     with pytest.raises(InputError, match="scripted has no score: the run has no device"):
         tissue.rank(tmp_path / "people", tmp_path / "people" / "scripted")
-    with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9: "):
+    with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9\. "):
         steadiness(FREE[:900], FREE[:900], DEVICE)
     with pytest.raises(InputError, match=r"run must move the device at 6\.3 mm/s or more"):
         steadiness(0.1 * shaken(1e-4), FREE, DEVICE)

@@ -180,8 +180,8 @@ class ExplicitCutting(Page):
         beyond = step["step_s"] > 2.1 * MASS_KG / drag_N_s_m()
         worst = float(step["implicit"][beyond].max())
         return Verdict(
-            # measured: the explicit limit to 1e-8, growth beyond it by more than 1e12, the implicit
-            # rule to 2e-16
+            # measured: error of the explicit limit 1e-8, growth beyond it by more than 1e12, error
+            # of the implicit rule 2e-16
             bool(off < 0.01 and (step["explicit"][beyond] > 1e3).all()),
             worst < 1e-6,
             f"The burr resists with {drag_N_s_m():.0f} N s/m, so an explicit step must be shorter "
@@ -489,8 +489,8 @@ class Contrast(Page):
         plain = table["plain"]
         multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])
         return Verdict(
-            # measured: 120 to 655 plain iterations, 6 to 8 with the multigrid, whose bounds of 25
-            # and 12 hold the other bodies of `docs/verification.md` too (7 to 23)
+            # measured: 120 to 655 plain iterations, 6 to 8 with the multigrid. Its bounds of 25 and
+            # 12 also cover the other bodies of `docs/verification.md` (7 to 23 iterations)
             float(plain[-1] / plain[0]) > 3.0,
             float(multigrid.max()) <= 25.0 and float(np.ptp(multigrid)) <= 12.0,
             f"From a contrast of 1 to {table['contrast'][-1]:.0e} plain conjugate gradients take "

@@ -133,7 +133,7 @@ class _PoseObserver(RunObserver):
         self._device = device if isinstance(device, SimulatedDevice) else None
         tool = motion.tool
         if isinstance(tool, HasMass):
-            # With share 1 the mass keeps its bits.
+            # With a share of 1, the mass is unchanged to the last bit.
             tool.mass_kg *= self._mass_share
             self.mass_kg = tool.mass_kg
 

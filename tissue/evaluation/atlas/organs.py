@@ -112,8 +112,8 @@ class Locking(Page):
             # measured: linear cells bend 50 % of the beam's deflection at nu = 0.3 and 1 % at
             # 0.4999
             bool(linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0]),
-            # A clamp that stops bulging takes 1 to 4 % off a beam that may bulge, increasing
-            # towards 0.5. The coarse cells take off a few per cent more.
+            # The clamp prevents lateral expansion, which reduces the deflection by 1 to 4 %, most
+            # towards 0.5. The coarse cells reduce it by a few per cent more.
             off < 0.1 and last > 0.49,
             f"Linear tetrahedra bend {100 * linear[0]:.0f} % as far as the beam at ν = "
             f"{ratio[0]:.2f} and {100 * linear[-1]:.0f} % at {ratio[-1]:.4f}. Quadratic tetrahedra "
@@ -123,7 +123,7 @@ class Locking(Page):
     def ask(self) -> list[Answer]:
         """Request a solve at the limit itself, and an organ of tetrahedra that lock."""
         _, note = elasticity_of(
-            # any mesh will do: the note depends on order and Poisson's ratio only
+            # the mesh does not matter: the note depends only on order and Poisson's ratio
             box((0.02, 0.02, 0.02), (1, 1, 1)),
             SlabAnatomy(kind="slab", nodule_diameter_mm=0.0),
             Organ(order=1, poisson_ratio=0.49),

@@ -164,8 +164,8 @@ class Horizon(Page):
         gain = float((table["koopman"] / hold)[within].max())
         at = {name: 100.0 * float(table[name][horizon == 8.0][0]) for name in LABELS}
         return Verdict(
-            # measured at 64 ms: the filter 1.8 and hold 0.45 of the force; the Koopman predictor at
-            # most 0.82 of hold up to 10 ms
+            # measured at 64 ms: error of the filter 1.8 and of the hold 0.45 times the force; up to
+            # 10 ms, the error of the Koopman predictor is at most 0.82 times that of the hold
             bool(table["kalman"][-1] > 2.0 * hold[-1] and (table["koopman"][-1] > 0.25)),
             gain < 1.0 and bool((table["koopman"] < 1.1 * hold).all()),
             f"At 8 ms the error is {at['hold']:.1f} % of the force by zero-order hold, "
@@ -298,8 +298,8 @@ class TrainedElsewhere(Page):
             return found | {"own_share": is_primary.mean()}
 
         table = sweep("stiffness_N_m", stiffnesses, errors)
-        # The operator moves the force towards that of its own wall. The softest wall gives the
-        # share of five ticks.
+        # The operator moves the force towards the force of the wall of its training. The softest
+        # wall gives the share for five ticks.
         share = table["bare"][0] / abs(HOME_N_M / stiffnesses[0] - 1.0)
         return {"wall": table | {"theory": share * np.abs(HOME_N_M / stiffnesses - 1.0)}}
 
@@ -308,8 +308,8 @@ class TrainedElsewhere(Page):
         table = data["wall"]
         ratio = table["guarded"] / table["hold"]
         home = int(np.argmin(np.abs(table["stiffness_N_m"] - HOME_N_M)))
-        # about a factor of two from the own wall, where the error by the foreign wall exceeds the
-        # operator's own
+        # about a factor of two from the wall of the training, where the error caused by the other
+        # wall exceeds the operator's own error
         far = np.abs(np.log2(table["stiffness_N_m"] / HOME_N_M)) > 0.9
         worst = float((table["bare"] / table["hold"]).max())
         return Verdict(

@@ -83,7 +83,7 @@ def pressed(
     """
     # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
-    # any seed will do: four of them gave the same verdicts
+    # the seed does not matter: four seeds gave the same verdicts
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
     device = make(SimulatedDevice(OMNI, hand, position_m=(0.0, 0.0, 0.0)))
     guard = SampleGuard(force_limit_N=OMNI.force_limit_N) if guarded else None
@@ -113,8 +113,8 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
     """Vary the length of the gap, with the guard and without the guard."""
     guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
     bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
-    # A repeated sample is accepted until it is too old, a late one is too old at once. Then each
-    # tick takes 1/20.
+    # A repeated sample is accepted until it is too old. A late sample is too old immediately. From
+    # then on, each tick takes 1/20 of the force.
     young_s = 2.0 * TICK_S if kind == "duplicated" else 0.0
     return {
         "gap_s": gaps,
@@ -298,7 +298,7 @@ class WildInput(Page):
             ),
             refused(
                 "the device's range for a force that is NaN",
-                # any limit will do
+                # the limit does not matter
                 lambda: ForceRange(limit_N=3.3).play(np.array([nan, 0.0, 0.0])),
             ),
         ]

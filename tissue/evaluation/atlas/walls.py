@@ -94,7 +94,8 @@ class WallMap(Page):
             swept = loops(along, values)
             # Loops that run together share a tick.
             groups = [[each] for each in swept] if along == "rate" else [swept]
-            # 1600 ticks are within 0.02 % of the eigenvalues, as are 3200; 800 are within 0.03 %
+            # the result is within 0.02 % of the eigenvalues with 1600 or 3200 ticks, and within
+            # 0.03 % with 800
             measured = [measured_critical_N_m(group, ticks=1600) for group in groups]
             data[along] = {along: values, "measured_N_m": np.concatenate(measured)} | {
                 name: np.array([bound(each) for each in swept])
@@ -111,8 +112,8 @@ class WallMap(Page):
         off = error_of(exact, measured)
         passive, first_order, pade = (float((bound / measured).max()) for bound in bounds)
         return Verdict(
-            # measured: eigenvalues 0.02 % off, passive bound always below, first order in delay 2.4
-            # and Padé 2.2 times too high
+            # measured: error of the eigenvalues 0.02 %; the passive bound always lies below; the
+            # bounds of first order in the delay and by Padé are 2.4 and 2.2 times too high
             max(first_order, pade) > 1.05 and measured.max() > 2.0 * measured.min(),
             off < 0.01 and passive <= 1.001,
             f"The wall rings from {measured.min():.0f} to {measured.max():.0f} N/m on. "
@@ -145,7 +146,7 @@ class WallMap(Page):
             label, scale, _ = AXES[along]
             across = scale * table[along]
             is_first = axes is panels[0]
-            # 10 to 1e5 N/m hold all bounds
+            # all bounds lie within 10 to 1e5 N/m
             shade(axes, across, 10.0, table["exact_N_m"], Conduct.HOLDS)
             # up to the upper end of the axis, above the largest measured stiffness of 27 kN/m
             shade(axes, across, table["exact_N_m"], 1e5, Conduct.REFUSES)
@@ -312,7 +313,7 @@ class Quantisation(Page):
         axes = chart.subplots()
         table = data["friction"]
         friction = table["friction_N"]
-        # 20 to 6000 N/m hold the bounds and the critical stiffness
+        # the bounds and the critical stiffness lie within 20 to 6000 N/m
         shade(axes, friction, 20.0, table["bound_N_m"], Conduct.HOLDS)
         shade(axes, friction, table["critical_N_m"], 6e3, Conduct.REFUSES)
         panel(
@@ -374,7 +375,7 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
             foot = height if abs(height) >= half else float(np.copysign(half, height))
         else:
             foot = float(proxy.advance(np.array([0.0, 0.0, height])).position_m[2])
-        # thrown back or through: no force acts any more
+        # the device was thrown back or crossed the wall: no force acts any more
         if abs(foot) > half + 1e-9 and abs(height) > 0.1:
             break
         device.command(np.array([0.0, 0.0, STIFFNESS_N_M * (foot - height)]), np.zeros(3))
@@ -433,8 +434,8 @@ class ThinWalls(Page):
         ratio = penalty["crossed_from_m_s"] / penalty["theory_m_s"]
         kept = int((thrown["end_m"] > 0.0).sum())
         return Verdict(
-            # The sampling moves the crossing speed: a device may enter at a sample and leave before
-            # it was pushed much.
+            # The sampling changes the crossing speed: a device may enter the wall at a sample and
+            # leave it before it was pushed much.
             bool((np.abs(ratio - 1.0) < 0.25).all()),
             kept == len(thrown["end_m"]),
             f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times the "

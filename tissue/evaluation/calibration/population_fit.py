@@ -171,7 +171,7 @@ def posterior_panel(session: Session) -> "Panel":
     from rich.panel import Panel
 
     masses = session.threshold.weber_masses()[:, 0]
-    # a character shows an eighth to a whole of its height
+    # a character is an eighth of its height to its whole height tall
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
     rows = [
         "".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths)
@@ -261,7 +261,7 @@ def _answers(session: Session, axes: "Axes") -> None:
                 # the area of a mark grows with the number of answers
                 ms=3.0 + np.sqrt(len(bin_)),
             )
-    # from where answers are guesses to where nearly all are right
+    # from steps at which answers are guesses to steps at which nearly all answers are right
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
     share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
     axes.semilogx(at, 100.0 * share, color=BLUE)

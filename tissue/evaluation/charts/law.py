@@ -137,7 +137,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         """Solve both laws at the instants."""
         from tissue.fem.hyperelastic import Law
 
-        # the last work on the scene: its share of the progress is about to be complete
+        # the last step of the scene: its share of the progress is nearly complete
         report(f"{scene.name}: linear law and neo-Hookean one", 0.99)
         solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
         tips_m, direction = _touching(scene, solvers[0])
@@ -235,7 +235,7 @@ def _pressed(
             solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE
         )
         rows.append([*(solution.tool_force_N if solution.converged else np.full(3, np.nan)), depth])
-    # three components of force and a depth a row; the shape holds without rows too
+    # three components of force and a depth in each row; the shape is also right without rows
     table = np.array(rows).reshape(-1, 4)
     return table[:, :3], table[:, 3]
 
@@ -248,7 +248,7 @@ def linear_error(depth: float, law: str = LAW) -> float:
     """
     known = EXPONENTIAL_ERROR if law == CITED_LAW else LINEAR_ERROR
     depths, errors = np.array([(0.0, 0.0), *known]).T
-    # a deeper press has a larger error than the table's last one; the last slope continues
+    # a press deeper than the last one in the table has a larger error: the last slope is continued
     beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
     return float(np.interp(depth, depths, errors)) + float(beyond)
 

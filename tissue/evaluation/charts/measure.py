@@ -251,7 +251,7 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     A hand has the same path as a script, so both have the same references. The hand gets more time.
     """
     if isinstance(scene.tool, Tool):
-        # a hand strays from its path, so that it needs more of the scene's own margin
+        # a hand deviates from its path, so it needs more margin of the scene
         margin = (
             MARGIN_MM
             if scene.device is None
@@ -280,7 +280,8 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
             try:
                 run = simulate(_until(scene, span), allow_unstable=True)
             except InputError:
-                # A tool that comes nowhere near the tissue is refused. Later it may.
+                # A scene whose tool does not come near the tissue is refused. With a longer
+                # duration it may.
                 span *= 2.0
                 continue
             if (run.trace["contact_mm2"] > 0.0).any():
@@ -304,7 +305,8 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 def _length_s(scene: Scene) -> float:
     """Return the duration of a scene [s], or zero if it is not known before the run."""
-    # the duration of a tool that is pushed follows from the force, so that only its run shows it
+    # the duration of a tool that is pushed by a thrust follows from the force, so it is known only
+    # after the run
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
     return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
@@ -340,13 +342,14 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
             runs.append(_run(place, setting))
             force_N, reference_N = force_and_reference_N(runs[-1], place, quick=quick)
         except InputError:
-            # Aside or deeper a tool may start inside the tissue or meet none.
+            # A tool that is shifted sideways or deeper may start inside the tissue or touch no
+            # tissue.
             if place is scene:
                 raise
             continue
         over_50_ms = force_error(means_over_50_ms(force_N), means_over_50_ms(reference_N))
         errors.append((force_error(force_N, reference_N), over_50_ms))
-    # three places give three runs, of which the fastest counts; a single place is run again
+    # three places give three runs, and the fastest run counts; a single place is run again
     if len(places) == 1 and not (quick and scene.device is not None):
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
     took_s = (perf_counter() - started) / len(runs)

@@ -73,7 +73,7 @@ def _people(someone: Observer, path: Path) -> None:
         left.plot(forces, forces**entry.value, ":", color=GREY)
         # to the right of the curves, which end at 10 N
         left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.3")
-    # with 4000 people, the ends of eight in ten are known to 0.5 % of the people
+    # with 4000 people, the ends of the 80 % range have an error of 0.5 % of the people
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
     # eight in ten people lie between them
@@ -134,7 +134,7 @@ def _command(someone: Observer, path: Path) -> None:
 
 def _deadband(someone: Observer, path: Path) -> None:
     """Draw a recorded force and the force that the deadband plays."""
-    # any seed will do: the title names the share of this run
+    # the seed does not matter: the title states the share of this run
     run = simulate(load_scene(SCENE, {"device": DEVICE, "hand": "novice", "seed": 3}))
     wanted = run.trace.vectors("filtered_force", "N")
     time = run.trace["time_s"]

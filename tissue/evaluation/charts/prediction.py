@@ -159,7 +159,7 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
 
     The time includes observing the tick and predicting the force after the latency.
     """
-    # the loop too shows contacts only to predictors that use them
+    # like the loop, this shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
     for position, velocity, force, row in zip(
@@ -222,8 +222,8 @@ def chart_prediction(
         for index, scene in enumerate(scenes):
             onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
             found.append(_compare(scene, trials=trials, report=onward))
-            # At once: a chart takes half an hour, and one that is stopped keeps the finished
-            # scenes.
+            # Each scene is written immediately: a chart takes half an hour, and a stopped chart
+            # keeps the finished scenes.
             draw_scene(found[-1], folder / f"prediction_{scene.name}.png")
             draw_tasks(found, folder / "prediction_tasks.png")
             _write_comparisons(found, folder)

@@ -171,7 +171,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
             "anatomy.touch_edge_mm": edge_mm(scene),
             "anatomy.edge_mm": scene.anatomy.edge_mm,
         }
-        # Without it edges away from the tool would hardly shrink.
+        # Without this key, edges away from the tool would hardly shrink.
         lengths["anatomy.edge_growth"] = scene.anatomy.edge_growth
     return force_only(scene) | {key: share * value for key, value in lengths.items()}
 
@@ -251,7 +251,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
             coarsest = coarsest or {**plain, **grid, **coarse}
             yield Setting(name, "voxels", {**plain, **grid, **coarse})
-    # only coarser elements than the scene's: finer ones come with finer voxels below
+    # only elements coarser than those of the scene: finer elements follow with finer voxels below
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
@@ -449,5 +449,5 @@ def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Return the hash of a scene at a setting, of the machine and of the code."""
     at = scene_text(changed(scene, setting.changes))
     text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
-    # 24 digits: short in a table, and too long for two settings to agree by chance
+    # 24 digits: short enough for a table, and long enough to exclude equal keys by chance
     return blake2b(text.encode(), digest_size=12).hexdigest()

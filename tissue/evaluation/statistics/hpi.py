@@ -131,7 +131,7 @@ def composite_index(
     for task in range(int(tasks.max(initial=-1)) + 1):
         chosen = raw[tasks == task]
         spread = chosen.std(axis=0)
-        # Equal numbers leave a rounding error of their size, which is no spread.
+        # Equal numbers leave a rounding error in proportion to their size, which is not a spread.
         flat = spread <= 1e-12 * np.abs(chosen).max(axis=0)
         if flat.any():
             raise InputError(
@@ -208,7 +208,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
         ),
         Assumption(
             "weights are stable",
-            # a weight that moves by half of the sum of all weights is not determined; a convention
+            # a weight that varies by half of the sum of all weights is not determined; a convention
             widest <= 0.5,
             f"weights move by up to {widest:.2f} with the users drawn",
         ),

@@ -84,7 +84,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         pair = [
             Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)
         ]
-        # torques in N m take the place of forces in N: no limit of a device applies
+        # torques in N m are passed as forces in N: no limit of a device applies
         share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
@@ -256,7 +256,7 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
         axes.plot(middle, line, "o", color=colours[method], mec="black")
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()
-    # an infinite end leaves the axes; 5 % of space behind the largest finite one
+    # an infinite end lies outside the axes; 5 % of space beyond the largest finite end
     axes.set_xlim(0.0, 1.05 * max((each for each in ends if isfinite(each)), default=1.0))
     axes.set_xlabel("travel after the puncture / mm, median over people with its 95 % interval")
     best = medians.index(min(medians))

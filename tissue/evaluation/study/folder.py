@@ -444,7 +444,7 @@ def _run_trials(
                     f"{scheduler} ({error})",
                     "start it with `dask scheduler`",
                 ) from error
-            # losses in a row without a finished trial
+            # consecutive losses without a finished trial
             barren = barren + 1 if len(waiting) == before else 1
             if barren > BARREN:
                 raise InputError(
@@ -459,14 +459,14 @@ def _run_trials(
             report_share(
                 f"workers were lost ({type(error).__name__}), {len(waiting)} trials continue"
             )
-            # a suspect was alone on its worker, so that it caused the loss
+            # a suspected trial was alone on its worker, so it caused the loss
             if suspects and running:
                 failure = "RuntimeError: the worker was lost each time this trial ran on it"
                 keep(_failed(plan, suspects[0], failure))
             else:
                 losses.update(running.values())
-            # the pause [s] grows with the losses in a row: a cause that passes, such as a full
-            # memory, costs no trials
+            # the pause [s] grows with the number of consecutive losses: a temporary cause, such as
+            # a full memory, then costs no trials
             sleep(min(2.0, 0.1 * barren))
 
 
@@ -494,7 +494,7 @@ def _results(
             if isinstance(error, LOST):
                 raise error
             key = running.pop(future)
-            # whatever a worker met, such as a trial that ends it each time
+            # any error of a worker, such as a trial that always ends its worker
             if isinstance(error, Exception):
                 done.append(_failed(plan, key, error_sentence(error)))
             else:

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Tested metrics, one by one and together."""
+"""Tested metrics. They are tested one by one and together."""
 DIRECTIONS = {
     "force_error": -1,
     "ratio_error": -1,
@@ -37,16 +37,19 @@ DIRECTIONS = {
 }
 """Metrics of the composite index and their directions: -1 where lower is better."""
 USERS = 10
-"""People in a group. Trials are assigned to them in turn."""
+"""Number of people in a group. Trials are assigned to them in turn."""
 LATENCY_MS = 4
-"""Latency of the loop in every trial, the paper's mean being 4.3 ms."""
+"""Latency of the loop in every trial [ms]. The mean in the paper is 4.3 ms."""
 REFERENCE = "reference"
 """Variant in which the reference itself is compared with the finest model."""
 SENSITIVITY_TRIALS = 6
 REFERENCE_TRIALS = 2
-"""Trials of each task for each variant. Reference trials take longest, so there are few."""
+"""Number of trials of each task for each variant, and for the reference variant.
+
+Reference trials take longest, so there are few.
+"""
 MIDDLE = "intermediate"
-"""Group of the variants."""
+"""Group of people in which the variants are run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +63,11 @@ class Task:
     scene
         Name of the scene.
     changes
-        Changes of the scene, by dotted key: force only, and short enough for thousands of trials.
+        Changes of the scene, by dotted key. They leave out all that has no effect on the force, and
+        make the run short enough for thousands of trials.
     specimens
-        Specimens, of which each person gets all in turn. The first two are to be discriminated.
+        Specimens. Each person gets all of them in turn. The first two are compared in the
+        discrimination.
     extremes
         Specimens softer and harder than all others, for the sensitivity. Empty for a case study.
     wanted_mm
@@ -70,8 +75,9 @@ class Task:
     most
         Maximum number of trials for each group.
     differs
-        Difference from the task of the paper, after which no figure is compared with the paper's.
-        Empty if all conditions hold that the paper states. It states no geometry, tool or path.
+        Difference from the task of the paper. Figures of such a task are not compared with the
+        paper. Empty if the task satisfies all conditions that the paper states. The paper states no
+        geometry, tool or path.
     """
 
     title: str
@@ -119,7 +125,7 @@ TASKS = {
         changes={"duration_s": None},
         specimens=_scaled(WALL, (0.7, 1.0, 1.3)),
         extremes=_scaled(WALL, (0.5, 2.0)),
-        # No hand brings the ball into the wall, so that it should stay on it.
+        # No hand brings the ball into the wall, so the ball should stay on the surface.
         wanted_mm=((0.0, 0.0, 20.0), (0.0, 0.0, 0.0), (50.0, 0.0, 0.0)),
     ),
     "T3": Task(
@@ -130,8 +136,9 @@ TASKS = {
             "voxels.spacing_mm": 0.1,  # the force is 1 % off that of 0.05 mm voxels and shell
             "tool.shell_spacing_mm": 0.1,
             "device": "touch",
-            # At a motion scale of 1 a hand yields by millimetres under the force that 0.1 mm more
-            # depth adds, so that it presses any bone with the same force. See docs/guide/study.md.
+            # At a motion scale of 1, the force of 0.1 mm more depth moves the hand back by
+            # millimetres. The hand then presses any bone with the same force. See
+            # docs/guide/study.md.
             "coupling.motion_scale": 0.1,
             "coupling.force_scale": 0.04,
             "motion.points_mm": [
@@ -190,8 +197,11 @@ TASKS = {
         "compared at 400,000 rpm",
     ),
 }
-"""Tasks by name. Specimens differ by 30 % in stiffness. The bone of the first specimen has 60 % of
-the density of the second. Reaming stops at 60 trials, two of each person."""
+"""Tasks by name.
+
+Specimens differ by 30 % in stiffness. The bone of the first specimen has 60 % of the density of the
+bone of the second. Reaming has at most 60 trials, two for each person.
+"""
 METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},
     "energy": {"renderer": "passivity"},
@@ -200,8 +210,10 @@ METHODS: dict[str, Mapping[str, object]] = {
     "koopman-online": {"renderer": "proxy", "prediction": "koopman-online"},
     "koopman-perception": {"renderer": "proxy", "prediction": "koopman"},
 }
-"""Built-in methods that turn a contact into a force. The last one is calibrated to the person of
-the trial. Any other registered predictor is a method by its name; see `method_settings`.
+"""Built-in methods of computing the force at a contact.
+
+The last one is calibrated to the person of the trial. Every other registered predictor is a method
+too, named as the predictor; see `method_settings`.
 """
 PERSONAL = ("koopman-perception",)
 """Methods that scale the force for the person."""
@@ -236,7 +248,7 @@ class Variant:
     changes
         Changes of the scene by dotted key.
     pace
-        Factor on the hand's pace.
+        Factor on the speed of the hand.
     extreme
         Index of the task's extreme that replaces the specimen.
     """
@@ -264,12 +276,12 @@ VARIANTS = {
     "pace-slow": Variant("pace", "0.7 of the usual", {}, pace=0.7),
     "pace-fast": Variant("pace", "1.4 of the usual", {}, pace=1.4),
 }
-"""Five parameters, low and high, in the hand of an intermediate."""
+"""Variants of five parameters, each with a low and a high value, for intermediates."""
 
 
 @dataclass(frozen=True, order=True)
 class TrialKey:
-    """Key of a trial, which is run once under each method.
+    """Key of a trial. A trial is run once with each method.
 
     Attributes
     ----------
@@ -295,14 +307,14 @@ class TrialKey:
     def specimen(self) -> int:
         """Number of the specimen in its task.
 
-        Specimens are crossed with people: a person gets them in turn, and people begin with
-        different ones.
+        Specimens are crossed with people: a person gets all specimens in turn, and people begin
+        with different specimens.
         """
         return (self.trial // USERS + self.user) % len(TASKS[self.task].specimens)
 
     @property
     def name(self) -> str:
-        """Name of its file, and how it is called for alone."""
+        """Name of the trial's file. The same name selects the trial for a single run."""
         return f"{self.task}-{self.group}-{self.trial:04d}" + f"-{self.variant}" * bool(
             self.variant
         )
@@ -314,7 +326,7 @@ class TrialKey:
         Raises
         ------
         InputError
-            If there can be no such trial.
+            If no trial can have this name.
         """
         # empty texts stand for missing parts, which are refused below
         task, group, number, variant, *_ = *name.split("-", 3), "", "", ""
@@ -333,14 +345,14 @@ class Plan:
     Attributes
     ----------
     seed
-        Seed of the study. The seed of a trial follows only from it and the trial's key.
+        Seed of the study. The seed of a trial follows only from this seed and the key of the trial.
     trials
         Trials for each task and group.
     tasks, groups
         Compared tasks and groups.
     methods
         Compared methods: names of `METHODS`, or of registered predictors. The coupling stiffness of
-        a trial is stable under all of them, so that it depends on this choice.
+        a trial is stable with all of them, so it depends on this choice.
     sensitivity
         If true, a few trials are repeated with one changed parameter, and against the finest model.
 
@@ -378,11 +390,11 @@ class Plan:
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """Its tasks but for the case studies."""
+        """Tasks of the plan without the case studies."""
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
-        """Yield all trials, groups and tasks in turn, so that a stopped study is balanced."""
+        """Yield all trials with groups and tasks in turn, so that a stopped study is balanced."""
         for trial in range(self.trials):
             for task in self.tasks:
                 for group in self.groups:
@@ -401,7 +413,7 @@ class Plan:
     def holds(self, other: "Plan") -> bool:
         """Return whether this plan contains all trials of another plan.
 
-        If it does, the folder of the other plan can be continued.
+        If so, the folder of the other plan can be continued.
         """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)

@@ -1,10 +1,13 @@
-"""Excess travel of a needle after a puncture, pushed by force and stopped by reaction.
+"""Excess travel of a needle after a puncture, for a hand that pushes with a rising force.
 
-The needle's tip starts 0.05 mm outside an organ under z = 0 and is pushed along -z by a device in a
-hand whose force rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`). Aim a, device s
-and tip z are counted along the push. Hand and device are one mass, M = m_device + m_hand, between
-the grip's spring and damper on one side and the motor on the other. The coupling's spring k_c
-connects the tip to the device, and the organ pulls the tip with P(z)::
+The hand stops after its reaction time.
+
+The needle's tip starts 0.05 mm outside an organ that lies below z = 0. A hand pushes the tip along
+-z through a device. The force of the hand rises at ``rate_N_s``
+(`tissue.haptics.hand.pushing.PushingHand`). The positions of the hand's aim a, the device s and the
+tip z are measured along the push. Hand and device are one mass, M = m_device + m_hand, between the
+grip's spring and damper on one side and the motor on the other. The coupling's spring k_c connects
+the tip to the device, and the organ pulls the tip with P(z)::
 
     M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
 
@@ -12,17 +15,17 @@ f is the force k_c (s - z) after prediction, low-pass, latency and the device's 
 share of K_0 (a - s) one reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches the
 puncture force. From then on the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
 friction * (z - u). P adds viscous * (z - u) z' to this force, see
-`tissue.models.needle.model.Insertion`. The stop begins one reaction time after the hand has
-noticed the puncture: by the force alone, or by force or sight, whichever is first. By sight, it
-notices in the first video frame that shows the tip `VISIBLE_M` beyond the membrane. A frame shows
-the state one frame earlier. **Excess travel** = largest z from the puncture on - z at the puncture.
+`tissue.models.needle.model.Insertion`. The stop begins one reaction time after the hand has noticed
+the puncture. It notices the puncture by the force alone, or by force or sight, whichever is first.
+By sight, it notices the puncture in the first video frame that shows the tip `VISIBLE_M` beyond the
+membrane. A frame shows the state one frame earlier. **Excess travel** = largest z from the puncture
+on - z at the puncture.
 
-It has three parts. The first part is the release of the springs with all delays zero: dF / k_c of
-the tip, dF / K_0 of the device and more by its inertia, where dF is the drop of P. No hand can
-prevent it. The second part is the motion of the aim until the stop, da/dt times the delay. The
-third part is the response of the aim to the device's sudden advance in the part of that time beyond
-the reaction.
-"""  # noqa: E501 a table
+The excess travel has three parts. The first part is the release of the springs without any delay.
+It is dF / k_c for the tip, and dF / K_0 and more for the device because of its inertia, where dF is
+the drop of P. No hand can prevent this part. The second part is the motion of the aim until the
+stop, da/dt times the delay. The third part is the response of the aim to the sudden advance of the
+device. It occurs in the part of the delay beyond the reaction time."""  # noqa: E501 a table
 
 from dataclasses import dataclass
 from math import inf, nan
@@ -51,8 +54,8 @@ __all__ = ["NOTICED", "RATE_N_S", "Notice", "Pierced", "pierce"]
 Notice = Literal["force", "sight", "at once"]
 """Cue by which a puncture is noticed.
 
-The cue is the felt force, the felt force or the sight of the tip, or an ideal detection without
-delay that no person can achieve.
+The cue "force" is the felt force. The cue "sight" is the felt force or the sight of the tip. The
+cue "at once" is an ideal detection without delay, which no person can achieve.
 """
 RATE_N_S = 1.0
 """Rise of the pushing force [N/s].
@@ -62,12 +65,12 @@ The value is assumed: a capsule of 2.3 N is punctured after some seconds, at abo
 FRAME_S = 1.0 / 60.0
 """Time between two video frames."""
 VISIBLE_M = 0.5e-3
-"""Distance beyond a membrane at which a tip is seen to be beyond it [m].
+"""Distance beyond a membrane from which on a tip is visible as beyond it [m].
 
 The value is assumed: several pixels of a display.
 """
 CUE_SHARE = 0.85
-"""Share of the puncture force at which a cue is given.
+"""Share of the puncture force at which a cue is given to the hand.
 
 The value is assumed: at 1 N/s, the cue is given more than a reaction time before the puncture.
 """
@@ -76,12 +79,15 @@ AFTER_S = 0.6
 LONGEST_S = 12.0
 """Time within which a push must have punctured the membrane [s]."""
 NOTICED = "the hand notices a puncture"
-"""Event of a run when its hand is about to stop, a reaction later."""
+"""Event of a run at the time when the hand notices the puncture.
+
+The hand stops one reaction time later.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Pierced:
-    """Push of a needle and its end.
+    """Result of a push of a needle.
 
     Attributes
     ----------
@@ -184,7 +190,7 @@ def pierce(
 
 
 class _Bystander(RunObserver):
-    """Observer of a run that shows a hand the tip, gives it its cue, and ends the run."""
+    """Observer of a run that shows the tip to the hand, gives its cue, and ends the run."""
 
     def __init__(
         self,
@@ -205,7 +211,7 @@ class _Bystander(RunObserver):
         self.rows: list[tuple[float, float]] = []
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Look at the needle."""
+        """Find the needle."""
         if not isinstance(parts.tissue, NeedleModel):
             raise InputError("scene", "have a needle", "another tool", "use the scene needle")
         self._needle = parts.tissue

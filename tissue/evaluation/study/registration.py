@@ -1,5 +1,7 @@
-"""Registration of a study's plan: its text with tests and power, its hash, and the hash of the
-code that runs it.
+"""Registration of a study's plan.
+
+It holds the text of the plan with tests and power, its hash, and the hash of the code that runs the
+study.
 """
 
 import json
@@ -49,13 +51,12 @@ __all__ = [
 
 PLAN_FILE = "plan.toml"
 Registration = dict[str, str | int]
-"""One registered plan: ``file``, ``sha256`` and ``trials_before``, the number of trials that
-were there before it.
+"""Registered plan: ``file``, ``sha256`` and ``trials_before``, the number of earlier trials.
 """
 STREAM = 2000
-"""Key of the generator of planned powers. Trials and people have keys below 1001."""
+"""Key of the random generator of planned powers. Trials and people have keys below 1001."""
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
-"""Units of the tested measures. Other names carry their unit at the end."""
+"""Units of the tested metrics. The names of other metrics end with their unit."""
 DESCRIBED = (
     "least_error: least force error that the device's encoder allows, 1",
     "latency_ms: residual latency, ms, nearer to zero is better",
@@ -71,7 +72,7 @@ DESCRIBED = (
     "noticed: share of punctures that are noticed, 1, more is better",
     "composite index of the metrics by weights from their own spread, more is better",
 )
-"""Measures that are reported with intervals and not tested."""
+"""Metrics that are reported with intervals and not tested."""
 EXCLUSIONS = (
     "no trial that did not fail is excluded, and no value is an outlier",
     "a trial that failed under a method leaves that method's row out, with the sentence of "
@@ -136,7 +137,7 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
     Raises
     ------
     TypeError, KeyError
-        If it holds something else.
+        If the content has another form.
     """
     return [
         {
@@ -168,7 +169,7 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """Return SHA-256 of a file's bytes, empty where it cannot be read."""
+    """Return the SHA-256 of a file's bytes; empty if the file cannot be read."""
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -178,7 +179,7 @@ def file_sha256(path: Path) -> str:
 def content_sha256(content: Mapping[str, object]) -> str:
     """Return the SHA-256 of a trial's content.
 
-    It detects accidental edits, but not a person who computes the hash again.
+    The hash detects accidental edits, but not edits by a person who computes the hash again.
     """
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
@@ -288,7 +289,7 @@ def plan_text(plan: Plan) -> str:
 
 
 def _powers(plan: Plan, people: int, alpha: float) -> dict[str, dict[str, float] | dict[str, int]]:
-    """Return the powers with and without correction, and the people that a power of 0.8 needs.
+    """Return the powers with and without correction, and the number of people for a power of 0.8.
 
     `alpha` is the share of false alarms of one test after correction.
     """

@@ -58,7 +58,7 @@ PICTURES = ("force", "discrimination", "case-needle", "tasks", "sensitivity", "p
 """Sections whose pictures begin the report, the most important first."""
 MOST_PICTURES = 3
 NAMED = 5
-"""Names that a row gives before it stops."""
+"""Largest number of names in a row of the table."""
 Difference = tuple[str, str, str]
 """Kind, object and detail of a difference from the registered plan."""
 TISSUES = {
@@ -67,9 +67,9 @@ TISSUES = {
     "reaming": (("cutting", "bone"), ("perception", "torque")),
     "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
 }
-"""Cited constants of tissues and senses that a task adds.
+"""Constants of tissues and senses from the cited sources that a task adds to the report.
 
-T1 and T2 have their stiffness only in the scene.
+For T1 and T2, only the scene states the stiffness.
 """
 PARAMETER = ("of", "parameter", "value", "range", "confidence", "source")
 STUDY = (
@@ -87,7 +87,7 @@ def write_report(
 ) -> tuple[Path, list[str]]:
     """Write ``report/index.html`` and its tables into a study's folder.
 
-    Return its path and its first sentences.
+    Return the path of the report and its first sentences.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def write_report(
 
 
 def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
-    """Return all sections that a study's trials allow."""
+    """Return all sections for which a study has trials."""
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
@@ -169,7 +169,9 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 
 
 def found_section(sections: Sequence[Section]) -> Section:
-    """Return the first section: at most five sentences and three pictures of the other sections.
+    """Return the first section.
+
+    It holds at most five sentences and three pictures of the other sections.
 
     The last sentence states how many figures agree with the published ones.
     """
@@ -202,7 +204,7 @@ def _agreement(sections: Sequence[Section]) -> str:
 
 
 def _overview(folder: StudyFolder) -> Section:
-    """Report completed, missing and failed trials and their parameters."""
+    """Report completed, missing and failed trials, and their parameters."""
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
@@ -291,7 +293,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
 
 
 def _plans(folder: StudyFolder) -> Iterator[Difference]:
-    """Yield plans that were edited, taken away, or registered after the first trial."""
+    """Yield plans that were edited, removed, or registered after the first trial."""
     for each in folder.registrations():
         name = str(each["file"])
         if (got := file_sha256(folder.path / name)) != each["sha256"]:
@@ -334,7 +336,7 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
 
 
 def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
-    """Yield trials of another seed, plan or code than registered, or changed after writing."""
+    """Yield trials with another seed, plan or code than registered, or with changed files."""
     plans = {str(each["sha256"]) for each in folder.registrations()}
     stamps = {trial.key: folder.stamp(trial.key) for trial in kept}
     if names := [key.name for key, stamp in stamps.items() if not stamp.whole]:
@@ -357,7 +359,7 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
 
 
 def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference]:
-    """Yield planned tests that are missing, unplanned tests, and methods left out."""
+    """Yield planned tests that are missing, unplanned tests, and methods that were left out."""
     try:
         plan = tomllib.loads(
             (folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8")
@@ -380,13 +382,13 @@ def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference
 
 
 def _unordered(test: str) -> tuple[str, frozenset[str]]:
-    """Return a test without the order of its factors."""
+    """Return the name of a test with its factors in a fixed order."""
     what, _, factors = test.rpartition(": ")
     return what, frozenset(factors.split(" x "))
 
 
 def _named(names: Sequence[str], mark: str = ", ") -> str:
-    """Return how many names there are, and the first of them."""
+    """Return the number of names, and the first of them."""
     return f"{len(names)}: {mark.join(names[:NAMED])}{f'{mark}...' * (len(names) > NAMED)}"
 
 

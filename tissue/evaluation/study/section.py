@@ -1,4 +1,4 @@
-"""Building blocks of a study's report: sections, the published figures, text and pictures."""
+"""Building blocks of a study's report: sections, published figures, text and pictures."""
 
 import csv
 import io
@@ -94,7 +94,7 @@ The columns of the paper are raw, Koopman-adjusted and perceptual.
 POSITION_ERROR_MM = {"T1": Figure(0.71, 0.12), "T2": Figure(0.63, 0.10), "T3": Figure(0.85, 0.15)}
 """Position error [mm] in the paper."""
 CASES = {"reaming_rms_N": Figure(2.5), "torque_step_Nm": Figure(0.08)}
-"""Published results of the case studies. The error of reaming is an upper bound."""
+"""Published results of the case studies. The published error of reaming is an upper bound."""
 
 ROUNDED = 0.05
 """Relative tolerance of a published figure without a spread, for the rounding of two digits."""
@@ -130,7 +130,7 @@ class Section:
     headline
         Main finding in one sentence, for the first section of the report.
     gallery
-        PNG pictures by title, in addition to that of the section.
+        PNG pictures by title, in addition to the picture of the section.
     """
 
     name: str
@@ -153,7 +153,7 @@ class Section:
         return tuple(tuple(row.get(name, "") for name in header) for row in self.table)
 
     def write_csv(self, folder: Path) -> str:
-        """Write the table and return the name of its file; return an empty text without a table."""
+        """Write the table and return the name of its file; empty without a table."""
         if not self.table:
             return ""
         name = f"{self.name}.csv"
@@ -168,8 +168,8 @@ class Section:
 def spread(values: Array, digits: int = 2) -> str:
     """Return mean and standard deviation as text.
 
-    The text has no sign ±, because mean minus standard deviation can lie below zero where no value
-    does.
+    The text does not use the sign ±, because the mean minus the standard deviation can be below
+    zero even if no value is.
     """
     return f"{values.mean():.{digits}f} (SD {_deviation(values):.{digits}f})"
 
@@ -181,8 +181,8 @@ def _deviation(values: Array) -> float:
 def _agreement(ours: Array, paper: Figure) -> str:
     """Return the agreement of two means.
 
-    The text is "agrees" if they lie within the standard deviation of their difference, otherwise
-    their ratio.
+    The text is "agrees" if the means differ by less than the standard deviation of their
+    difference. Otherwise it is their ratio.
     """
     reach = np.hypot(_deviation(ours), paper.spread or ROUNDED * paper.mean)
     if abs(ours.mean() - paper.mean) <= reach:
@@ -191,7 +191,7 @@ def _agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
-    """Return the published figure and the agreement with it; nothing if there is no such figure."""
+    """Return the published figure and the agreement with it; empty if there is no such figure."""
     if paper is None:
         return {}
     return {f"paper {unit}": str(paper), "against paper": _agreement(ours, paper)}
@@ -287,7 +287,7 @@ def grouped_points(
 
 
 def legend(figure: Drawing, axes: Axes) -> None:
-    """Add a legend of some axes above the figure, where it covers nothing."""
+    """Add a legend of selected axes above the figure, where it covers no curve."""
     figure.legend(
         *axes.get_legend_handles_labels(),
         loc="outside upper center",

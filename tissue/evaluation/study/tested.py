@@ -1,6 +1,6 @@
 """Report sections on the statistics of a study.
 
-They cover tests, sizes of effects, index, regression and power.
+The sections cover tests, effect sizes, composite index, regression and power.
 """
 
 from collections import Counter
@@ -27,16 +27,17 @@ from tissue.evaluation.study.section import Section, drawing, image, methods_of,
 __all__ = ["statistics_sections", "tests_sections"]
 
 LOOSE = 0.06
-"""False alarms of a test at 5 %, above which it is reported that it finds too much.
+"""Rate of false alarms of a test at 5 % above which the report calls the test too liberal.
 
-The deciding tests are accepted with 5 % ± 1 on data like the study's (`tests/bench/bench_null.py`).
+For the deciding tests, a rate of (5 ± 1) % is accepted on data like those of the study
+(`tests/bench/bench_null.py`).
 """
 Outcome = tuple[str, HypothesisTest]
 """Task, or "all", and a test."""
 
 
 def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections that need several people per group, or a reason for their absence."""
+    """Return the sections that need several people per group, or the reason why they are absent."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -66,7 +67,7 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     refused: dict[str, list[str]] = {}
 
     def attempt(what: str, make: Callable[[], list[Outcome]]) -> None:
-        """Add tests, or note that their data refuse them."""
+        """Add tests, or note the reason why the data do not allow them."""
         try:
             outcomes.extend(make())
         except InputError as error:
@@ -101,8 +102,9 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """Return a task's trials without methods that give a metric of another's: there is no spread
-    to test the two by.
+    """Return a task's trials without methods that have the same metric as another method.
+
+    Two such methods have no spread that a test needs.
     """
     kept: list[str] = []
     left_out = []
@@ -127,7 +129,7 @@ def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
 
 
 def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
-    """List all tests, their p corrected over the family."""
+    """List all tests, with p values that are corrected over the family of tests."""
     p_values = corrected([each.p for _, each in outcomes])
     rows = [
         {
@@ -170,7 +172,7 @@ def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
 
 
 def _pairs(found: Sequence[MetricComparison]) -> Section:
-    """List all pairs of methods and groups by sign flips and by Tukey, and sizes of effects."""
+    """List the tests of all pairs by sign flips and by Tukey, and effect sizes."""
     rows = [
         {
             "task": each.task,
@@ -202,7 +204,7 @@ def _pairs(found: Sequence[MetricComparison]) -> Section:
 
 
 def _sizes_picture(sizes: Sequence[tuple[str, Effect]]) -> bytes:
-    """Draw Cohen's d with intervals, one a line, on a scale that holds large and small."""
+    """Draw Cohen's d with intervals, one per line, on a scale for large and small values."""
     # 0.24 inches a line, 1 for axis and label
     figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
     for line, (_, size) in enumerate(sizes):
@@ -281,7 +283,7 @@ def _regression(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def _power(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Report the error rates of the tests with users drawn again, by task, question and test."""
+    """Report the error rates of the tests with resampled users, by task, question and test."""
     rows = []
     remarks = [
         "The rates are of tests at 5 %, with people drawn again from this study, for the force "

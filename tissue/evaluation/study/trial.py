@@ -1,4 +1,4 @@
-"""Trial of a study: one person, specimen and noise under every method, and its metrics."""
+"""Trial of a study: the same person, specimen and noise with every method, and the metrics."""
 
 import re
 import tempfile
@@ -55,11 +55,11 @@ __all__ = [
 ]
 
 Row = dict[str, str | float]
-"""A method's name and its metrics, or the sentence of its failure."""
+"""Name of a method with its metrics, or with the sentence of its failure."""
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Spread of the logarithm of people's pace, and of one person's pace between trials; assumed."""
+"""Spread of the logarithm of pace between people, and between trials of one person; assumed."""
 NUMBERS = 24
 """Number of forces that a person rated in the calibration, the default of a session."""
 PLAIN = Variant("", "", {})
@@ -76,7 +76,7 @@ class Trial:
     seed
         Seed of its scenes.
     rows
-        For each method its name and metrics, or the sentence of its failure.
+        For each method its name and its metrics, or the sentence of its failure.
     took_s
         Wall time [s].
     """
@@ -92,7 +92,7 @@ class Trial:
         return any("failure" in row for row in self.rows)
 
     def values(self, metric: str) -> dict[str, float]:
-        """Return a metric by the methods that have it."""
+        """Return a metric of all methods that have this metric, by the name of the method."""
         return {str(row["method"]): float(row[metric]) for row in self.rows if metric in row}
 
 
@@ -104,12 +104,11 @@ class TrialScene:
     ----------
     scenes
         The scene under each method. The coupling stiffness is the smallest of the stiffnesses
-        chosen for the methods. It is stable under all methods, so that their forces can be
-        compared.
+        chosen for the methods. It is stable with all methods, so that their forces can be compared.
     specimen
         Number of the specimen.
     person
-        Person of the trial with exact parameters. The scene with perception uses only the
+        Person of the trial with the true parameters. The scene with perception uses only the
         calibrated parameters of this person.
     pace
         Factor on the speed of a path, or on the rise of a force.
@@ -124,8 +123,8 @@ class TrialScene:
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
     """Run a trial under every method of its plan.
 
-    A failed method leaves its sentence, and the other methods continue. A single call gives the
-    same result as in the study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
+    A method that fails leaves a sentence, and the other methods are run. A single call gives the
+    same result as the study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
     """
     started = perf_counter()
     rows: list[Row] = []
@@ -136,7 +135,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
                 trial = trial or trial_scene(plan, key, Path(folder) / f"{method}.json")
                 rows.append({"method": method, **_metrics(trial, method, key)})
             except Exception as error:
-                # a trial that fails must not take the study with it, whatever the fault
+                # a trial that fails must not end the study, whatever the fault
                 rows.append({"method": method, "failure": error_sentence(error)})
     return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
 
@@ -144,7 +143,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
     """Return the names of trials by method and sentence of a failure.
 
-    Sentences that differ only in the time of the failure are counted as equal.
+    Sentences that differ only in the time of the failure count as equal.
     """
     found: dict[str, list[str]] = {}
     for trial in trials:
@@ -209,13 +208,13 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     return TrialScene(scenes, key.specimen, truth, pace)
 
 
-# the size bounds the memory; a scene that was dropped is computed again, with the same result
+# the cache size limits the memory; a scene that was dropped is computed again with the same result
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
     """Return the chosen ratio of device force to tool force of a scene on the study's device.
 
     The smallest scale over a task's specimens is used for all of them. With a separate scale for
-    each specimen, all specimens would feel alike.
+    each specimen, all specimens would feel the same.
     """
     return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
@@ -229,8 +228,8 @@ def _all_specimens(task: str) -> list[Scene]:
 def _stiffness_N_m(scene: Scene) -> int:
     """Return the chosen stiffness of a scene, rounded down [N/m].
 
-    The search for the critical stiffness is cached and does not depend on specimen, seed, pace and
-    person. The person's map only divides its result.
+    The search for the critical stiffness is cached. It does not depend on specimen, seed, pace and
+    person. The force map of the person only divides its result.
     """
     return floor(judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m)
 
@@ -260,7 +259,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 def methods_of_trial(plan: Plan, key: TrialKey) -> tuple[str, ...]:
     """Return the methods of a trial.
 
-    Variants are run only for the headline, and the reference variant under one method.
+    Variants are run only with the methods of the headline, and the reference variant with one
+    method.
     """
     if not key.variant:
         return plan.methods

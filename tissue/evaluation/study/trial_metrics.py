@@ -1,4 +1,4 @@
-"""Metrics of one run of a study: errors of force and position, time, smoothness, intensity."""
+"""Metrics of one run of a study: errors of force and position, time, smoothness and intensity."""
 
 from itertools import pairwise
 from math import inf, isfinite
@@ -20,14 +20,14 @@ from tissue.simulation.simulate import TICK_S
 __all__ = ["intensity_ratios", "measured", "path_distances_mm"]
 
 ARRIVED_MM = 2.0
-"""Distance of the device from the path's end within which a task counts as done.
+"""Distance of the device from the path's end within which a task counts as done [mm].
 
-A trembling hand does not hold the end itself.
+A trembling hand does not stay exactly at the end.
 """
 LEAST_N = 1e-3
 """Force below which nothing is felt, for the logarithm [N]."""
 TOUCHES = 0.05
-"""Share of a trial's largest force above which a contact counts.
+"""Share of a trial's largest force above which a contact is used.
 
 At the beginning and end of a contact, ratios of forces have no meaning.
 """
@@ -93,7 +93,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     }
     if task == "needle":
         found |= _pierced(run)
-    # compared in newtons at the reamer, while `force_rms_N` is at the device
+    # in newtons at the reamer, for the comparison with the paper; `force_rms_N` is at the device
     if task == "reaming":
         found["tracking_rms_N"] = found["force_rms_N"] / chosen_scale(run.scene)[0]
         found |= _reamed(run, touching)
@@ -103,9 +103,9 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 def _pierced(run: Run) -> dict[str, float]:
     """Return the needle's travel after the capsule's puncture, and the force before and after it.
 
-    A puncture that nobody notices is a result and not a failure. ``noticed`` is then 0, and the
-    travel is the travel until the end of the trial, which is a lower bound. A hand that stops
-    before the puncture leaves no puncture to measure.
+    A puncture that the person does not notice is a result and not a failure. ``noticed`` is then 0,
+    and the travel is the travel until the end of the trial, which is a lower bound. If the hand
+    stops before the puncture, there is no puncture to measure.
     """
     puncture = next((time for time, what in run.events if "capsule" in what), inf)
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
@@ -144,15 +144,15 @@ def intensity_ratios(
 
     The error is the spread of ln S(F) - ln S_ref(F_ideal) over windows of a tenth of a second that
     lie entirely in contact. S is Stevens' law. A spread of 0.1 is a ratio error of a tenth, and 0
-    is perfect. A common factor, which cannot be separated from a person's use of numbers, does not
-    count. The exponents are the true exponents of the simulated people.
+    is perfect. A common factor has no effect, because it cannot be separated from the way in which
+    a person uses numbers. The exponents are the true exponents of the simulated people.
 
     Returns
     -------
     dict
-        Spread of the force at the skin, and of three comparison forces: a perfect force through the
-        same encoder steps as the reference feels it, the ideal force with only this person's
-        exponent, and a constant force.
+        Spread for the force at the skin, and for three comparison forces. These are a perfect force
+        through the same encoder steps, felt by the reference person; the ideal force with only this
+        person's exponent; and a constant force.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)
