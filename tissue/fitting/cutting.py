@@ -1,5 +1,6 @@
-"""Loads on a cutter along the poses of a log, for any cutting coefficients: the geometry is
-recorded once.
+"""Loads on a cutter along the poses of a log, for any cutting coefficients.
+
+The geometry of the cut is recorded only once.
 """
 
 from collections.abc import Collection, Sequence
@@ -36,7 +37,7 @@ __all__ = [
 
 
 DENSITY = Prior(1.0, 0.85, 1.18)
-"""Prior of the factor on a layer's density: 10 % up and down (one standard deviation).
+"""Prior of the factor on a layer's density, with a standard deviation of 10 %.
 
 Assumption: laws from CT numbers to density differ by this amount between scanners and authors.
 """
@@ -49,7 +50,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""The constants of a layer: field of `CuttingCoefficients`, and its value for 1."""
+"""Constants of a layer: field of `CuttingCoefficients`, and factor to its unit."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,11 @@ class FreeConstant:
     parameter
         Its name and prior.
     layer
-        Place of the layer.
+        Index of the layer.
     field
         Field of `CuttingCoefficients`, or ``density_factor``.
     unit
-        Value of 1 of the parameter in the field.
+        Factor from the unit of the parameter to the unit of the field.
     """
 
     parameter: Parameter
@@ -76,7 +77,7 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class CuttingForward:
-    """Cut whose coefficients and densities vary, see `tissue.fitting.problem.Forward`.
+    """Cut with variable coefficients and densities, see `tissue.fitting.problem.Forward`.
 
     Attributes
     ----------
@@ -118,11 +119,12 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with averaged loads, and the log to compare them with.
+        """Return the cut with averaged loads, and the measured log for the comparison.
 
-        The loads are averaged over the same time as a log's samples, at three times their rate.
+        The loads are averaged over the time of one sample of the log. These averages are computed
+        at three times the rate of the samples.
 
-        A fit asks for loads thousands of times, so they are averaged once.
+        A fit computes loads thousands of times, so the average is computed once.
         """
         span_s = log.within_s[-1] - log.within_s[0]
         # interpolation between three points a block misses 0.1 to 0.4 % of a milling force (root
@@ -180,14 +182,13 @@ def cutting_forward(
     free
         Free constants: full names, or a table with parts of the name, such as
         ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default: all
-        constants that have a range and are not set by the scene, so that a band over the fitted
-        constants is the band of the log. The exponent is free only where the density differs from
-        the reference density of the coefficients. The factor on each layer's density is always
-        free.
+        constants that have a range and are not set by the scene. These are the constants of a band.
+        The density exponent is free only if a density differs from the reference density of the
+        coefficients. The factor on each layer's density is always free.
     cores
         Processor cores to use; default all.
     progress
-        Called with what is being done.
+        Called with a description of the current step.
 
     Raises
     ------
@@ -265,26 +266,30 @@ REFERENCE = "reference_density_kg_m3"
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
-"""Times the log's feed, the tool's spin, and its radius.
+"""Feeds, spins and depths of candidate logs, relative to the log's feed, the spin and the radius.
 
-Feed and spin change the chip force but not the edge force, which separates their coefficients.
-Depth changes the directions in which the elements of the surface push.
+Feed and spin change the chip force but not the edge force. This separates the coefficients of both
+forces. The depth changes the directions of the forces of the cutting elements.
 """
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
-"""Ticks of a record whose mean is the steady load.
+"""Ticks of a record over which the steady load is averaged.
 
-The tool starts in the cavity that it fills and has left it before these ticks. `TICKS` is the
-length of a record.
+The tool starts in a cavity that it fills, and has left the cavity before these ticks. `TICKS` is
+the length of a record.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
-"""Travel of the tool in a record, in radii. A plunge is short enough to have one depth."""
+"""Travel of the tool in a record, in radii. A plunge is so short that its depth hardly changes."""
 VOXELS = 20
-"""Voxels on a radius. With 10, 20 and 40 the steady loads of a ball burr agree within 0.12 %."""
+"""Number of voxels on a radius.
+
+With 10, 20 and 40, the steady loads of a ball burr agree within 0.12 %.
+"""
 AIR = 250
 LASTS = 1250
-"""Ticks in air, which show the bias of the sensor, and all ticks of a candidate."""
+"""Number of ticks in air, which show the sensor's bias, and number of all ticks of a candidate.
+"""
 
 
 def cutting_problem(
@@ -316,7 +321,7 @@ def cutting_problem(
 
 
 def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
-    """Return the reference densities at which the free coefficients hold, by their names."""
+    """Return the reference densities at which the free coefficients are valid, by their names."""
     fixed = {}
     for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
         layer = forward.record.layer_names[at]
@@ -326,13 +331,12 @@ def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
 
 
 def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
-    """Return cuts with the free constants of a log, by a description of each cut.
+    """Return possible cuts with the free constants of a log, by a description of each cut.
 
     Parameters
     ----------
     like
-        Cut of the log: its tool, the layers that the tool touched, the feed while cutting, and the
-        free constants.
+        Cut of the log. Its tool, touched layers, feed during cutting and free constants are used.
     """
     tool = like.record.scene.tool
     assert isinstance(tool, Tool)
@@ -354,7 +358,7 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, steady: LayerLoads) -> CuttingForward:
-    """Return a record of air, then one second of steady loads in one layer."""
+    """Return a record of motion in air, followed by one second of steady loads in one layer."""
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
     ticks = np.repeat(steady.unit, LASTS, axis=2)
     ticks[:, :, :AIR] = 0.0

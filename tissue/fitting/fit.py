@@ -28,16 +28,16 @@ __all__ = ["ConstantFit", "SceneFit", "TableFit", "fit_scene", "fit_table"]
 
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", KEYS)
-"""Prefixes of names that belong to the specimen of a log or to its scene.
+"""Prefixes of the names of numbers that belong to the specimen of a log or to its scene.
 
-Numbers with these names are not constants of a material.
+Such numbers are not constants of a material.
 """
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Ratio to the end of a cited range beyond which a value contradicts its prior in any case.
+"""Ratio to the end of a cited range above which a value always contradicts its prior.
 
-It is needed because some priors have a heavy tail towards zero. `FAR` is the limit in standard
-deviations of a prior; 0.3 % of constants lie beyond it by chance.
+This limit is needed because some priors have a heavy tail towards zero. `FAR` is the limit in
+standard deviations of a prior. By chance, 0.3 % of constants lie beyond `FAR`.
 """
 UNIT_TIMES = 100.0
 """Ratio of a value to the end of its cited range that suggests a wrong unit.
@@ -65,8 +65,8 @@ class ConstantFit:
     contraction
         Standard deviation after the fit over the standard deviation before it.
     state
-        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited
-        range, or found with clocks that contradict their prior.
+        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``. A doubtful value lies far
+        outside its cited range, or was found with a clock offset that contradicts its prior.
     """
 
     name: str
@@ -121,7 +121,7 @@ class SceneFit:
     identified
         Constants and combinations that the log determines.
     gains
-        Expected gains of other logs, the best first.
+        Expected information gains of other logs, the largest first.
     block_s
         Time over which samples were averaged [s].
     notes
@@ -186,14 +186,14 @@ class SceneFit:
 
     @property
     def of_material(self) -> tuple[int, ...]:
-        """Places of the constants that belong to a material, not to the log's specimen."""
+        """Indices of the constants that belong to a material, not to the specimen of the log."""
         return tuple(
             at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES)
         )
 
     @property
     def scene_keys(self) -> dict[str, float]:
-        """Medians of the fitted keys of the scene, which are no constants of a material."""
+        """Medians of the fitted keys of the scene, which are not constants of a material."""
         return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
     @property
@@ -261,7 +261,7 @@ def fit_table(
     """Fit the constants of a scene's bone to a table of steady loads, and compare cutting laws.
 
     The fit finds the maximum of the posterior with the cited ranges as priors. The errors of the
-    rows are independent and normal. Parameters and errors are those of
+    rows are assumed independent and normal. Parameters and errors are those of
     `tissue.fitting.table.table_forward`.
     """
     report = progress or silent
@@ -352,9 +352,9 @@ def fit_scene(
 
 
 def _determines_nothing(posterior: Posterior, log: MeasuredLog, *, is_mesh: bool) -> InputError:
-    """Return the error for a log that leaves all constants at their ranges.
+    """Return the error for a log that determines no constant.
 
-    With `is_mesh`, the reason is the error of the mesh.
+    If `is_mesh`, the error of the mesh is the reason.
     """
     if is_mesh:
         return InputError(

@@ -1,6 +1,4 @@
-"""A fit's folder: the constants for scenes, numbers, pictures, and a report that needs no other
-file.
-"""
+"""Folder of a fit: constants for scenes, numbers, pictures, and a report as one file."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -31,7 +29,7 @@ __all__ = ["FILES", "FittedEntry", "shown_constant", "unit_of", "write_fit", "wr
 
 
 DIGITS = 9
-"""Significant digits of a number: rounding is far below any interval."""
+"""Significant digits of a number. The rounding is far below any interval."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def write_fitted(
         Correlation of their standard normal numbers, shape (n, n), see
         `tissue.materials.constants.Prior`.
     fixed
-        Constants without a range that the others depend on.
+        Constants without a range on which the other constants depend.
     remark
         Lines of comment at the top.
     """
@@ -118,12 +116,12 @@ FILES = (
 )
 UNITS = ("N_mm2", "N_mm", "kPa", "um", "s")
 LAGS = 40
-"""Samples over which the autocorrelation of residuals is drawn: 0.2 s in blocks of 5 ms."""
+"""Number of lags in the picture of the autocorrelation: 0.2 s for blocks of 5 ms."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 NATS = 0.1
-"""Gain below which another log is not recommended [nats].
+"""Information gain below which another log is not recommended [nats].
 
-For a single constant, 0.1 nats narrow the interval by 10 %.
+For a single constant, a gain of 0.1 nats narrows the interval by 10 %.
 """
 
 
@@ -195,7 +193,7 @@ def _write_table_loads(fit: TableFit, folder: Path) -> None:
 
 
 def unit_of(name: str) -> tuple[str, str]:
-    """Name without its unit, in words, and the unit as it is written."""
+    """Return the name in words without its unit, and the unit in its usual form."""
     last = name.rpartition(".")[2]
     unit = next((each for each in UNITS if last.endswith(f"_{each}")), "")
     words = (
@@ -234,7 +232,7 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
 
 
 def shown_constant(each: ConstantFit) -> FittedConstant:
-    """Return a constant in the form in which it is drawn."""
+    """Return a constant in the form that the pictures use."""
     label, unit = unit_of(each.name)
     if each.state == "doubtful":
         label = f"{label} (doubtful)"
@@ -251,7 +249,7 @@ def shown_constant(each: ConstantFit) -> FittedConstant:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Return the mean over channels of the autocorrelation over lags, shape (LAGS + 1,).
+    """Return the autocorrelation at all lags, averaged over channels, shape (LAGS + 1,).
 
     Outliers are clipped at six robust standard deviations.
     """
@@ -264,7 +262,7 @@ def _autocorrelation(values: Array) -> Array:
 
 
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
-    """Return all results for programs."""
+    """Return all results as a dictionary for programs."""
     found: dict[str, object] = {
         "format": 1,
         "tissue": package_version(),

@@ -38,10 +38,10 @@ class Parameter:
     prior
         Prior of the constant before the log.
     cited
-        The prior of a constant whose cited value is an end of its range, such as a size exponent
-        of 0. The fit uses the `mirrored` prior in its linear algebra and counts values
-        beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant whose
-        value lies inside its range.
+        Prior of a constant whose cited value is an end of its range, such as a size exponent of 0.
+        The linear algebra of the fit uses the `mirrored` prior. Values beyond the end count as the
+        end itself, see `tissue.fitting.marginal`. None for a constant whose cited value lies inside
+        its range.
     """
 
     name: str
@@ -50,7 +50,10 @@ class Parameter:
 
     @classmethod
     def of(cls, name: str, cited: Prior) -> "Parameter":
-        """Return the parameter of a cited constant, its value inside its range or at an end."""
+        """Return the parameter of a cited constant.
+
+        The cited value may lie inside its range or at an end of the range.
+        """
         # a search needs values on both sides; `side` marks which of them are possible
         return cls(name, cited.mirrored(), cited) if cited.is_one_sided else cls(name, cited)
 
@@ -71,9 +74,9 @@ def chosen(
     possible: Sequence[Parameter],
     tags: Mapping[str, str] | None = None,
 ) -> list[Parameter]:
-    """Return the parameters that patterns select. Without a pattern, return all.
+    """Return the parameters that patterns select; return all parameters without a pattern.
 
-    A pattern names the table first, then parts of the name, words of it, or a tag.
+    A pattern begins with the table. Parts of the name, words of the name, or a tag follow.
 
     Parameters
     ----------
@@ -82,7 +85,7 @@ def chosen(
     possible
         Parameters to choose from.
     tags
-        Further word that selects a parameter, by its name.
+        Further word that selects a parameter, by the name of the parameter.
 
     Raises
     ------
@@ -137,7 +140,7 @@ class Forward(Protocol):
 
 
 SD_PER_MAD = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+"""Standard deviation of a normal variable divided by its median absolute deviation."""
 FEWEST = 50
 """Minimum number of samples of a channel.
 
@@ -189,7 +192,8 @@ class MeasuredLoads:
 
         Outliers have little influence.
 
-        Channels of one unit share the largest, since a channel without load has nothing but noise.
+        Channels of one unit share the largest value, because a channel without load holds only
+        noise.
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
@@ -204,27 +208,29 @@ class MeasuredLoads:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Loads by constants, the log to compare them with, and candidate logs.
+    """Data of a fit: function for the loads, measured log, and logs that could be measured next.
 
     Attributes
     ----------
     forward
         Loads by the constants.
     measured
-        The log, averaged over blocks.
+        Measured log, averaged over blocks.
     block_s
         Length of a block [s].
     candidates
-        Return logs that could be measured next, by their descriptions.
+        Function that returns the logs that could be measured next, as a dictionary from description
+        to forward model.
     notes
         Remarks for the report.
     fixed
         Fixed constants that the free constants depend on, by their names.
     finer
-        Loads by constants on a finer mesh, in the whole log and in one part of it each. None where
-        the loads have no mesh.
+        Functions from the constants to the loads with a finer mesh. The first uses the finer mesh
+        in the whole log, each of the others in one part of the log. None if the loads have no mesh.
     mesh_factor
-        Error of `forward` over its difference from the loads on the finer mesh.
+        Ratio of the error of `forward` to the difference between the loads of `forward` and the
+        loads with the finer mesh.
     """
 
     forward: Forward
@@ -238,18 +244,21 @@ class Problem:
 
 
 MOST_SAMPLES = 2000
-"""Samples of a log that a fit takes: noise that lasts for longer than a block is modelled, not
-averaged out.
+"""Approximate number of samples of a log that a fit uses.
+
+Noise that lasts longer than a block is modelled, not averaged out.
 """
 ROUNDING_S = 1e-6
 """Largest rounding error of a time between two samples [s].
 
-Times with six decimals have 1e-6 s, and seconds since 1970 in double precision have 2.4e-7 s.
+Times with six decimals have an error of 1e-6 s. Seconds since 1970 in double precision have an
+error of 2.4e-7 s.
 """
 LEAST_BLOCK = 5
-"""Ticks of a block.
+"""Smallest number of ticks in a block.
 
-Constants are not identified from tooth passing and sensor noise above 100 Hz.
+The mean over a block removes tooth passing and sensor noise above 100 Hz, which do not determine
+constants.
 """
 
 
@@ -313,8 +322,8 @@ def shift_operators(
     """Return matrices that interpolate from `times_s` to the times ``wanted_s - offset_s``.
 
     The interpolation is a cubic through four neighbours (Catmull and Rom, 1974). Its slope is
-    continuous, so that the gradient by the offset is continuous too. Before the first time and
-    after the last time, the end value is used.
+    continuous, so the derivative with respect to the offset is continuous too. Before the first
+    time and after the last time, the value at the end is used.
 
     Parameters
     ----------

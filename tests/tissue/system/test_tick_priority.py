@@ -115,4 +115,4 @@ def test_a_system_without_such_calls_is_left_as_it_is(monkeypatch):
     priority = TickPriority()
     priority.begin()
     priority.end()
-    assert priority.granted == "ordinary priority: this system offers no other"
+    assert priority.granted == "ordinary priority: this system offers no other priority"

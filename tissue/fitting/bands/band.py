@@ -1,5 +1,6 @@
-"""The band of a run: its loads and figures over the ranges of its constants, which constant
-matters, and its files in the folder of the run.
+"""Band of a run: its loads and figures if the constants vary in their ranges.
+
+The module also computes the influence of each constant, and reads and writes the files of a band.
 """
 
 import csv
@@ -69,9 +70,10 @@ SAME = 3e-3
 It covers the interpolation between nodes of chip thickness.
 """
 SOBOL_ROWS = 512
-"""Rows of each of the two samples behind the indices.
+"""Number of rows of each of the two samples from which the indices are computed.
 
-In milling, 512 rows take 1 s, and the largest error of an index is 0.03 against 8192 rows.
+In milling, 512 rows take 1 s. The largest difference of an index from its value with 8192 rows is
+0.03.
 """
 
 
@@ -84,8 +86,9 @@ class Band:
     times_s
         Times of the ticks [s], shape (n,).
     nominal, quantiles
-        Loads on the tool at the constants' nominal values and their quantiles `LEVELS`, columns
-        `tissue.fitting.bands.sample_loads.CHANNELS`, shapes (n, 8) and (5, n, 8).
+        Loads on the tool at the nominal values of the constants, and the quantiles `LEVELS` of the
+        loads. The columns are `tissue.fitting.bands.sample_loads.CHANNELS`, the shapes (n, 8) and
+        (5, n, 8).
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
@@ -132,9 +135,9 @@ def require_band(
     Raises
     ------
     InputError
-        If the number of samples is not between 16 and 65536, or an option has no effect: workers
-        where no sample is run again or next to a scheduler, or a run of each sample for a scene
-        that always needs it.
+        If the number of samples is not between 16 and 65536, or an option has no effect. Workers
+        have no effect if the samples are not run, or with a scheduler. `each_run` has no effect for
+        a scene that always needs a run of each sample.
     """
     rounded(asked)
     if workers is not None:
@@ -182,8 +185,8 @@ def band_of(
         Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
         processes.
     each_run
-        Run every sample even where reweighing is enough. Needed for nonlinear figures such as
-        temperature and stress.
+        Run every sample, even if reweighing the recorded loads is enough. Needed for nonlinear
+        figures such as temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
 
@@ -337,7 +340,7 @@ def _rerun(
 
 
 def require_same(band: Band, loads: Array) -> None:
-    """Check that a run has the loads that the band has at the nominal constants.
+    """Check that the loads of a run equal the loads of the band at the nominal constants.
 
     Parameters
     ----------
@@ -347,7 +350,7 @@ def require_same(band: Band, loads: Array) -> None:
     Raises
     ------
     InputError
-        If the run has fewer ticks, or loads differ by more than `SAME`.
+        If the run has fewer ticks than the band, or the loads differ by more than `SAME`.
     """
     count = len(band.times_s)
     if len(loads) >= count:
@@ -367,8 +370,9 @@ def require_same(band: Band, loads: Array) -> None:
 OVER_TIME = "band.csv"
 SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
-"""Between the entries of a figure's name in the header of the samples: a layer's name or a
-sentence may hold a dot.
+"""Separator between the entries of a figure's name in the header of the samples.
+
+It is not a dot, because a layer's name or a sentence may hold a dot.
 """
 
 

@@ -38,7 +38,9 @@ __all__ = [
 
 LEAST = 16
 MOST = 65536
-"""Samples of a band: with fewer than 16 no sample lies outside 90 %.
+"""Smallest and largest number of samples of a band.
+
+With fewer than 16 samples, no sample lies outside the 90 % band.
 
 At 16,384 samples, the sampling error of a 95 % quantile is 0.12 % (``tests/bench/bench_band.py``).
 More than 65,536 samples would only cost time.
@@ -110,9 +112,9 @@ def ranges_of(
     scene
         The scene.
     layers
-        Layers of its bone that count.
+        Layers of the scene's bone whose constants are returned.
     table
-        Beginning of the names of the constants that count.
+        Beginning of the names of the constants that are returned.
     further
         Priors of further numbers that vary.
     """
@@ -186,7 +188,7 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
     """Return the TOML file of a sample.
 
-    A factor of the density is a comment, since no scene accepts it.
+    A factor on the density is written as a comment, because no scene accepts it.
     """
     lines = [
         f"# {name} = {float(value)!r}, which no file of materials holds"
@@ -206,7 +208,7 @@ def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
 
 
 DRAWS = 400
-"""Draws of the bootstrap for the ends of 90 % intervals.
+"""Number of bootstrap draws for the ends of 90 % intervals.
 
 The probability beyond an end is then known to 5 ± 1 %, one standard error.
 """
@@ -235,14 +237,15 @@ def sobol_indices(
 ) -> SobolIndices:
     """Compute first-order and total indices of a function of standard normal numbers.
 
-    The numbers are independent. Two samples A and B are drawn. For every group a third sample is A
-    with the group's columns from B. First-order indices follow Saltelli et al. (2010, Comput. Phys.
-    Commun. 181:259, table 2 b), total indices follow Jansen (2 f there).
+    The numbers are independent. Two samples A and B are drawn. For every group, a third sample is A
+    with the columns of the group taken from B. First-order indices use the formula of Saltelli et
+    al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total indices use the formula of Jansen
+    (table 2 f in the same paper).
 
     Parameters
     ----------
     figures
-        Figures, shape (n, figures), of numbers of shape (n, p).
+        Function from numbers of shape (n, p) to figures of shape (n, figures).
     groups
         Columns of each group. Every column belongs to one group.
     count
@@ -279,16 +282,23 @@ def sobol_indices(
 
 
 LEAST_EXPLAINED = 0.8
-"""Cross-validated share of a figure's variance below which a surrogate gives no indices.
+"""Cross-validated share of explained variance below which a surrogate gives no indices.
 
-More than a fifth of the variance would be attributed to no constant or to a wrong one.
+Otherwise more than a fifth of the variance would be attributed to no constant, or to a wrong
+constant.
 """
 RIDGES = 10.0 ** np.arange(-6, 3)
-"""Tried ridges, relative to the unit variance of the polynomials: interpolation to a constant."""
+"""Tried ridge parameters, relative to the unit variance of the polynomials.
+
+The smallest gives an interpolation, the largest almost a constant.
+"""
 FOLDS = 8
-"""Parts of the runs for cross-validation. The smallest band, 16 runs, has two runs in each part."""
+"""Number of parts for cross-validation.
+
+The smallest band, with 16 runs, has two runs in each part.
+"""
 REFITS = 100
-"""Draws of the bootstrap of a surrogate, each of which is a fit. See `DRAWS`."""
+"""Number of bootstrap draws of a surrogate. Each draw needs a fit. See `DRAWS`."""
 
 
 def surrogate_indices(
@@ -296,9 +306,9 @@ def surrogate_indices(
 ) -> tuple[SobolIndices, Array]:
     """Return the Sobol indices of figures and the share of each variance that the fit explains.
 
-    The share is evaluated on runs that the fit has not seen. The indices are derived from a sum of
-    products of normalised Hermite polynomials up to degree two. The coefficients of the sum are
-    found by ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
+    The share is evaluated on runs that are not used in the fit. The indices follow from a sum of
+    products of normalised Hermite polynomials up to degree two, whose coefficients are found by
+    ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
 
     Parameters
     ----------
@@ -338,7 +348,7 @@ def surrogate_indices(
 def _terms(width: int) -> list[tuple[int, ...]]:
     """Return the columns of each product: one column, squares and pairs.
 
-    A square names its column twice.
+    For a square, the column is named twice.
     """
     places = range(width)
     return [*((at,) for at in places), *((at, at) for at in places), *combinations(places, 2)]
@@ -353,7 +363,7 @@ def _product(free: Array, term: tuple[int, ...]) -> Array:
 
 
 def _fitted(basis: Array, values: Array, ridge: float) -> Array:
-    """Return coefficients by ridge regression without the means."""
+    """Return the coefficients of a ridge regression of values and basis without their means."""
     centred = basis - basis.mean(axis=0)
     kernel = centred @ centred.T
     kernel[np.diag_indices_from(kernel)] += ridge * len(basis)
@@ -361,9 +371,9 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:
-    """Return the best ridge and the share of the variance that it explains.
+    """Return the best ridge parameter and the share of the variance that the fit explains.
 
-    The best ridge has the smallest error on runs that the fit has not seen.
+    The best ridge parameter has the smallest error on runs that are not used in the fit.
     """
     errors = np.zeros(len(RIDGES))
     for fold in range(FOLDS):

@@ -1,4 +1,4 @@
-"""Loads and figures of samples of constants: by reweighing recorded loads, or one run a sample."""
+"""Loads and figures for samples of constants, from reweighed loads or from one run per sample."""
 
 import re
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ CHANNELS = (
 """Components and sizes of the loads on the tool in the world, as the model gives them."""
 DENSITY = "density.bone"
 BLOCK = 500_000
-"""Numbers of loads that are held at once: 4 MB, about a cache."""
+"""Number of loads that are in memory at once: 4 MB, about the size of a cache."""
 LAW = re.compile(r"median ([\d.]+) kg/m3, 90 % between ([\d.]+) and ([\d.]+)")
 
 
@@ -66,7 +66,7 @@ class Reweighed:
     Parameters
     ----------
     record
-        The geometry of the run, every tick of it.
+        Recorded geometry of every tick of the run.
     """
 
     def __init__(self, record: LoadRecord) -> None:
@@ -157,7 +157,10 @@ class Reweighed:
 
 
 def with_sizes(loads: Array) -> Array:
-    """Return `CHANNELS` of forces and torques: shape (..., 8) from shape (..., 6)."""
+    """Append the magnitudes of force and torque to the components: from shape (..., 6) to (..., 8).
+
+    The order is that of `CHANNELS`.
+    """
     force = loads[..., :3]
     torque = loads[..., 3:]
     sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]
@@ -165,10 +168,10 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Return the prior of a density factor from the law that an image of densities records.
+    """Return the prior of a density factor from the law in the notes of an image of densities.
 
-    The result is None if the image records no law. The band of the law is the band of the median
-    density; it is applied as a relative band to every voxel.
+    The result is None if the image records no law. The uncertainty of the law is given for the
+    median density. It is applied as a relative uncertainty to every voxel.
     """
     found = LAW.search(law)
     # a density that the scene states has no law and no band
@@ -188,16 +191,16 @@ LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
-"""Figures that every run has, the first columns of a table. Sobol indices refer to them."""
+"""Figures that every run has. They are the first columns of a table and have Sobol indices."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """Pattern of a measured number in the sentence of an event.
 
-A percentage is not matched: it is a threshold, which distinguishes two events.
+A percentage is not matched, because it is a threshold that distinguishes two events.
 """
 PEAKS = "_K"
 STRESS = "von_mises_"
 LARGEST_PREFIX = "greatest_"
-"""Prefix of fields, and of the figure's name, whose largest value is a figure.
+"""Prefix of the names of fields whose largest value is a figure. The name of the figure has it too.
 
 `PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
 """
@@ -257,7 +260,7 @@ def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array
 def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
     """Return quantiles of figures, nested as in a run's summary.
 
-    A figure that only some runs have comes with the share of these runs.
+    For a figure that only some runs have, the share of these runs is given too.
 
     Parameters
     ----------
@@ -294,7 +297,7 @@ The 5 and 95 % quantiles of fewer runs would describe only a part of them.
 def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
     """Compute the quantiles `LEVELS` of the loads at each tick.
 
-    A tick counts as long as nine in ten runs reach it. The quantiles are computed from these runs.
+    A tick has quantiles if at least nine in ten runs reach it. They are computed from these runs.
 
     Parameters
     ----------
@@ -337,9 +340,10 @@ PATIENCE_S = 30.0
 """Time that a scheduler may take to answer [s], equal to the value of a study."""
 LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
-"""Consecutive losses without a finished sample after which the workers are abandoned.
+"""Number of consecutive losses without a finished sample after which the run stops.
 
-A sample that ends its worker costs at most two: once with others, and once alone.
+A sample that ends its worker causes at most two losses: one together with other samples, and one
+alone.
 """
 
 
@@ -407,7 +411,7 @@ def _in_pool(
 ) -> Iterator[tuple[int, Outcome | None]]:
     """Yield outcomes of samples on one pool until it is lost.
 
-    The outcome of a sample is None when it is submitted.
+    When a sample is submitted, its outcome None is yielded.
     """
     # two samples for each process keep it busy; all that were submitted are run again if it is lost
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
@@ -445,7 +449,7 @@ def _in_pool(
 
 
 def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
-    """Run one file of materials and return the outcome, including any failure."""
+    """Run one file of materials and return the outcome or the reason of its failure."""
     with TemporaryDirectory(prefix="tissue-band-") as name:
         path = Path(name, "sample.toml")
         path.write_text(file, "utf-8")
