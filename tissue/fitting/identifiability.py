@@ -1,7 +1,7 @@
 """Identifiability of constants from a log.
 
-It covers constants whose interval is narrower than their prior, and combinations of constants that
-the log cannot separate.
+The module finds constants whose interval is narrower than their prior, and combinations of
+constants that the log cannot separate.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 AT_PRIOR = 0.9
-"""Ratio of a constant's standard deviation to its prior's above which it stays at its prior.
+"""Ratio of a constant's standard deviation to that of its prior above which it stays at its prior.
 
 The log narrows the interval of such a constant by less than 10 %.
 """
@@ -35,25 +35,25 @@ DETERMINED = 0.5
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
 """
 LEAST_SHARE = 0.1
-"""Constants with less than this share of a direction are not named in a combination.
+"""Share of a direction below which a constant is not named in a combination.
 
-Each adds less than 1 % to the squared length of the direction.
+Each of these constants adds less than 1 % to the squared length of the direction.
 """
 ALONE = 0.95
-"""Share of a direction above which one constant alone represents it.
+"""Share of a direction above which a single constant represents the direction.
 
 Such a direction is reported as that constant and not as a combination.
 """
 BETTER = 0.5
-"""Ratio below which a combination is known better than its best known constant.
+"""Ratio of standard deviations below which a combination counts as better known than its constants.
 
-It is the standard deviation of the combination over the standard deviation of the constant, each
-divided by its prior standard deviation.
+It is the standard deviation of the combination divided by that of its best known constant. Each is
+first divided by its prior standard deviation.
 """
 BALANCED = 0.2
-"""Share of the terms' sizes below which a weighted sum counts as a difference.
+"""Weighted sum divided by the sizes of its terms, below which it counts as a difference.
 
-A difference has no powers, since its terms cancel.
+A difference has no powers, because its terms cancel.
 """
 DENSITY = "density."
 EXPONENT = ".density_exponent"
@@ -65,22 +65,24 @@ class Combination:
     """Weighted mean of loads that a log determines better than any single constant.
 
     Near the fitted values it is a weighted sum of constants times powers of densities. An example
-    is a chip and an edge coefficient at one feed, times the density to the power of its exponent.
+    is a weighted sum of a chip and an edge coefficient at one feed, multiplied by a power of the
+    density.
 
     Attributes
     ----------
     weights
-        Weight of each constant over the median of its prior, by name. The absolute weights sum to
-        1.
+        Weight of each constant, divided by the median of its prior, by name. The absolute weights
+        sum to 1.
     powers
-        Power of each density factor or exponent over the median of its prior.
+        Power of each density factor or exponent, divided by the median of its prior.
     value, low, high
         Median, 5 and 95 % quantiles.
     contraction
-        Standard deviation over the standard deviation of the prior.
+        Standard deviation divided by the standard deviation of the prior.
     of
-        Function of all constants in their own units, shape (p,), that returns the value. Only the
-        named constants count. It is exact where the weights and powers apply nearby.
+        Function of all constants in their own units, shape (p,), that returns the value. It uses
+        only the named constants. The weights and powers are an approximation of this function near
+        the fitted values.
     """
 
     weights: dict[str, float]
@@ -93,7 +95,7 @@ class Combination:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The constants named in it."""
+        """Names of the constants in the combination."""
         return (*self.weights, *self.powers)
 
 
@@ -104,10 +106,10 @@ class Identified:
     Attributes
     ----------
     contraction
-        Standard deviation of each constant's z after the log, shape (p,). It is 1 before the log.
+        Standard deviation of each constant's z after the fit, shape (p,). It is 1 before the fit.
     eigenvalues
-        Eigenvalues of the information of the log, shape (p,), largest first. The information of the
-        prior is 1.
+        Eigenvalues of the information of the log relative to the information of the prior, shape
+        (p,), largest first.
     combinations
         Combinations that are known better than their single constants.
     """
@@ -119,7 +121,7 @@ class Identified:
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Constants that the log determines by themselves."""
+        """Constants that the log determines one by one."""
         return tuple(
             name
             for name, share in zip(self.names, self.contraction, strict=True)
@@ -128,7 +130,7 @@ class Identified:
 
     @property
     def at_prior(self) -> tuple[str, ...]:
-        """Constants that the log does not narrow by themselves."""
+        """Constants whose own interval the log does not narrow."""
         return tuple(
             name
             for name, share in zip(self.names, self.contraction, strict=True)
@@ -144,9 +146,9 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    They follow from the eigenvectors of the log's information in units of the prior, with the
-    nuisances left free. A direction of z that the log determines is the slope of a weighted mean of
-    the loads. The log determines this mean even where the direction of z turns along the curve on
+    They follow from the eigenvectors of the log's information in units of the prior, with free
+    nuisance parameters. A direction of z that the log determines is the slope of a weighted mean of
+    the loads. The log also determines this mean if the direction of z changes along the curve on
     which the mean is constant.
     """
     p = len(posterior.names)
@@ -182,9 +184,9 @@ def _combination(
 ) -> Combination:
     """Return the combination for a direction of z.
 
-    It is a mean of whitened loads, shape (m * channels,), whose slope by z is the information times
-    the direction. Constants with little influence are not named. Their uncertainty widens the
-    interval.
+    The combination is a mean of whitened loads, shape (m * channels,). Its slope by z is the
+    information multiplied by the direction. Constants with little influence are not named, but
+    their uncertainty widens the interval.
     """
     target = posterior.target
     noise = posterior.nuisances
@@ -245,11 +247,11 @@ class Gain:
     label
         Description of the measurement.
     nats
-        Expected gain of information about all constants.
+        Expected gain of information about all constants [nats].
     widest
-        Constant with the widest interval now.
+        Constant with the widest present interval.
     shrinks_to
-        Its interval after the candidate log over its interval now.
+        Ratio of the interval of this constant after the candidate log to its present interval.
     """
 
     label: str
@@ -264,7 +266,7 @@ def expected_information(
     """Return the expected information of candidate logs, largest first.
 
     The candidates have the noise of the measured log. The information is half the logarithm of the
-    determinant of I + C M. C is the covariance of z now. M is the Fisher information of the
+    determinant of I + C M. C is the present covariance of z. M is the Fisher information of the
     candidate with an unknown bias (Chaloner and Verdinelli 1995, linearised at the maximum).
 
     Parameters
@@ -272,7 +274,7 @@ def expected_information(
     posterior
         Posterior of the measured log.
     candidates
-        Name and forward model of each, with the same constants.
+        Name and forward model of each candidate log, with the same constants.
     among
         Indices of the constants among which the widest interval is searched. Default: all
         constants.
@@ -298,8 +300,8 @@ def expected_information(
 def _information(posterior: Posterior, forward: Forward) -> Array:
     """Return the Fisher information of a log about z, shape (p, p).
 
-    Its biases and the offset of its clock are free. A log at another rate than the measured log
-    would have other noise. The candidate is therefore evaluated at the measured rate.
+    The biases and the clock offset of the log are free. The noise of a log depends on its rate, so
+    the candidate is evaluated at the rate of the measured log.
     """
     target = posterior.target
     noise = posterior.nuisances

@@ -1,15 +1,15 @@
-"""Comparison of cutting laws by a table of steady loads.
+"""Comparison of cutting laws with a table of steady loads.
 
 Each law is fitted by maximum likelihood, without priors. At a given exponent of the size effect,
-thrust and torque are each linear in a chip and an edge coefficient. With the scatter of the rows,
-the sum of squares follows the chi-square law. Its degrees of freedom are the number of loads less
-the number of constants, without those at their end of 0.
+thrust and torque are each linear in a chip and an edge coefficient. If the table states the scatter
+of the rows, the sum of squares follows the chi-square law. Its degrees of freedom are the number of
+loads minus the number of constants. Constants at their lower limit of 0 are not counted.
 
 A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
-edge term. Free coefficients absorb the factor between both drills, so the maximum likelihood does
-not distinguish them. A second misfit takes the cited ranges as priors: the smallest sum of squared
-errors and squared standard normal numbers. If all were linear, its degrees of freedom would be the
-number of loads.
+edge term. Free coefficients absorb the factor between the two drills, so the maximum likelihood
+does not distinguish the drills. A second misfit uses the cited ranges as priors. It is the smallest
+sum of squared errors and of squared standard normal numbers of the constants. In a linear problem,
+its degrees of freedom are the number of loads.
 """
 
 from collections.abc import Sequence
@@ -34,13 +34,14 @@ REJECTED = 0.05
 """Probability of a larger misfit below which a law is rejected."""
 TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")
 THRUST = ("radial_chip_Pa", "radial_edge_N_m")
-"""Coefficients that a maximum-likelihood fit finds for each load: chip and edge.
+"""Coefficients that a maximum-likelihood fit finds for each load: one of the chip, one of the edge.
 
-The axial coefficients reduce the thrust in proportion to the radial ones. The coefficients of the
-thrust are therefore differences of both, and may have any sign. The others are 0 or above.
+The axial coefficients reduce the thrust in proportion to the radial ones. The fitted coefficients
+of the thrust are therefore differences of radial and axial coefficients, and may have any sign. The
+coefficients of the torque are 0 or above.
 """
 TYPICAL = np.array([1e8, 1e3])
-"""Units of these coefficients [Pa, N/m], in which their effects are alike."""
+"""Units of these coefficients [Pa, N/m] in which their effects have similar size."""
 EXPONENTS = np.linspace(0.0, 0.9, 19)
 """Exponents of the size effect from which the search begins."""
 PRECISION = 1e-4
@@ -62,20 +63,20 @@ class LawMisfit:
     Attributes
     ----------
     has_size_effect
-        True for a free exponent m and a minimum chip thickness, False for the law that is linear in
-        the chip thickness and has its edge force at any thickness.
+        True for the law with a free exponent m and a minimum chip thickness. False for the law that
+        is linear in the chip thickness and has its edge force at any thickness.
     has_chisel
         True for a drill with a chisel edge, False for lips that reach the axis.
     constants
         Number of constants of the maximum-likelihood fit, without the scatter.
     size_exponent
-        Its exponent m.
+        Exponent m of this fit.
     chi_square, freedom, p
-        Its sum of squares over the scatter, the degrees of freedom, and the probability of a larger
-        sum. None without a scatter or without degrees of freedom.
+        Sum of squares of this fit relative to the scatter, degrees of freedom, and probability of a
+        larger sum. None without a scatter or without degrees of freedom.
     aic
-        Akaike's information criterion, up to a constant that all laws of a table share. None
-        without a scatter where the rows are so few that the law could fit one load exactly.
+        Akaike's information criterion, up to a constant that all laws of a table share. None for a
+        table without scatter with so few rows that the law could fit one load exactly.
     left_out
         Error of each row as predicted from the other rows, relative to its loads (root mean
         square). None if the other rows do not determine the constants.
@@ -108,7 +109,7 @@ class LawMisfit:
 
 
 def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
-    """Return the misfit of the linear law and of the size effect, each for both drills.
+    """Return the misfit of the linear law and of the law with a size effect, each for both drills.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ class MaximumLikelihood:
     Parameters
     ----------
     forward
-        Loads of the rows over their units.
+        Function for the loads of the rows, each divided by its unit.
     table
         Measured loads.
     has_size_effect
@@ -291,7 +292,9 @@ class MaximumLikelihood:
         return float(len(rows) * np.log(variances).sum()), found
 
     def _design(self, exponent: float) -> Array:
-        """Return the loads over their units by their coefficients, shape (channels, n, 2).
+        """Return the derivatives of the scaled loads by the coefficients, shape (channels, n, 2).
+
+        The loads are divided by their units.
 
         The coefficients are in units of `TYPICAL`.
         """
@@ -314,7 +317,7 @@ def _rank(columns: Array) -> int:
 
 
 def _ranking(laws: Sequence[LawMisfit]) -> str:
-    """Return the order of laws by AIC, in words."""
+    """Return the order of the laws by AIC, in words."""
     known = [(each.aic, each.law) for each in laws if each.aic is not None]
     if len(known) < len(laws):
         return "the rows are too few to rank the laws"

@@ -1,4 +1,4 @@
-"""A measured log of poses and loads, and the map of its columns to quantities."""
+"""Measured log of poses and loads, and checks of its values."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,26 +27,28 @@ __all__ = ["MeasuredLog", "log_of", "read_log"]
 
 
 LARGEST = {"N": 1e5, "Nm": 1e4}
-"""Loads beyond which a log is in another unit [N, N m]. No instrument exerts 100 kN."""
+"""Loads above which a log must have another unit [N, N m]. No instrument exerts 100 kN."""
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
-The position is then in another unit or damaged, and carving along such a jump would not end.
+Such a position has another unit or is damaged. The computation of a cut along such a jump would not
+end.
 """
 GAP = 5.0
 """Ratio of a time step to the median step above which it is reported as a gap.
 
-A few lost samples are not reported.
+A few lost samples are therefore not reported.
 """
 SHORTEST_PATH_M = 5e-5
 """Extent of the positions below which their unit must be given [m].
 
-A path of 50 mm whose positions are in metres has this extent if they are read in millimetres.
+A path of 50 mm has this extent if its positions are in metres but are read in millimetres.
 """
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
 
-It holds 100 blocks of 5 ms. `tissue.fitting.problem.FEWEST` samples are needed after gaps.
+Such a log holds 100 blocks of 5 ms. Without the gaps, at least `tissue.fitting.problem.FEWEST`
+samples are needed.
 """
 
 
@@ -109,12 +111,13 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     ----------
     path
         CSV, Parquet, HDF5, .mat or .npz file. For a run's own trace, `columns` is not needed. If a
-        trace holds both ``model_force`` (the force of the tissue) and the force commanded to a
-        device, ``model_force`` is used.
+        trace holds ``model_force`` (the force of the tissue) and the force commanded to a device,
+        ``model_force`` is used.
     columns
         ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
-        name. A minus reverses the sign. Without a unit the column is in the unit of its header, or
-        of the name. ``NAME=NUMBER`` is a constant, ``time_s=RATE:Hz`` a rate in place of times.
+        name. A minus reverses the sign. Without a given unit, the column has the unit in its
+        header, or the unit of the name. ``NAME=NUMBER`` gives a constant, and ``time_s=RATE:Hz``
+        gives a rate in place of times.
 
     Raises
     ------
@@ -143,7 +146,7 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
 
 
 def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str, str]) -> None:
-    """Refuse positions that look like metres under a name in millimetres."""
+    """Refuse positions that seem to be in metres although their name is in millimetres."""
     spans = [float(np.ptp(values[name])) for name in TIPS if len(values.get(name, ()))]
     span_m = max(spans, default=0.0)
     if 0.0 < span_m < SHORTEST_PATH_M:
@@ -231,7 +234,7 @@ def _checked(
 
 
 def _merge(taken: dict[str, Array], notes: list[str]) -> None:
-    """Average samples of equal times, in place. The first of their orientations is kept."""
+    """Average samples with equal times, in place. The first of their orientations is used."""
     of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
     clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
     for name in taken:
@@ -274,25 +277,25 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
 PLATEAU = 10
 """Consecutive samples at a channel's extreme from which a sensor counts as saturated.
 
-Noise makes as many equal neighbours unlikely.
+With noise, so many equal neighbours are unlikely.
 """
 SHARPER = 5
-"""Ratio of the length of a plateau to the lengths of the plateaus before and after it.
+"""Smallest ratio of the length of a plateau to the lengths of the plateaus before and after it.
 
-A peak in a signal with coarse steps stays below this ratio.
+The peak of a signal with coarse steps stays below this ratio.
 """
 ROUGH = 0.05
-"""Share of samples at which a measured channel reverses its direction.
+"""Smallest share of samples at which a channel with noise reverses its direction.
 
-A smoother channel has no noise and may rest at any value.
+A smoother channel has no noise, and may rest at any value without saturation.
 """
 BASELINE = 0.5
-"""Share of the largest load below which an extreme value counts as a tool without contact.
+"""Share of the largest load below which an extreme value belongs to a tool without contact.
 
 Such an extreme is not the end of a sensor's range.
 """
 SLOWER = 5.0
-"""Ratio of the pose interval to the load interval from which the path between poses matters.
+"""Ratio of the pose interval to the load interval from which on the path between poses matters.
 
 With loads at 1 kHz, a block of 5 ms then holds less than one pose.
 """
@@ -303,7 +306,7 @@ SPEED_S = 0.1
 
 
 def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
-    """Return loads without saturated values, shape (m, channels), and note their number.
+    """Return loads without saturated values, shape (m, channels), and add a note on their number.
 
     Parameters
     ----------
@@ -326,7 +329,7 @@ def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) 
 
 
 def _saturated(values: Array) -> list[float]:
-    """Return the extreme values at which a channel stays, as a saturated sensor does."""
+    """Return the extreme values at which a channel stays like a saturated sensor."""
     known = values[np.isfinite(values)]
     # too short for any plateau
     if len(known) < PLATEAU:
@@ -347,7 +350,7 @@ def _saturated(values: Array) -> list[float]:
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:
-    """Return sentences on poses that are too slow for the loads, and on noise in them.
+    """Return sentences on poses that are too slow for the loads, and on noise in the poses.
 
     Parameters
     ----------

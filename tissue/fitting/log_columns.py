@@ -38,21 +38,21 @@ QUANTITIES: dict[str, str] = {
 
 Poses are poses of the tool's tip in the scene's frame, as in a replayed motion. ``tool_r*_rad`` is
 a rotation vector that replaces a quaternion. Forces and torques act on the tool, in the scene's
-frame, torques about the tip. ``load_time_s`` is the clock of forces and torques if it differs from
-the clock of the poses.
+frame, torques about the tip. ``load_time_s`` holds the times of forces and torques if they differ
+from the times of the poses.
 """
 TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zeit")
-"""Names of a column of times in small letters, without unit."""
+"""Names of a column of times in lower-case letters, without unit."""
 EPOCH_S = 1e8
-"""Times beyond it count from 1970 [s]. No log lasts three years."""
+"""Time above which times count from 1970 [s]. No log lasts three years."""
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
 """Words in the header of a force, before its axis."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
-"""Words in the headers of other quantities with an axis, which are not positions."""
+"""Words in the headers of quantities with an axis that are not positions."""
 
 
 def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> dict[str, str]:
-    """Return the column, with sign and unit, that each flag ``NAME=COLUMN`` gives a quantity."""
+    """Return the column, with sign and unit, of each quantity that a flag ``NAME=COLUMN`` names."""
     asked: dict[str, str] = {}
     for text in texts:
         name, _, column = (part.strip() for part in text.partition("="))
@@ -68,7 +68,7 @@ def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> di
 
 
 def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -> dict[str, Array]:
-    """Return the available quantities in SI by name, and note the unused columns."""
+    """Return the available quantities in SI by name, and add a note on the unused columns."""
     values: dict[str, Array] = {}
     constants: dict[str, float] = {}
     used = set[str]()
@@ -96,18 +96,18 @@ def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) ->
 def quantity(
     name: str, measure: str, asked: str | None, found: LogColumns, notes: list[str]
 ) -> tuple[str, Array | None]:
-    """Return the column of a quantity and its values in SI; None where the file has no such column.
+    """Return the column of a quantity and its values in SI; None if the file has no such column.
 
     Parameters
     ----------
     name, measure
         Name of the quantity with its unit, and the key of `UNITS`.
     asked
-        Column, with sign and unit, that the user has named; None to search by the name.
+        Column, with sign and unit, that the user has given; None to search by the name.
     found
         Columns of the file.
     notes
-        List to which a sentence is appended if the unit is not the unit of the name.
+        List to which a sentence is added if the unit is not the unit of the name.
     """
     if asked is None:
         asked = column_of(name, measure, found.names)
@@ -149,7 +149,7 @@ def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, st
 def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str]:
     """Return the factor to SI of a column, and a remark, which may be empty.
 
-    The unit is the given one, else the unit in the header, else the unit of the quantity's name.
+    The unit is the given unit, or the unit in the header, or the unit of the quantity's name.
     """
     factors = UNITS[measure]
     # components of a quaternion have no unit
@@ -172,7 +172,7 @@ def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str
 def _clock(column: str, times: Array) -> tuple[float, str]:
     """Return the factor to seconds of times without a unit, and a remark, which may be empty.
 
-    The size of times since 1970 gives their unit, since a log was made after 1973.
+    Times since 1970 show their unit by their size, because every log was made after 1973.
     """
     middle = float(np.nanmedian(times)) if len(times) else 0.0
     for unit in ("ns", "us", "ms"):
@@ -182,9 +182,9 @@ def _clock(column: str, times: Array) -> tuple[float, str]:
 
 
 def _constant(name: str, asked: str, found: LogColumns) -> float | None:
-    """Return the number that a flag gives a quantity in place of a column, in SI, else None.
+    """Return the constant in SI that a flag gives a quantity in place of a column, or None.
 
-    For times it is the rate of the samples [Hz], such as 500:Hz.
+    For times, the flag gives the rate of the samples, such as 500:Hz.
     """
     text, unit = _split(asked)
     value = number_or_nan(text)
@@ -232,7 +232,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _is_like(name: str, header: str) -> bool:
-    """Return whether a header, such as "Fx [mN]", may name a quantity along an axis."""
+    """Return whether a header such as "Fx [mN]" may be the name of a quantity along an axis."""
     measure = QUANTITIES[name]
     if measure not in ("length", "force"):
         return measure == "time" and bool(unit_of(header, "time"))

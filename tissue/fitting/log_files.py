@@ -1,5 +1,6 @@
-"""Files of measured logs as columns: CSV, Parquet, HDF5, MATLAB and NumPy, and recordings of
-volumetric_drilling.
+"""Readers of measured logs as columns.
+
+They read CSV, Parquet, HDF5, MATLAB and NumPy files, and recordings of volumetric_drilling.
 """
 
 import re
@@ -32,12 +33,13 @@ __all__ = [
 
 
 _RATE = re.compile(r"(?:rate|frequency)\W*(\d+(?:[.,]\d+)?)\W*Hz", re.IGNORECASE)
-"""Rate of samples in the text above a table, such as "Acquisition rate : 10.0 [Hz]"."""
+"""Pattern of the rate in the text above a table, such as "Acquisition rate : 10.0 [Hz]".
+"""
 _RATE_NAME = re.compile(
     r"(?:.*/)?(?:fs|f_s|sr|(?:sampl\w*[_ ]?)?(?:rate|freq|frequency))[_ ]?[\[(]?(?:hz)?[\])]?",
     re.IGNORECASE,
 )
-"""Names of the rate of samples, such as sample_rate, fs and "Rate [Hz]"."""
+"""Pattern of names of the sampling rate, such as sample_rate, fs and "Rate [Hz]"."""
 TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
@@ -77,7 +79,7 @@ def _text(path: Path) -> LogColumns:
 
 
 def _rate_Hz(names: tuple[str, ...], numbers: Callable[[str], NDArray[Any]]) -> float | None:
-    """Return the rate in a column that has the name of a rate and one value [Hz], else None."""
+    """Return the rate in a column with the name of a rate and a single value [Hz], or None."""
     named = [name for name in names if _RATE_NAME.fullmatch(name)]
     if len(named) != 1:
         return None
@@ -118,7 +120,7 @@ def read_columns(path: Path) -> LogColumns:
 
 
 def _held(columns: Mapping[str, Any]) -> LogColumns:
-    """Return columns of arrays. A matrix gives no columns."""
+    """Return the columns in arrays. A matrix gives no columns."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
 
     def numbers(name: str) -> Array:
@@ -322,7 +324,7 @@ def _require_new(name: str, columns: Mapping[str, object]) -> None:
 
 
 def _numeric(values: NDArray[Any]) -> Numbers:
-    """Return numbers as they are, dates as seconds from 1970, else an empty matrix."""
+    """Return numbers unchanged, dates as seconds from 1970, and other values as an empty matrix."""
     if values.dtype.kind == "M":
         return values.astype("datetime64[ns]").astype(np.int64) * 1e-9
     return values if values.dtype.kind in "fiu" else np.zeros((0, 0))

@@ -1,25 +1,25 @@
-"""Marginal law of one number of a fit, by Laplace's approximation of all others.
+"""Marginal distribution of one number of a fit, with Laplace's approximation of all other numbers.
 
-A normal law about the maximum is not enough in the three cases below. The density of a number is
-therefore evaluated on a grid. At each grid value, the others are at their most probable values and
-are integrated by Laplace's approximation (Tierney and Kadane 1986):
+A normal distribution about the maximum is not accurate enough in the three cases below. The density
+of a number is therefore evaluated on a grid. At each grid value, the other numbers are set to their
+most probable values, and are integrated by Laplace's approximation (Tierney and Kadane 1986):
 
-- A constant whose range spans decades, such as 0.01 of 0 to 0.1. The information of a log about its
-  value is symmetric, but the information about the standard normal number behind it is not. With a
-  normal law, a load hidden by noise would count as determined
-  (``tests/tissue/fitting/test_marginal.py``).
-- The offset of the clocks. Where a load jumps between two samples of a log, all offsets that keep
-  the jump between these samples explain the log equally well. The interval of the normal law
-  contained the planted offset in 78 % of 100 simulated logs, the interval of the grid in 83 %
+- A constant whose range spans decades, such as a value of 0.01 with a range from 0 to 0.1. The
+  information of a log about the value is symmetric, but the information about its standard normal
+  number is not. With a normal distribution, the coefficient of a load that is hidden by noise would
+  count as determined (``tests/tissue/fitting/test_marginal.py``).
+- The offset of the clocks. If a load jumps between two samples of a log, all offsets that keep the
+  jump between these samples explain the log equally well. In 100 simulated logs, the interval of
+  the normal distribution contained the true offset in 78 %, and the interval of the grid in 83 %
   (``tests/bench/bench_fit_cutting.py block``).
-- Constants whose cited value is an end of their range, such as the size exponent of bone of 0. A
-  half-normal prior is positive in every draw. No interval of it contains the cited value, and
-  constants that the log cannot separate from it are shifted. The prior used here is a normal law
-  cut off at the cited value. The part beyond the end is counted as the end. Half of the probability
-  is the cited value itself, which is therefore the median. The other half has the far end of the
-  range as its 95 % quantile. The maximum is found with the whole normal law
-  (`Prior.mirrored`). With ``z`` counted away from the end, the prior differs
-  from that law by the factor::
+- Constants whose cited value is an end of their range, such as the size exponent 0 of bone. A draw
+  from a half-normal prior is always positive. None of its intervals contains the cited value, and
+  other constants that the log cannot separate from this constant are shifted. The prior used here
+  is a normal distribution that is cut off at the cited value. The part beyond the end counts as the
+  end. Half of the probability is the cited value itself, which is therefore the median. The other
+  half has the far end of the range as its 95 % quantile. The maximum is found with the whole normal
+  distribution (`Prior.mirrored`). With ``z`` measured away from the end, the ratio of the prior to
+  the normal distribution is::
 
       0.5 delta(z) / phi(0) + (1 where z > 0)
 """
@@ -52,54 +52,59 @@ ABOUT = np.linspace(0.25, 4.0, 16)
 normal law.
 """
 NEGLIGIBLE = 10.0
-"""Fall of the log density that ends the grid."""
+"""Decrease of the log density from its maximum at which the grid ends."""
 STEEP = 3.0
 HALVINGS = 4
-"""Fall of the log density from one place of the grid to the next that is halved, and how often."""
+"""Decrease of the log density above which an interval of the grid is halved, and largest number of
+halvings.
+"""
 FINE = 20
-"""Points of quadrature from one place of the grid to the next."""
+"""Number of quadrature points between two places of the grid."""
 SHARES = np.array([0.05, 0.5, 0.95])
 PRIOR_SPREAD = float(np.sqrt(0.5 - 0.5 / np.pi))
 """Standard deviation of a standard normal number whose negative values are set to 0."""
 END = float(0.5 * np.sqrt(2.0 * np.pi))
-"""Probability of the end under the cut-off prior, over the density there under the normal one."""
+"""Probability of the end under the cut-off prior, divided by the normal density there."""
 POINTS = 256
-"""Points of the quasi-random integral: its error is below 1 % for three correlated constants."""
+"""Number of points of the quasi-random integral.
+
+Its error is below 1 % for three correlated constants.
+"""
 MOST_STEPS = 60
 NEAR = 0.01
-"""Twice the increase of the log density below which the search for the best others ends.
+"""Twice the increase of the log density below which the search for the other numbers ends.
 
-`MOST_STEPS` limits the steps of least squares of this search. Many steps are needed where a log
-determines only combinations, whose members lie on a curve.
+`MOST_STEPS` limits the number of least-squares steps of this search. Many steps are needed if a log
+determines only combinations of constants, because these constants then lie on a curve.
 """
 DAMPING = 0.1
 HARDER = 8.0
 EASIER = 0.2
 """Factor on the damping after a good step.
 
-The damping applies to a step that would lower the density, relative to the information of the
-priors (Levenberg 1944). The constants above are its first value and its factor after another such
-step.
+The damping is used if a step would lower the density. It is relative to the information of the
+priors (Levenberg 1944). The two constants above are its first value and its factor after a further
+step of this kind.
 """
 
 
 @dataclass(frozen=True)
 class Marginal:
-    """Law of one number of a fit.
+    """Marginal distribution of one number of a fit.
 
     Attributes
     ----------
     quantiles
         Quantiles at 5, 50 and 95 %, shape (3,).
     spread
-        Standard deviation over the standard deviation of the prior.
+        Standard deviation divided by the standard deviation of the prior.
     """
 
     quantiles: Array
     spread: float
 
     def widened(self, deviation: float) -> "Marginal":
-        """Return the law with another, independent error of the number added."""
+        """Return the distribution with a further independent error of the number."""
         low, middle, high = self.quantiles.tolist()
         reach = Z_95 * deviation
         widest = [
@@ -111,16 +116,16 @@ class Marginal:
 
 
 def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marginal:
-    """Compute the law of a constant or of the scaled offset, the noise kept at its maximum.
+    """Compute the distribution of a constant or of the scaled offset, for fixed noise.
 
     Parameters
     ----------
     target
         Log density.
     maximum, covariance
-        Normal law about its maximum, shapes (size,) and (size, size).
+        Maximum and covariance of the normal approximation, shapes (size,) and (size, size).
     at
-        Place of the number.
+        Index of the number.
     """
     spread = float(np.sqrt(covariance[at, at]))
     along = covariance[:, at] / covariance[at, at]
@@ -148,7 +153,7 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
 
 
 def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
-    """Compute the log density of one number and the best place of all others.
+    """Compute the log density of one number and the best values of all others.
 
     Constants, offset and biases other than the number are integrated.
 
@@ -157,9 +162,9 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
     target
         Log density.
     u
-        Place to start from, the number and the noise in it, shape (size,).
+        Start of the search. It holds the number and the noise, shape (size,).
     at
-        Place of the number.
+        Index of the number.
     """
     others = np.flatnonzero(np.arange(target.constants + 1 + len(target.log.channels)) != at)
     damping = 0.0
@@ -192,13 +197,13 @@ def log_factor(mean: Array, covariance: Array) -> float:
     """Compute the log ratio of a probability under the cut-off and under the normal prior.
 
     The probabilities are those of a normal posterior. The integral is computed one number at a time
-    (Geweke, Hajivassiliou and Keane). Each conditional law has its probability at zero and above
-    zero in closed form.
+    (Geweke, Hajivassiliou and Keane). For each conditional distribution, the probabilities at zero
+    and above zero have a closed form.
 
     Parameters
     ----------
     mean, covariance
-        Mean and covariance of the one-sided numbers under the normal prior, counted away from the
+        Mean and covariance of the one-sided numbers under the normal prior, measured away from the
         end, shapes (k,) and (k, k).
     """
     if not len(mean):
@@ -222,10 +227,10 @@ def log_factor(mean: Array, covariance: Array) -> float:
 
 
 def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[float, Array, Array]:
-    """Return the log density of a place, its gradient by some numbers, and their normal matrix.
+    """Return the log density at a place, and gradient and normal matrix for some numbers.
 
-    The normal matrix is that of reweighted least squares. Fisher's scoring uses expected weights
-    and needs hundreds of steps where residuals are far in the tails.
+    The normal matrix is the matrix of reweighted least squares. Fisher's scoring uses expected
+    weights, and needs hundreds of steps if residuals lie far in the tails.
     """
     noise = target.unpacked(u)
     known = np.isfinite(target.log.values)
@@ -257,7 +262,7 @@ def _walked(
     places: Array,
     patience: float,
 ) -> dict[float, tuple[float, Array]]:
-    """Return log densities at places that lead away from a first place, and the best others there.
+    """Return log densities at places away from a first place, with the best other numbers.
 
     The search ends when the density has been negligible for longer than `patience`. The density of
     the offset may rise again within a sample of the log.
@@ -293,7 +298,7 @@ def _refine(target: Target, at: int, found: dict[float, tuple[float, Array]]) ->
 
 
 def _law(found: Mapping[float, float], side: float) -> Marginal:
-    """Return the law of a number from its log density at some places.
+    """Return the distribution of a number from its log density at some places.
 
     For a one-sided number, the end at 0 has a probability.
     """
