@@ -127,8 +127,8 @@ class CuttingForward:
         A fit computes loads thousands of times, so the average is computed once.
         """
         span_s = log.within_s[-1] - log.within_s[0]
-        # interpolation between three points a block misses 0.1 to 0.4 % of a milling force (root
-        # mean square); one point a block misses 1 to 2 %
+        # with three points per block, the interpolation error is 0.1 to 0.4 % of a milling force
+        # (root mean square); with one point it is 1 to 2 %
         every = max(round(span_s / TICK_S / 3.0), 1)
         times_s = self.times_s[::every]
         means, _ = shift_operators(self.times_s, times_s, 0.0, log.within_s)
@@ -387,7 +387,8 @@ def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerL
     deep = np.array([0.0, 0.0, -depth_m])
     along = np.array([travel_m, 0.0, 0.0]) if kind == "slot" else np.array([0.0, 0.0, -travel_m])
     feed_m_s = travel_m / (TICKS * TICK_S)
-    # the averaged ticks are the second half: a quarter of the travel to either side of the depth
+    # the averaged ticks are the second half of the record: a quarter of the travel to either side
+    # of the depth
     motion = FollowPath(
         np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP
     )

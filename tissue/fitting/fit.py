@@ -340,11 +340,12 @@ def fit_scene(
     )
     if found.is_empty:
         rough = identified(of_this_mesh)
-        # loads in a wrong unit leave constants so far from their ranges that no mesh is fine enough
+        # with loads in a wrong unit, constants are so far from their ranges that no mesh is fine
+        # enough
         if doubts := replace(fit, posterior=of_this_mesh, identified=rough).doubts:
             raise InputError(f"measured: {'. '.join(doubts)}.")
         raise _determines_nothing(posterior, log, is_mesh=not rough.is_empty)
-    # between the search, which begins at 0.8, and the end
+    # between the start of the search, at 0.8, and the end
     report("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(), among=material)

@@ -207,7 +207,7 @@ def _combination(
     linear = named & ~scales
     total = float(terms[linear].sum())
     size = float(np.abs(terms[linear]).sum())
-    # the combination holds densities and exponents only: the load itself is the sum
+    # the combination holds only densities and exponents: the load itself is the sum
     if not linear.any():
         total = measure(x)
         size = abs(measure(x))

@@ -229,14 +229,14 @@ class MaximumLikelihood:
         designs = list(zip(self._design(0.0), found, strict=True))
         ranks = [_rank(columns) for columns, _ in designs]
         self.constants = sum(ranks) + has_size_effect
-        # A constant at its end, 0, fits nothing.
+        # A constant at its lower limit of 0 does not reduce the misfit.
         free = sum(_rank(columns[:, each != 0.0]) for columns, each in designs)
         self.freedom = self._values.size - free - (self.exponent > 0.0)
         self.chi_square = misfit if self._has_scatter else None
         self.p = _probability(self.chi_square, self.freedom)
         self.aic: float | None = misfit + 2.0 * self.constants
         if not self._has_scatter:
-            # The size of the errors is one more constant for each load.
+            # The size of the errors is a further constant for each load.
             self.aic += 2.0 * len(ranks)
             if len(self._values) <= max(ranks) + has_size_effect:
                 self.aic = None

@@ -99,7 +99,7 @@ class MeasuredLog:
         """
         if self.quaternions is not None:
             return self.quaternions
-        # a log without orientations: the tool keeps that of the scene's motion
+        # a log without orientations: the tool keeps the orientation of the scene's motion
         first = motion_of(scene, step_s=TICK_S).rotations()[0]
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 
@@ -259,7 +259,7 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
     if taken.keys() >= set(QUATERNION):
         quaternions = np.column_stack([taken[name] for name in QUATERNION])
         sizes = np.linalg.norm(quaternions, axis=1, keepdims=True)
-        # a smaller one is a zero with rounding and has no direction
+        # a shorter quaternion is a zero with rounding, and has no direction
         if not (sizes > 1e-6).all():
             raise InputError(
                 "measured",
@@ -368,7 +368,7 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     tips_m = tips_m[new]
     period_s = float(np.median(np.diff(times_s)))
     notes = []
-    # a curve with second difference d is d / 8 off its chord
+    # a curve with the second difference d deviates by d / 8 from its chord
     bend_m = float(np.linalg.norm(np.diff(tips_m, 2, axis=0), axis=1).max()) / 8.0
     if period_s > SLOWER * load_period_s and bend_m > CORNER_M:
         notes.append(

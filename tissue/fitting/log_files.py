@@ -113,7 +113,7 @@ def read_columns(path: Path) -> LogColumns:
         return READERS[kind](path)
     except (InputError, MemoryError):
         raise
-    except Exception as problem:  # each reader raises kinds of its own for a damaged file
+    except Exception as problem:  # each reader raises other exceptions for a damaged file
         raise InputError(
             "measured", f"be a whole {kind} file", f"{path} ({problem})", "export it again"
         ) from None
@@ -171,7 +171,7 @@ def _h5(path: Path) -> LogColumns:
             lambda name, each: sets.update({name: each}) if isinstance(each, h5py.Dataset) else None
         )
         for each in sets.values():
-            # set by MATLAB 7.3 on objects, whose data lie in a subsystem that is not documented
+            # MATLAB 7.3 sets this attribute on objects, whose data lie in an undocumented subsystem
             if "MATLAB_object_decode" in each.attrs:
                 kind = each.attrs.get("MATLAB_class", b"unknown")
                 raise _matlab_object(path, kind.decode() if isinstance(kind, bytes) else str(kind))

@@ -55,9 +55,7 @@ NEGLIGIBLE = 10.0
 """Decrease of the log density from its maximum at which the grid ends."""
 STEEP = 3.0
 HALVINGS = 4
-"""Decrease of the log density above which an interval of the grid is halved, and largest number of
-halvings.
-"""
+"""Decrease of the log density that halves an interval of the grid, and number of halvings."""
 FINE = 20
 """Number of quadrature points between two places of the grid."""
 SHARES = np.array([0.05, 0.5, 0.95])

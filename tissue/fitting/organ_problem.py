@@ -1,5 +1,6 @@
-"""Loads of a probe on an organ by its constants: proportional to all moduli together, of second
-order in the others.
+"""Loads of a probe on an organ as a function of its constants.
+
+The loads are proportional to all moduli together, and of second order in the other constants.
 """
 
 import os
@@ -28,30 +29,29 @@ __all__ = ["OrganForward", "Settled", "organ_problem", "settled"]
 
 @dataclass(frozen=True, eq=False)
 class OrganForward:
-    """Loads near the constants of a run.
+    """Function for the loads near the constants of a run.
 
     If every stiffness of an organ is free, its force on a given path is proportional to all moduli
     together, for constant Poisson's ratio, friction, relaxation and ratios of moduli. Runs
-    therefore use the cited value of the first modulus and scale the others in proportion.
+    therefore use the cited value of the first modulus, and scale the other moduli in proportion.
 
     Attributes
     ----------
     parameters, channels, times_s
         See `tissue.fitting.problem.Forward`.
     moduli
-        Indices of the moduli to which loads are proportional together. Empty if another stiffness
-        is fixed.
+        Indices of the moduli that scale the loads together. Empty if another stiffness is fixed.
     at
         Constants of the run, shape (p,).
     base
         Loads of the run, shape (n, channels).
     slopes, curvatures
-        Coefficients of each constant's distance from `at` and of its square, shape (n, channels,
-        p). They are zero for the first modulus. The distance of a relaxation time is the distance
-        of its logarithm.
+        Coefficients of the distance of each constant from `at` and of the square of this distance,
+        shape (n, channels, p). They are zero for the first modulus. For a relaxation time, the
+        distance is measured in its logarithm.
     mixed
-        Coefficients of the products of two distances, half of each in either order, shape (n,
-        channels, p, p).
+        Coefficients of the products of two distances, shape (n, channels, p, p). The matrix is
+        symmetric: each order of the two constants holds half of the coefficient.
     """
 
     parameters: tuple[Parameter, ...]
@@ -67,7 +67,7 @@ class OrganForward:
     def reduced(self, x: Array) -> tuple[float, Array]:
         """Return the scale of the loads, and the constants that a run uses for x, shape (p,)."""
         x = np.asarray(x, dtype=float)
-        # no loads in proportion to moduli: a run at x itself is needed
+        # the loads are not proportional to moduli: a run with x itself is needed
         if not self.moduli:
             return 1.0, x
         first = self.moduli[0]
@@ -100,9 +100,9 @@ class OrganForward:
         return found
 
     def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
-        """Return a model with the loads of another run as base and corrected slopes.
+        """Return a model with the loads of another run as its base, and with corrected slopes.
 
-        The slopes explain these loads from the last run (Broyden 1965).
+        The corrected slopes reproduce these loads from the last run (Broyden 1965).
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class OrganForward:
             Constants of the other run, and its loads.
         learnt
             Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected. Slopes should not explain single nodes that come into contact.
+            corrected. Slopes should not represent single nodes that come into contact.
         """
         distance = self.distance(at)
         middle = np.array([each.prior.value for each in self.parameters])
@@ -145,43 +145,46 @@ class OrganForward:
 
 
 EVERY = 2
-"""Ticks between two loads that are kept of a run: a log is averaged over more."""
+"""Ticks between two loads that are kept of a run. A log is averaged over more ticks."""
 STEPS = (0.1, 1.0)
-"""Smallest and largest step to either side for load differences, in standard deviations of a prior.
+"""Smallest and largest step for load differences, in standard deviations of a prior.
 
-The step is as wide as the uncertainty of the constant. Nodes come into contact and leave it, so
-smaller steps would show single nodes.
+The step is as wide as the uncertainty of the constant. Smaller steps would show single nodes that
+come into contact or leave it.
 """
 FIRST_STEP = 0.5
-"""Step to one side before a constant has been estimated, in standard deviations of its prior."""
+"""One-sided step before a constant has been estimated, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance at which the most probable constants agree with the constants of the runs.
+"""Distance below which the most probable constants agree with the constants of the runs.
 
-It is measured in standard deviations of the constants: intervals are 3.3 of them wide.
+It is measured in standard deviations of the constants. An interval is 3.3 standard deviations wide.
 """
 ROUNDS = 3
 TRIES = 6
-"""Number of times that slopes are computed, and number of runs that follow with each set of slopes.
+"""Number of times that slopes are computed, and number of further runs with each set of slopes.
 
-They limit the runs of a fit that does not settle, which `UNSETTLED` reports.
+These numbers limit the runs of a fit that does not converge. `UNSETTLED` reports such a fit.
 """
 LEARNT = 0.1
-"""Step from which slopes are corrected, in standard deviations of the priors of the constants."""
+"""Step above which slopes are corrected, in standard deviations of the priors of the constants."""
 UNSETTLED = (
     "the runs and the result do not agree yet, so the intervals are not reliable: free "
     "fewer constants"
 )
 FINER = 1.4
-"""Ratio of the edges of a fit's mesh to those of the mesh that shows its error."""
+"""Ratio of the edges of the mesh of a fit to the edges of the finer mesh that shows its error."""
 PARTS = 4
-"""Parts of a log in which the finer mesh is tried alone: about press, hold, retreat and rest."""
+"""Number of parts of a log. In each part alone, the loads of the finer mesh are tried.
+
+The parts are about press, hold, retreat and rest.
+"""
 WIDE = 0.2
-"""Standard deviation of a constant over its prior's from which it is stepped in pairs.
+"""Standard deviation of a constant relative to its prior above which it is stepped in pairs.
 
 Such a constant is stepped together with each other constant of this kind.
 """
 FARTHEST = 3.0
-"""Standard deviations of a prior beyond which no run is made.
+"""Largest distance of a run from the median of a prior, in standard deviations.
 
 The ends of a cited range are 1.6 standard deviations from its median.
 """
@@ -211,8 +214,8 @@ def organ_problem(
 ) -> Problem:
     """Return the problem of a probe that presses an organ, see `tissue.fitting.fit.fit_scene`.
 
-    The organ is run along the log's poses with the initial constants and with each of them changed.
-    Further runs use the fitted constants, until runs and result agree.
+    The organ is run along the poses of the log with the initial constants, and with each constant
+    changed. Further runs use the fitted constants, until the runs and the result agree.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -243,7 +246,8 @@ def _on_finer_mesh(
 ) -> tuple[tuple[OrganForward, ...] | None, str]:
     """Return the loads on a finer mesh for `Problem.finer`, and a note.
 
-    One run gives the loads near the fitted constants; the slopes are those of the fit's mesh.
+    One run on the finer mesh gives the loads near the fitted constants. The slopes are taken from
+    the mesh of the fit.
     """
     forward = found.forward
     try:
@@ -282,11 +286,12 @@ def settled(
     measured: MeasuredLoads,
     progress: Progress,
 ) -> Settled:
-    """Return loads from runs near the constants that a log makes most probable.
+    """Return the loads from runs near the most probable constants of a log.
 
     Slopes are differences between runs about one point. Further runs use the fitted constants and
-    correct the slopes, until the two agree. The slopes are then computed there again, over steps as
-    wide as the uncertainty of the constants.
+    correct the slopes, until the fitted constants agree with the constants of the last run. The
+    slopes are then computed again at this point, with steps as wide as the uncertainty of the
+    constants.
     """
     at = np.array([float(each.prior.x(0.0)) for each in parameters])
     spread = None
@@ -340,8 +345,9 @@ def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
     """Return the model with slopes from runs near the same constants.
 
-    The runs step to one side if nothing is known yet, otherwise to both sides. Two constants along
-    a ridge of the posterior, which are known no better than `WIDE`, are also stepped together.
+    The steps are one-sided if no constant has been estimated yet, and two-sided otherwise. Two
+    constants along a ridge of the posterior, both less well known than `WIDE`, are also stepped
+    together.
     """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
     reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)

@@ -1,4 +1,4 @@
-"""Constants of an organ and of its contact that a log may determine."""
+"""Constants of an organ and of its contact that a log may determine, and runs of the organ."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -38,20 +38,23 @@ KEYS = "organ."
 PART = "organ.parts."
 """Prefix of the names of moduli of parts.
 
-These, like the names with the prefix above, are keys of the scene and not constants of a material.
+Like the names with the prefix `KEYS`, these names are keys of the scene and not constants of a
+material.
 """
 FRICTION = (0.25, 2.5)
-"""5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6
-(from memory of the literature)."""
+"""5 and 95 % quantiles of the friction between tool and organ, relative to the scene's friction.
+
+Friction of wet tissue on metal is 0.1 to 0.6 (from memory of the literature).
+"""
 MODULUS = (1.0 / 3.0, 3.0)
-"""5 and 95 % of a modulus that the scene sets, over the scene's value.
+"""5 and 95 % quantiles of a modulus that the scene sets, relative to the scene's value.
 
 The range is the scatter of liver in tissue/materials/soft.toml.
 """
 SHAPE = (0.4, 2.5)
 """Relative range of the shape constants of a hyperelastic law.
 
-The range is assumed, since no source gives one for an organ.
+The range is assumed, because no source gives a range for an organ.
 """
 SHAPES = tuple(chain.from_iterable(LAW_SHAPES.values()))
 """Keys of the organ for these constants."""
@@ -59,18 +62,18 @@ SHARE = "second_share"
 NEAREST = 0.1
 """Smallest distance from 1 of the 95 % quantile of a share's prior.
 
-It is given as a ratio to the distance of the scene's value from 1 and is assumed. The limits of the
-other shape constants are input limits and not physical bounds.
+It is given relative to the distance of the scene's value from 1. The value is assumed. The limits
+of the other shape constants are input limits and not physical bounds.
 """
 
 
 def organ_parameters(
     scene: Scene, free: Sequence[str]
 ) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
-    """Return the free parameters and the indices of the moduli with proportional loads.
+    """Return the free parameters and the indices of the moduli that scale the loads.
 
-    Loads are proportional to these moduli together. There are no such moduli if the organ deforms
-    under its own weight or if another modulus is fixed.
+    The loads are proportional to these moduli if all of them change by the same factor. There are
+    no such moduli if the organ deforms under its own weight, or if another modulus is fixed.
 
     Raises
     ------
@@ -107,10 +110,10 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 
 
 def _stated(scene: Scene) -> list[Parameter]:
-    """Return moduli, friction and the shape of a law that are keys of the scene.
+    """Return moduli, friction and shape constants of a law that are keys of the scene.
 
-    A stiffer or softer ball has a modulus too. A value of 0 or below and a share of 1 have no range
-    and stay fixed.
+    A stiffer or softer ball in the organ has a modulus too. A value of 0 or below and a share of 1
+    have no range, so they stay fixed.
     """
     organ = scene.organ
     anatomy = scene.anatomy
@@ -144,12 +147,12 @@ def _stated(scene: Scene) -> list[Parameter]:
 
 
 def _shape_prior(name: str, value: float) -> Prior | None:
-    """Return the prior of a constant that gives a law its shape, or None if it has no range."""
+    """Return the prior of a shape constant of a law, or None if it has no range."""
     low, high = SHAPE
-    # a range of factors needs a positive value, and a share of 1 has no space above
+    # a range of factors needs a positive value, and a share of 1 cannot increase
     if value <= 0.0 or (name == SHARE and value >= 1.0):
         return None
-    # a share stays below 1: what is left of it shrinks by a factor instead
+    # a share stays below 1: its distance from 1 is multiplied by a factor instead
     if name == SHARE:
         return Prior(
             value, low * value, min(high * value, 1.0 - NEAREST * (1.0 - value)), (0.0, 1.0)
@@ -158,12 +161,12 @@ def _shape_prior(name: str, value: float) -> Prior | None:
 
 
 LAW_MS = 5.0
-"""Time between two solves of a hyperelastic law [ms], the smallest value that a scene allows.
+"""Time between two solves of a hyperelastic law [ms]. It is the smallest value that a scene allows.
 
-Measured tissue has no latency.
+A short time is needed because measured tissue has no latency.
 """
 PAYS_S = 2.0
-"""Time of a run from which additional processes save time [s].
+"""Duration of a run from which on further processes save time [s].
 
 A process takes this time to start.
 """
@@ -197,7 +200,7 @@ class OrganRuns:
     every
         Ticks between two kept loads.
     cores
-        Processes that may share the runs.
+        Largest number of processes for the runs.
 
     Attributes
     ----------
@@ -248,7 +251,8 @@ class OrganRuns:
             is one run.
         """
         self.count += len(samples)
-        # the first runs are timed in this process: short runs do not pay for the start of a pool
+        # the first runs are timed in this process: for short runs, the start of a pool takes longer
+        # than it saves
         if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
             self._pool = self._ends.enter_context(worker_pool(self._cores))
         if self._pool is not None:
@@ -294,7 +298,7 @@ def _loads(
 
 
 def _with(scene: Scene, values: Mapping[str, float], path: Path) -> Scene:
-    """Return a scene with replaced constants, those of materials in a file."""
+    """Return a scene with replaced constants. Constants of materials are written to a file."""
     changes: dict[str, object] = {}
     parts = dict(scene.organ.parts or {})
     constants: dict[str, float] = {}

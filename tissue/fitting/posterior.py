@@ -1,9 +1,8 @@
-"""Constants given a log: the maximum of their density, and a normal law about it (Laplace's
-approximation).
+"""Constants given a log: maximum of their density, and normal approximation about it (Laplace).
 
-Its covariance is the inverse of the expected information: differences of gradients would find the
-small steps that a load takes where the tool leaves an element or a shaft begins to slide one sample
-earlier.
+The covariance is the inverse of the expected information. Differences of gradients are not used:
+they would be dominated by small jumps of a load, for example if the tool leaves an element of the
+mesh, or a shaft begins to slide, one sample earlier.
 """
 
 from collections.abc import Sequence
@@ -34,13 +33,13 @@ __all__ = [
 OFFSETS_S = OFFSET_S * np.concatenate(
     [np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)]
 )
-"""Offsets from which the search begins [s].
+"""Clock offsets from which the search begins [s].
 
 A force may rise at several times, so there may be several maxima. Offsets beyond three standard
-deviations of the prior find clocks that contradict it.
+deviations of the prior find clocks that contradict the prior.
 """
 STARTS = 2
-"""Number of the best starts that are searched from.
+"""Number of best starts from which a search begins.
 
 On a milled block, 1, 2 and 5 starts lead to the same maximum.
 """
@@ -51,19 +50,23 @@ REFINED = 3
 `NEARBY` holds these offsets from a maximum, in samples of the log.
 """
 FARTHEST = 12.0
-"""Standard deviations of a prior beyond which nothing is looked for.
+"""Limit of the search, in standard deviations of a prior.
 
 The limit keeps the exponentials of the priors finite when a search takes a long step.
 """
 STEEP = 1e-2
-"""Squared distance to the maximum, in standard deviations, at which it counts as found.
+"""Squared distance from the maximum, in standard deviations, below which it counts as found.
 
-A tenth of a standard deviation is small against an interval, which is 3.3 of them wide.
+A tenth of a standard deviation is small compared with an interval, which is 3.3 standard deviations
+wide.
 """
 SCORING_STEPS = 20
-"""Limit of the steps of Fisher's scoring. It begins at the maximum of a search: one is usual."""
+"""Largest number of steps of Fisher's scoring.
+
+The scoring begins at the maximum of a search, so one step is usual.
+"""
 SHORTER = 0.5 ** np.arange(10)
-"""Shares of a scoring step that are tried until the log density rises."""
+"""Fractions of a scoring step that are tried until the log density increases."""
 RESTRICTED = 2
 """Number of times that the noise is estimated again with updated sensitivities of the constants.
 
@@ -73,21 +76,21 @@ On a milled block, 1, 2 and 4 times give the same maximum within 0.001 standard 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Constants given a log, as a normal law of their z.
+    """Constants given a log, as a normal distribution of their z.
 
     Attributes
     ----------
     target
         Density of constants and nuisances.
     maximum
-        Most probable numbers, shape (size,): constants, offset, biases, noise.
+        Most probable numbers, shape (size,): constants, offset, biases and noise.
     covariance
         Covariance of all numbers, shape (size, size).
     converged
         True if a maximum was found.
     mesh_z
-        Shift of the constants by the error of the mesh of the runs, in their z, shape (p,). It
-        widens intervals. None where the loads have no mesh.
+        Shift of the constants by the error of the mesh of the runs, in their z, shape (p,). The
+        shift widens the intervals. None if the loads have no mesh.
     """
 
     target: Target
@@ -98,12 +101,12 @@ class Posterior:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the constants, p of them."""
+        """Names of the p constants."""
         return tuple(each.name for each in self.target.forward.parameters)
 
     @property
     def priors(self) -> tuple[Prior, ...]:
-        """Their priors."""
+        """Priors of the constants."""
         return tuple(each.prior for each in self.target.forward.parameters)
 
     @property
@@ -113,7 +116,7 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Their covariance, the nuisances left free, shape (p, p)."""
+        """Covariance of these numbers with free nuisance parameters, shape (p, p)."""
         p = self.target.constants
         found = np.asarray(self.covariance[:p, :p])
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
@@ -132,7 +135,7 @@ class Posterior:
 
     @cached_property
     def marginals(self) -> tuple[Marginal, ...]:
-        """Law of each constant, p of them."""
+        """Marginal distribution of each of the p constants."""
         found = tuple(
             marginal(self.target, self.maximum, self.covariance, at)
             for at in range(self.target.constants)
@@ -149,17 +152,18 @@ class Posterior:
     ) -> "Posterior":
         """Return the posterior with the error of the mesh, from fits on another mesh.
 
-        Errors of parts of the log may cancel in a constant by chance. Its error is therefore at
-        least the root of the sum of their squares.
+        The mesh errors of different parts of the log may cancel in a constant by chance. The error
+        of a constant is therefore at least the root of the sum of squares of the errors of the
+        parts.
 
         Parameters
         ----------
         whole
             Fit of the same log on a finer mesh.
         parts
-            Fits with the finer mesh in one part of the log each.
+            Fits of the same log, each with the finer mesh in one part of the log.
         factor
-            Error of this mesh over its difference from the finer one.
+            Ratio of the error of this mesh to the difference between this mesh and the finer mesh.
         """
         shifts = np.array([each.mean_z - self.mean_z for each in parts])
         least = np.sqrt(np.sum(shifts**2, axis=0))
@@ -169,11 +173,11 @@ class Posterior:
 
     @property
     def spreads(self) -> Array:
-        """Standard deviation of each constant over its prior's standard deviation, shape (p,)."""
+        """Standard deviation of each constant divided by that of its prior, shape (p,)."""
         return np.array([each.spread for each in self.marginals])
 
     def interval(self, at: int) -> tuple[float, float, float]:
-        """Return 5, 50 and 95 % of a constant, by its place, in its unit."""
+        """Return the 5, 50 and 95 % quantiles of the constant with index `at`, in its unit."""
         low, middle, high = self.priors[at].x(self.marginals[at].quantiles).tolist()
         return low, middle, high
 
@@ -189,15 +193,16 @@ class Posterior:
 
     @property
     def innovations(self) -> Array:
-        """Innovation of the noise in each sample over its scale, shape (m, channels)."""
+        """Innovation of the noise in each sample divided by its scale, shape (m, channels)."""
         each = self.nuisances
         return innovations(self.residuals, each.correlation) / each.scale
 
 
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
-    """Find the most probable constants and their normal law from the expected information there.
+    """Find the most probable constants and their normal approximation.
 
-    The noise is that of the restricted likelihood, see `tissue.fitting.target`.
+    The covariance follows from the expected information at the maximum, and the noise from the
+    restricted likelihood (see `tissue.fitting.target`).
     """
     return maximum_of(Target(forward, log))
 
@@ -251,8 +256,8 @@ def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
 def _shifted(target: Target, u: Array) -> list[Array]:
     """Return copies of a place with nearby offsets.
 
-    A load that jumps is an outlier at all offsets except the true one, and its density has no slope
-    there.
+    A load that jumps is an outlier at all offsets except the true offset. The density has no slope
+    at these other offsets.
     """
     places = []
     for offset_s in NEARBY * float(np.median(np.diff(target.log.times_s))):
@@ -272,7 +277,7 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 
 
 def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """Return the maximum near a place, its information, and the convergence flag.
+    """Return the maximum near a place, the information at the maximum, and a convergence flag.
 
     The maximum is found by Fisher's scoring.
     """
@@ -300,25 +305,26 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
 # would treat it as a bias with noise and return wrong constants without a message. Each channel,
 # all forces, all torques and all loads are therefore fitted with their signs reversed as well.
 GAIN = 10.0
-"""Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
+"""Increase of the log density that reversed signs must reach. It corresponds to odds of 2e4."""
 SCREENED = 50.0
-"""Deficit of the log density up to which reversed signs are searched further.
+"""Deficit of the log density up to which a search with reversed signs continues.
 
-The search moves the noise too.
+The search changes the noise too, so the first guess alone is not enough.
 """
 EXPLAINED = 0.5
-"""Share of a channel's variance that the loads must explain once it is reversed: a channel of
-noise has no sign.
+"""Share of a channel's variance that the loads must explain after its sign is reversed.
+
+A channel that holds only noise has no sign.
 """
 
 
 def require_signs(forward: Forward, log: MeasuredLoads) -> None:
-    """Refuse a log with channels that are explained better with their signs reversed.
+    """Refuse a log with channels that the model explains better with reversed signs.
 
     Raises
     ------
     InputError
-        With the names of these channels.
+        If there are such channels. The message gives their names.
     """
     if wrong := reversed_channels(forward, log):
         raise InputError(
@@ -338,7 +344,7 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
     Parameters
     ----------
     forward
-        Loads by the constants.
+        Function for the loads from the constants.
     log
         Measured loads.
     """
@@ -369,8 +375,8 @@ def _search(
 ) -> tuple[float, Array]:
     """Return the largest log density of a log with these signs, and the explained variance.
 
-    The explained share of the variance is computed for each channel. If the first guess is far from
-    the wanted density, the results of the guess are returned.
+    The explained share of the variance is computed for each channel. If the density of the first
+    guess is far below the wanted density, the results of the first guess are returned.
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]

@@ -1,4 +1,4 @@
-"""Folder of a fit to presses: the constants for scenes, numbers, pictures and a report."""
+"""Folder of a fit to presses: constants for scenes, numbers, pictures and a report."""
 
 import json
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ def _settings(keys: Mapping[str, float]) -> str:
 
 
 def _numbers(fit: ProbeFit, digest: str) -> dict[str, object]:
-    """Return all results for programs."""
+    """Return all results as a dictionary for programs."""
     return {
         "format": 1,
         "tissue": package_version(),

@@ -1,10 +1,11 @@
-"""Fit of an elastic law to presses of a probe without times.
+"""Fit of an elastic law to presses of a probe, for tables without times.
 
-The median of the presses at each depth is fitted by least squares. Free are Young's modulus, the
-shape constants of the law and the zero of the force sensor, which is the same at all depths. The
-presses differ far more than the sensor's noise, so their scatter sets the intervals: the presses
-are drawn again with replacement and fitted (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of
-the mesh is added: the shift of the constants that makes up for a mesh of two thirds of the edges.
+The median of the presses at each depth is fitted by least squares. The free constants are Young's
+modulus, the shape constants of the law and the bias of the force sensor, which is the same at all
+depths. The presses differ by far more than the noise of the sensor, so the intervals follow from
+the scatter of the presses: the presses are resampled with replacement and fitted again (bootstrap,
+Efron 1979, Ann. Stat. 7:1). The error of the mesh is added. It is the shift of the constants that
+compensates a mesh with two thirds of the edge lengths.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,16 +37,19 @@ __all__ = ["FittedCurve", "ProbeFit", "fit_curves", "fit_probes", "median_curve"
 
 
 RESAMPLES = 1000
-"""Draws of the presses: the ends of a 90 % interval then have a standard error of 2 % of it."""
+"""Number of resampled sets of presses.
+
+The ends of a 90 % interval then have a standard error of 2 % of its width.
+"""
 FINER = 1.5
 """Ratio of the edges of the two meshes whose difference is the error of the mesh.
 
-The force converges at second order, so the difference exceeds half of the error that is left.
+The force converges with second order, so the difference is more than half of the remaining error.
 """
 THICKER = 1.2
-"""Factor on the thickness of the layer at which the modulus is fitted again, for a note."""
+"""Factor on the thickness of the layer with which the modulus is fitted again, for a note."""
 DETERMINED = 2.0
-"""Ratio of the ends of an interval up to which a constant counts as determined."""
+"""Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
 
 
@@ -60,7 +64,7 @@ class FittedCurve:
     shape
         Shape constants, shape (n, k).
     bias_N
-        Zero of the force sensor, shape (n,).
+        Bias of the force sensor [N], shape (n,).
     force_N
         Fitted curves with the bias, shape (n, d).
     """
@@ -72,7 +76,7 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,); with draws, one row a draw."""
+    """Return the median of presses at each depth, shape (d,); with draws, one row for each draw."""
     chosen = forces_N if draws is None else forces_N[draws]
     return np.asarray(np.median(chosen, axis=-2))
 
@@ -121,10 +125,11 @@ class ProbeFit:
     force_N, bias_N
         Fitted force at the table's depths with the bias, shape (d,), and the bias [N].
     misfit
-        Difference of the fitted from the median curve, over the median curve (L2).
+        Difference between the fitted curve and the median curve, divided by the median curve (L2
+        norms).
     noise
-        Median and 5 and 95 % of the difference between the medians of two random halves of the
-        presses, over one of them (L2), shape (3,).
+        Median, 5 and 95 % quantiles of the difference between the medians of two random halves of
+        the presses, divided by one of these medians (L2 norms), shape (3,).
     notes
         Findings and assumptions, in sentences.
     """
@@ -147,19 +152,19 @@ class ProbeFit:
 
     @property
     def of_material(self) -> tuple[int, ...]:
-        """Places of the constants that belong to a material, not to the scene."""
+        """Indices of the constants that belong to a material, not to the scene."""
         return tuple(
             at for at, each in enumerate(self.constants) if not each.name.startswith("organ.")
         )
 
     @property
     def scene_keys(self) -> Mapping[str, float]:
-        """Fitted keys of the scene, which are no constants of a material."""
+        """Fitted keys of the scene, which are not constants of a material."""
         return {each.name: each.value for each in self.constants if each.name.startswith("organ.")}
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences about constants that the presses do not bound."""
+        """Sentences about constants that the presses do not limit."""
         found = []
         for each in self.constants:
             key = each.name.rpartition(".")[2]
@@ -190,7 +195,7 @@ class ProbeFit:
 def half_differences(forces_N: Array, *, splits: int = 200, seed: int = SEED) -> Array:
     """Return the differences between the medians of two random halves of presses, shape (splits,).
 
-    Each is the L2 norm of the difference over that of the second median.
+    Each is the L2 norm of the difference divided by the L2 norm of the second median.
     """
     random = np.random.default_rng(seed)
     half = len(forces_N) // 2
@@ -323,8 +328,9 @@ def _constant(
 ) -> ConstantFit:
     """Return a constant with its interval.
 
-    The draws of a few presses scatter too little: their logarithms are stretched by the ratio of
-    Student's to the normal quantile and by sqrt(n / (n - 1)).
+    Resampled sets of a few presses scatter too little. The logarithms of their results are
+    therefore stretched by the ratio of Student's quantile to the normal quantile, and by sqrt(n /
+    (n - 1)).
     """
     best, drawn, shifted = (np.log(np.maximum(each, 1e-12) / unit) for each in values)
     stretch = t.ppf(0.95, count - 1) / norm.ppf(0.95) * np.sqrt(count / (count - 1.0))

@@ -1,4 +1,4 @@
-"""Force of a ball on a layer over a bed, by modulus and shape of an elastic law.
+"""Force of a ball on a layer over a bed, as a function of the constants of an elastic law.
 
 The force is proportional to Young's modulus. Its logarithm is interpolated over the logarithms of
 the constants that give a law its shape, from solutions on an axisymmetric mesh
@@ -33,32 +33,35 @@ SHAPES = {
     "exponent": (2.0, 30.0),
     "exponential_rate": (0.1, 50.0),
 }
-"""Range of each shape constant over which a fit looks.
+"""Range of each shape constant in which a fit searches.
 
 The ends are the limits of the key, or factors of ten around the values of published fits.
 """
 NODES = {1: 9, 2: 7}
-"""Solutions along each shape constant, by the number of shape constants.
+"""Number of solutions along each shape constant, by the number of shape constants.
 
 With one constant, 9 nodes give the forces between them within 0.3 %:
 `tests/tissue/fitting/test_probes.py`.
 """
 DENSE = {1: 400, 2: 60}
-"""Values of each shape constant that a fit compares: steps of 1.6 % of a rate, 12 % with two."""
+"""Number of values of each shape constant that a fit compares.
+
+The steps of a rate are 1.6 % with one shape constant, and 12 % with two.
+"""
 SHARES = np.array([0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-"""Depths of the solutions over the largest depth.
+"""Depths of the solutions divided by the largest depth.
 
 Between them, force / depth^1.5 is interpolated.
 """
 UNIT_PA = 1e3
 """Modulus of the solutions [Pa]."""
 DEEPEST = 0.8
-"""Largest depth over the ball's radius, up to which the solver is verified."""
+"""Largest depth divided by the ball's radius for which the solver is verified."""
 
 
 @dataclass(frozen=True)
 class LayerScene:
-    """Geometry and law of a scene that a table of presses can be fitted with."""
+    """Geometry and law of a scene with which a table of presses can be fitted."""
 
     organ: Organ
     radius_m: float
@@ -150,9 +153,9 @@ def probe_curves(
     keys
         Shape constants, at most two.
     first
-        Edge of the cells under the ball, over its radius.
+        Edge of the cells under the ball, divided by the radius of the ball.
     progress
-        Called with the share that is done.
+        Called with the completed share.
 
     Raises
     ------
@@ -210,7 +213,7 @@ def _require(curves: Array) -> None:
 
 
 def _solved_part(axes: list[Array], grid: Array) -> tuple[list[Array], Array]:
-    """Cut off large values of the shape constants at which no equilibrium was found."""
+    """Remove large values of the shape constants for which no equilibrium was found."""
     for at in range(len(axes)):
         others = tuple(each for each in range(grid.ndim) if each != at)
         # With two constants, the corner of both large values may fail alone.
@@ -230,7 +233,7 @@ def _axis(key: str, count: int) -> Array:
 
 
 def _scale(key: str, values: Array) -> Array:
-    """Return the coordinate of interpolation: a share itself, the logarithm of other constants."""
+    """Return the coordinate for interpolation: a share, or the logarithm of another constant."""
     return values if key == "second_share" else np.log(values)
 
 

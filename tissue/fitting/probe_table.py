@@ -1,4 +1,4 @@
-"""Tables of forces of a probe by depth, without times: several presses of one tissue."""
+"""Tables of the force of a probe by depth, without times, from several presses of one tissue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ PROBE = "probe"
 MEASURES = {DEPTH: "length", FORCE: "force", PROBE: "number"}
 """Key of `meshes.base.units.UNITS` of each column."""
 USUAL = {DEPTH: ("indentation", "displacement", "penetration"), FORCE: ("load", "fn"), PROBE: ()}
-"""Usual names of a column in small letters, which count if the header has a unit."""
+"""Usual names of a column in lower-case letters. They are used only if the header has a unit."""
 FEWEST_PROBES = 3
-"""Smallest number of presses: the scatter between presses sets the intervals."""
+"""Smallest number of presses. The intervals follow from the scatter between presses."""
 FEWEST_STEPS = 4
 """Smallest number of depths of a press: modulus, shape, bias and one more."""
 SHORT = 0.9
@@ -54,7 +54,7 @@ class ProbeTable:
 
 
 def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
-    """Return whether columns are those of presses: a depth, and no times of a log."""
+    """Return whether columns belong to a table of presses: a depth, but no times of a log."""
     asked = {each.partition("=")[0].strip() for each in columns}
     if "time_s" in asked or any(name_of(each, "time") in TIMES for each in names):
         return False

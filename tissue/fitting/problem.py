@@ -197,10 +197,10 @@ class MeasuredLoads:
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
-        # ten standard deviations of a normal law hold all loads but damaged samples
+        # all loads except damaged samples lie within ten standard deviations
         cut = np.clip(self.values, middle - 10.0 * spread, middle + 10.0 * spread)
-        # a channel that rests at one value for more than half of the log has no robust spread: it
-        # is not clipped
+        # a channel that stays at one value for more than half of the log has no robust spread, so
+        # it is not clipped
         size = np.sqrt(np.nanmean(np.where(spread > 0.0, cut, self.values) ** 2, axis=0))
         units = np.array([name.rpartition("_")[2] for name in self.channels])
         return np.array([size[units == unit].max() for unit in units])

@@ -1,4 +1,4 @@
-"""Tables of steady loads on a drill, by feed and speed, and their part in a fit."""
+"""Tables of steady loads on a drill, by feed and speed, and their log density for a fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -42,7 +42,7 @@ DRILL = "twist-drill"
 LAYER = "bone"
 """Layer of a block."""
 NORMAL = 1e6
-"""Degrees of freedom at which Student's law is the normal law."""
+"""Degrees of freedom at which Student's distribution equals the normal distribution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class SteadyTable:
     def units(self) -> Array:
         """Divisors of the loads, shape (n, channels).
 
-        They are the scatter, or without a scatter the mean of each load.
+        The divisors are the scatter, or, without a scatter, the mean of each load.
         """
         if self.scatter is not None:
             return self.scatter
@@ -85,13 +85,13 @@ class SteadyTable:
 
 
 class SteadyLoads(MeasuredLoads):
-    """Loads of the rows of a table, each over its unit."""
+    """Loads of the rows of a table, each divided by its unit."""
 
     fewest: ClassVar[int] = FEWEST_ROWS
 
 
 def is_table(names: Sequence[str]) -> bool:
-    """Return whether columns are those of a table of steady loads: no times, but a feed or thrust.
+    """Return whether columns belong to a table of steady loads: a feed or a thrust, but no times.
 
     A file with a column ``time_s`` is a log.
     """
@@ -107,8 +107,9 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
         The file, for messages.
     found
         Its columns. The feed is ``feed_mm_min`` or ``feed_mm_s``, each with ``spin_rpm``, or
-        ``feed_mm_per_turn``. The loads are ``thrust_N`` and ``torque_Nmm`` or ``torque_Nm``, at
-        least one of both. The scatter, one standard deviation, is ``thrust_pm_N`` and so on.
+        ``feed_mm_per_turn``. The loads are ``thrust_N`` and ``torque_Nmm`` or ``torque_Nm``, a
+        thrust or a torque at least. The scatter, one standard deviation, is ``thrust_pm_N`` and so
+        on.
 
     Raises
     ------
@@ -185,9 +186,9 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
 
 
 def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) -> CuttingForward:
-    """Return the loads of a table's rows by the free constants, each over its unit.
+    """Return the function for the loads of a table's rows, each divided by its unit.
 
-    A row takes the place of a recorded tick.
+    Each row is handled like a recorded tick.
 
     Parameters
     ----------
@@ -257,9 +258,9 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
 class TableTarget(Target):
     """Log density of constants given a table: independent normal errors of its rows.
 
-    The standard deviation is the scatter, or without a scatter a free number for each load. The
-    offset, the biases, and the correlation and the tails of the noise have no effect, so that they
-    stay at their priors.
+    The standard deviation is the scatter. Without a scatter, it is a free number for each load. The
+    offset, the biases, and the correlation and tails of the noise have no effect, so they stay at
+    their priors.
     """
 
     def __init__(self, forward: CuttingForward, table: SteadyTable) -> None:

@@ -1,6 +1,7 @@
 """Log density that a fit maximises.
 
-It is the density of a log and of the priors of constants, offset, biases and noise.
+The density is the product of the density of a log and of the priors of constants, offset, biases
+and noise.
 """
 
 from dataclasses import dataclass
@@ -32,14 +33,14 @@ class NoiseTerms:
     Attributes
     ----------
     log_density
-        Summed over samples and channels.
+        Log density, summed over samples and channels.
     by_residuals
         Derivative by each residual, shape (m, channels). It is 0 where there is no residual.
     by_log_scale, by_correlation, by_freedom
         Derivatives by ln scale, the correlation and the degrees of freedom of each channel, shape
         (channels,).
     weights
-        Weight of each squared innovation in the sum of squares with the same gradient, shape (m,
+        Weight of each squared innovation in a sum of squares that has the same gradient, shape (m,
         channels) [1/unit²].
     """
 
@@ -54,9 +55,9 @@ class NoiseTerms:
 def innovations(residuals: Array, correlation: Array) -> Array:
     """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
 
-    The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t, since the chain starts stationary.
-    It is NaN at gaps. The innovations are linear in the residuals. A third axis of derivatives is
-    therefore possible: shape (m, channels, any).
+    The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t, because the chain starts
+    stationary. Innovations are NaN at gaps. They are linear in the residuals, so the residuals may
+    have a third axis of derivatives: shape (m, channels, any).
     """
     previous, starts = _previous(residuals)
     phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
@@ -111,9 +112,9 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
 
 
 def place_information(freedom: Array) -> Array:
-    """Return the Fisher information of the place of an innovation of scale 1, shape of freedom.
+    """Return the Fisher information of the location of an innovation of scale 1.
 
-    The formula is from Lange, Little and Taylor (1989).
+    The result has the shape of `freedom`. The formula is from Lange, Little and Taylor (1989).
     """
     return (freedom + 1.0) / (freedom + 3.0)
 
@@ -129,7 +130,7 @@ def freedom_information(freedom: Array) -> tuple[Array, Array]:
 
 
 def _previous(residuals: Array) -> tuple[Array, Array]:
-    """Return the previous residual of each residual, or zero, and the start flags of chains."""
+    """Return the residual before each residual, or zero, and flags for the starts of chains."""
     previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
     starts = np.isfinite(residuals) & np.isnan(previous)
     return np.where(np.isfinite(previous), previous, 0.0), starts
@@ -142,38 +143,41 @@ It describes two instruments started by hand on one computer. Logs of one instru
 of zero.
 """
 BIAS_SHARE = 0.5
-"""Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
+"""Standard deviation of a sensor's bias relative to the size of the log's loads."""
 NOISE_SHARE = 0.05
 NOISE_SPREAD = 1.5
-"""Median of the noise in shares of the size of the log's loads, and spread of the noise.
+"""Median of the noise relative to the size of the log's loads, and spread of the noise.
 
 The spread is the standard deviation of the logarithm: 90 % lie within a factor of 12.
 """
 LEAST_NOISE = 1e-3
-"""Smallest noise in shares of the size of the log's loads.
+"""Smallest noise relative to the size of the log's loads.
 
-It covers the rounding of loads in a file, and the velocity of a replayed tool over a tick.
+It covers the rounding of loads in a file, and the error of the velocity of a replayed tool within a
+tick.
 """
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
 """Largest absolute correlation of neighbours.
 
-The constant above is the standard deviation of artanh of this correlation: 90 % lie within +-0.986.
+The constant above is the standard deviation of artanh of this correlation: 90 % of the correlations
+lie within +-0.986.
 """
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
 FREEDOM_SPREAD = 1.0
 """Scale of the degrees of freedom of the noise above their minimum.
 
-The constants are the minimum degrees of freedom, which has a finite variance, and the median above
-it. 90 % lie between 3 and 23. This range covers heavy tails and is near enough to the normal law,
-for which 90 % intervals that assume 4 degrees of freedom would contain 87 %.
+The constants above are the minimum of the degrees of freedom, at which the variance becomes finite,
+and the median above the minimum. 90 % of the values lie between 3 and 23. This range covers heavy
+tails, and is close enough to a normal distribution: for normal noise, 90 % intervals that assume 4
+degrees of freedom would contain 87 %.
 """
 
 
 @dataclass(frozen=True)
 class Unpacked:
-    """Numbers of a fit by their meaning.
+    """Numbers of a fit, separated by their meaning.
 
     Attributes
     ----------
@@ -304,7 +308,7 @@ class Target:
         """Return the expected information of the log and the priors about all numbers.
 
         Its shape is (size, size), and it is positive definite. The information about constants,
-        offset and biases follows from the sensitivities; its cross terms with the noise are zero.
+        offset and biases follows from the sensitivities. Its cross terms with the noise are zero.
         The information about the noise of a channel follows from Student's law (Lange, Little and
         Taylor 1989) and a stationary chain.
         """
@@ -333,7 +337,7 @@ class Target:
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
         """Return the interpolation at an offset.
 
-        The last result is kept, since a search needs loads and slopes of one place.
+        The last result is kept, because a search needs loads and slopes at the same place.
         """
         if self._last_shift is None or self._last_shift[0] != offset_s:
             operators = shift_operators(
@@ -359,7 +363,10 @@ class Target:
         return terms.log_density - 0.5 * float(u @ u), gradient
 
     def value(self, u: Array) -> float:
-        """Return the log density, up to a constant, in less time than with its gradient."""
+        """Return the log density, up to a constant.
+
+        This takes less time than with the gradient.
+        """
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
         return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
@@ -393,7 +400,7 @@ class Target:
     def start(self, offset_s: float) -> Array:
         """Return the start of an optimiser.
 
-        The constants follow from linear least squares from the middle of their priors.
+        The constants follow from linear least squares, starting from the middle of their priors.
         """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S
@@ -413,7 +420,7 @@ class Target:
             wanted = (weights * np.where(known, residuals, 0.0)).ravel()
             normal = columns.T @ columns / MOST_WEIGHT + np.eye(free)
             step = np.linalg.solve(normal, columns.T @ wanted / MOST_WEIGHT - u[:free])
-            # loads are not linear in constants farther from the middle of their priors
+            # farther from the middle of the priors, loads are not linear in the constants
             u[:free] = np.clip(u[:free] + step, -4.0, 4.0)
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
@@ -429,9 +436,10 @@ class Target:
 
 
 MOST_WEIGHT = 10.0
-"""Neighbouring samples counted as one while the noise's correlation is unknown.
+"""Number of neighbouring samples that count as one while the correlation of the noise is unknown.
 
-Samples of correlation 0.8 hold as much information as a ninth of independent ones.
+Samples with a correlation of 0.8 hold as much information as a ninth of their number of independent
+samples.
 """
 CORRELATED = 0.5
 """Correlation of neighbours at the start of an optimiser, between white noise and a slow drift."""
@@ -445,7 +453,7 @@ class Restricted:
     target
         Density of constants and nuisances.
     u
-        Place at which its sensitivities are evaluated, shape (size,).
+        Numbers at which the sensitivities are evaluated, shape (size,).
     """
 
     def __init__(self, target: Target, u: Array) -> None:

@@ -144,8 +144,8 @@ def intensity_ratios(
 
     The error is the spread of ln S(F) - ln S_ref(F_ideal) over windows of a tenth of a second that
     lie entirely in contact. S is Stevens' law. A spread of 0.1 is a ratio error of a tenth, and 0
-    is perfect. A common factor has no effect, because it cannot be separated from the way in which
-    a person uses numbers. The exponents are the true exponents of the simulated people.
+    is perfect. A common factor has no effect, because it cannot be separated from a person's use of
+    numbers. The exponents are the true exponents of the simulated people.
 
     Returns
     -------

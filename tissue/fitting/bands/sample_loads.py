@@ -379,7 +379,7 @@ def reruns(
     suspects = list[int]()
     barren = 0
     while waiting or suspects:
-        # all others come first, so that a sample that ends its worker delays none of them
+        # all other samples come first, so that a sample that ends its worker does not delay them
         alone = not waiting
         numbers = [suspects.pop(0)] if alone else waiting
         returned = set[int]()
@@ -413,7 +413,8 @@ def _in_pool(
 
     When a sample is submitted, its outcome None is yielded.
     """
-    # two samples for each process keep it busy; all that were submitted are run again if it is lost
+    # two samples for each process keep it busy; if the pool is lost, all submitted samples are run
+    # again
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
     fresh = iter(numbers)
@@ -458,7 +459,7 @@ def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
         except InputError as refused:
             return str(refused)
         except Exception as error:
-            # a solver that breaks down at one sample is no reason to lose the others
+            # if a solver fails for one sample, the other samples must not be lost
             return _sentence(error)
     loads = loads_of(run)
     if not np.isfinite(loads).all():
