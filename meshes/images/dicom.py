@@ -58,7 +58,9 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
     slices = [slice_of(frame) for frame in frames]
     kinds = {frame.header["PhotometricInterpretation"] for frame in frames}
     if len(kinds) > 1:
-        raise refused("slices", "all have one photometric interpretation", f"two in {source}")
+        raise refused(
+            "slices", "all have one photometric interpretation", f"two different ones in {source}"
+        )
     bits = max(int(frame.header["BitsAllocated"] or 0) for frame in frames)
     require_memory(
         sum(int(np.prod(each.size, dtype=object)) for each in slices) * bits // 8,

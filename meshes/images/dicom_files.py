@@ -124,7 +124,7 @@ def refused(what: str, requirement: str, found: str) -> InputError:
 
 def damaged(place: str) -> InputError:
     """Return the error of a file that cannot be decoded."""
-    return refused("a DICOM slice", "be whole and readable", f"a damaged one, {place}")
+    return refused("a DICOM slice", "be whole and readable", f"a damaged slice, {place}")
 
 
 def is_dicom(file: Path) -> bool:

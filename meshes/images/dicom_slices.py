@@ -102,7 +102,7 @@ def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
     position = _numbers(frame, "ImagePositionPatient", 3)
     slope = number_in(frame, "RescaleSlope", 1.0)
     if slope == 0.0:
-        raise refused("RescaleSlope", "differ from 0", f"it in {frame.place}")
+        raise refused("RescaleSlope", "not be 0", f"0 in {frame.place}")
     return Slice(
         frame,
         position_mm=position,
@@ -134,7 +134,7 @@ def _numbers(frame: Frame, key: str, count: int) -> Array:
         found = np.empty(0)
     if found.shape != (count,) or not np.isfinite(found).all():
         noun = "number" if count == 1 else "numbers"
-        raise refused(key, f"be {count} finite {noun}", f"none or others in {frame.place}")
+        raise refused(key, f"be {count} finite {noun}", f"missing or other values in {frame.place}")
     return found
 
 
@@ -246,7 +246,7 @@ def normal_of(first: Slice) -> Array:
     if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
         requirement = "be two unit vectors at a right angle"
         what = "the orientation of a DICOM slice"
-        raise refused(what, requirement, f"other in {first.frame.place}")
+        raise refused(what, requirement, f"other vectors in {first.frame.place}")
     normal: Array = np.cross(first.row, first.column)
     return normal / np.linalg.norm(normal)
 

@@ -142,7 +142,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     if dtype.kind not in "iuf" or not 0 < dtype.itemsize <= 8:
         raise _fault(path, "datatype", "be one real number per voxel", dtype)
     if int(header["bitpix"]) != 8 * dtype.itemsize:
-        raise _fault(path, "bitpix", f"be that of {dtype}", int(header["bitpix"]))
+        raise _fault(path, "bitpix", f"match the data type {dtype}", int(header["bitpix"]))
     return dtype
 
 
@@ -158,7 +158,9 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
         try:
             qform = np.asarray(header.get_qform(), dtype=np.float64)
         except (HeaderDataError, ValueError) as problem:
-            raise _fault(path, "the quaternion", "have a norm of 1", "another") from problem
+            raise _fault(
+                path, "the quaternion", "have a norm of 1", "a different norm"
+            ) from problem
     if int(header["sform_code"]) <= 0:
         if qform is not None:
             return qform

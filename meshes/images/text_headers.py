@@ -175,7 +175,9 @@ def read_metaimage(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:
-        raise _fault(path, "file", "be a MetaImage", "a file without the lines of one")
+        raise _fault(
+            path, "file", "be a MetaImage", "a file without the lines of a MetaImage header"
+        )
     channels = fields.get("elementnumberofchannels", "1")
     if fields["ndims"] != "3" or channels != "1":
         found = f"NDims {fields['ndims']} and {channels} channels"
@@ -184,7 +186,7 @@ def read_metaimage(path: Path) -> StoredImage:
     notes = []
     if not any(key in fields for key in _DIRECTIONS):
         if fields.get("anatomicalorientation", "???") not in _ALONG_LPS:
-            found = "AnatomicalOrientation alone"
+            found = "only AnatomicalOrientation"
             raise _fault(path, "directions", "be given as TransformMatrix", found)
         notes.append(
             f"{path.name} states no directions: its axes are taken as left, back and head."
@@ -269,7 +271,7 @@ def read_nrrd(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
-        raise _fault(path, "file", "be a NRRD image", "a file that does not start as one does")
+        raise _fault(path, "file", "be a NRRD image", "a file that does not begin like one")
     layers, fields = _without_layers(fields)
     kinds = fields.get("kinds", "").lower()
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
@@ -277,7 +279,7 @@ def read_nrrd(path: Path) -> StoredImage:
         raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
     # They state the scale of quantised values, which is not applied here.
     if found := ", ".join(key for key in _SCALED if key in fields):
-        raise _fault(path, "a NRRD image", "hold its values unscaled", f"the key {found}")
+        raise _fault(path, "a NRRD image", "hold unscaled values", f"the key {found}")
     # Lines are not skipped here, so voxels would be read from the wrong place.
     for key in _SKIPPED_LINES:
         if fields.get(key, "0") != "0":

@@ -71,10 +71,10 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
         if file.suffix.lower() == ".fcsv":
             return (_point_list(text, file),)
         if not file.name.lower().endswith(".json"):
-            raise _error("be a .mrk.json or .fcsv file", "another", file)
+            raise _error("be a .mrk.json or .fcsv file", "a file of another kind", file)
         found = tuple(_markup(one, file) for one in read_json(text)["markups"])
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
-        raise _error("be those of 3D Slicer", "other data", file) from None
+        raise _error("be markups of 3D Slicer", "other data", file) from None
     if not found:
         raise _error("hold at least one", "none", file)
     return found
@@ -224,7 +224,7 @@ def _unit(direction: Array, file: Path) -> Array:
     length = float(np.linalg.norm(direction))
     # Far below the digits of a file in mm, so only rounding of zero is refused.
     if length < 1e-9:
-        raise _error("hold a normal or line with a length", "one of none", file)
+        raise _error("hold a normal or line with a length", "a normal or line of length 0", file)
     return direction / length
 
 

@@ -159,7 +159,7 @@ BAD = {
     "nifti colours": (lambda f: nifti(f, datatype=128, bitpix=24), "one real number per voxel"),
     "nifti complex": (lambda f: nifti(f, datatype=32, bitpix=64), "one real number per voxel"),
     "nifti unknown type": (lambda f: nifti(f, datatype=77), "datatype in the header must be known"),
-    "nifti bits": (lambda f: nifti(f, bitpix=8), "bitpix in the header must be that of int16"),
+    "nifti bits": (lambda f: nifti(f, bitpix=8), "bitpix in the header must match the data type int16"),
     "nifti unit": (lambda f: nifti(f, units=5), "xyzt_units in the header must be"),
     "text as nifti": (lambda f: text(f, "image.nii"), "must be a NIfTI image"),
     "text as gzip": (lambda f: text(f, "image.nii.gz"), "must be a NIfTI image"),
@@ -225,10 +225,10 @@ BAD = {
         "space must be stated with space origin, got none",
     ),
     "nrrd left-handed": (lambda f: nrrd(f, space="3D-left-handed"), "space must be one of"),
-    "nrrd quantised": (lambda f: nrrd(f, old_min="-1024"), "values unscaled"),
+    "nrrd quantised": (lambda f: nrrd(f, old_min="-1024"), "unscaled values"),
     "nrrd quantised from 0": (
         lambda f: nrrd(f, old_max="0"),
-        "values unscaled, got the key old max",
+        "unscaled values, got the key old max",
     ),
     "nrrd axis mins": (
         lambda f: nrrd(f, **UNSPACED, spacings="0.8 0.5 2", axis_mins="0"),
@@ -326,7 +326,7 @@ BAD = {
     ),
     "slice cut to 30 %": (
         lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.3)),
-        "a damaged one, file 3 of 4",
+        "a damaged slice, file 3 of 4",
     ),
     "slice empty": (
         lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")),
@@ -394,9 +394,9 @@ BAD = {
     ),
     "syntax of other pixels": (
         lambda f: dicom(f, syntax="1.2.840.10008.1.2.4.90"),
-        "a damaged one, file 1 of 4",
+        "a damaged slice, file 1 of 4",
     ),
-    "unknown syntax": (lambda f: dicom(f, syntax="1.2.3.4.5"), "a damaged one"),
+    "unknown syntax": (lambda f: dicom(f, syntax="1.2.3.4.5"), "a damaged slice"),
     "text among slices": (
         lambda f: dicom(f, change=lambda p: text(p, "z.dcm")),
         "another kind of content in file 5 of 5",

@@ -74,7 +74,7 @@ class BricksOnDemand:
         self._patches = -(-(high - low).astype(np.int64) // PATCH)
         share = float(np.prod(high - low)) / MOST_BRICKS
         if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
-            raise _too_fine(spacing_m, share, f"leave at most {MOST_BRICKS:g} bricks")
+            raise _too_fine(spacing_m, share, f"give at most {MOST_BRICKS:g} blocks of voxels")
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
         self.store = BrickStore(grid, device=device)
@@ -115,7 +115,7 @@ class BricksOnDemand:
             raise _too_fine(
                 self.store.grid.spacing_m,
                 needed / (0.8 * free),
-                f"leave what the tool reaches within the free memory of {1e-9 * free:.1f} GB",
+                (f"fit the bone in reach of the tool into the free memory of {1e-9 * free:.1f} GB"),
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:

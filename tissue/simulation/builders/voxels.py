@@ -238,7 +238,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
             fits += 1e-5
         raise InputError(
             "voxels.spacing_mm",
-            f"leave the bone within the free memory of {free / 1e9:.1f} GB",
+            f"fit the bone into the free memory of {free / 1e9:.1f} GB",
             f"{spacing * 1e3:g}, which needs {needed(spacing) / 1e9:.1f} GB",
             f"use {round(fits * 1e3, 2):g}",
         )
