@@ -159,7 +159,10 @@ BAD = {
     "nifti colours": (lambda f: nifti(f, datatype=128, bitpix=24), "one real number per voxel"),
     "nifti complex": (lambda f: nifti(f, datatype=32, bitpix=64), "one real number per voxel"),
     "nifti unknown type": (lambda f: nifti(f, datatype=77), "datatype in the header must be known"),
-    "nifti bits": (lambda f: nifti(f, bitpix=8), "bitpix in the header must match the data type int16"),
+    "nifti bits": (
+        lambda f: nifti(f, bitpix=8),
+        "bitpix in the header must match the data type int16",
+    ),
     "nifti unit": (lambda f: nifti(f, units=5), "xyzt_units in the header must be"),
     "text as nifti": (lambda f: text(f, "image.nii"), "must be a NIfTI image"),
     "text as gzip": (lambda f: text(f, "image.nii.gz"), "must be a NIfTI image"),
