@@ -91,7 +91,7 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
         yield over, f"{gaps['expected_in_ticks']:.1f} ({met})"
     if (chosen := summary.get("scheduling")) is not None:
         large = f"{chosen['split_launches']} of {chosen['large_launches']} large ones"
-        yield "launches split over cores", f"{large}, {chosen['cores']} cores"
+        yield "kernel launches on several cores", f"{large}, {chosen['cores']} cores"
         if "background" in chosen:
             yield "during the ticks", chosen["background"]
 

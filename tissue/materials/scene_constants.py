@@ -306,7 +306,7 @@ def _correlation(
         raise InputError(
             "correlation",
             f"have different names and a matrix of {count} x {count} numbers",
-            f"others in {path}",
+            f"other names or another matrix in {path}",
             "fix the names or the matrix",
         )
     matrix = np.array(table.matrix).reshape(count, count)

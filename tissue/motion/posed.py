@@ -183,7 +183,7 @@ class PosedTool(Motion):
                     "pose",
                     "turn by at most 90 degrees in a step",
                     f"{np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))):.0f} degrees",
-                    "turn it in more steps",
+                    "turn the tool in more steps",
                 )
             self._turn = rotation_vector(between)
         self._tip = tip_m

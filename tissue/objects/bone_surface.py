@@ -152,7 +152,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 
     if not surface.n_cells:
         raise InputError(
-            "bone", "have been cut to show what was removed", "an uncut one", "cut it first"
+            "bone", "have been cut to show what was removed", "an uncut bone", "cut the bone first"
         )
     look: dict[str, Any] = {"interpolation": "Phong", "show_axes": True}
     if len(layer_names) == 1:

@@ -287,9 +287,9 @@ def clearance_of(
         if not NAME.fullmatch(str(name)):
             raise InputError(
                 "keep_clear",
-                "have names of small letters, digits and underscores",
+                "have names of lower-case letters, digits and underscores",
                 f"{name!r}",
-                "use one such as facial_nerve",
+                "use a name such as facial_nerve",
             )
         made = surface_of(f"keep_clear[{name}]", surface, 1.0, is_part=True)
         found[name] = Structure(made.vertices_m, made.faces)

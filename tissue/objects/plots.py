@@ -99,7 +99,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
         found.setdefault(field_label(name)[1], []).append(name)
     if not found:
         raise InputError(
-            "columns", "name at least one", "none", "leave it out for force and torque"
+            "columns", "name at least one column", "none", "leave columns out for force and torque"
         )
     return found
 

@@ -123,7 +123,7 @@ def register(
         raise InputError(
             "out",
             f"hold no {PLAN_FILE} of another origin",
-            f"one in {folder}",
+            f"a foreign {PLAN_FILE} in {folder}",
             "choose another folder, or write the file with `tissue study plan`",
         )
     with whole_file(path) as temporary:

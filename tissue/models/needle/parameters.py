@@ -151,14 +151,17 @@ class NeedleTissue:
             0.0,
             # It reaches the largest force per length at a deflection of 1 mm.
             1e3 * LARGEST_N_M,
-            "give it in N/m2, 0 for a linear one",
+            "give it in N/m2, or 0 for a linear organ",
         )
         require_range("cutting_N", self.cutting_N, 0.0, LARGEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
             listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
             raise InputError(
-                "membranes", "be listed from the surface downwards", f"depths {listed}", "sort them"
+                "membranes",
+                "be listed from the surface downwards",
+                f"depths {listed}",
+                "sort the membranes",
             )
         names = [membrane.name for membrane in self.membranes]
         # Layers of the trace are named by membranes, and parenchyma is one of them.
@@ -167,7 +170,7 @@ class NeedleTissue:
                 "membranes",
                 "have different names, none of them parenchyma",
                 ", ".join(names),
-                "rename one",
+                "rename one membrane",
             )
         static = max(self.friction.static_in_N_m, self.friction.static_out_N_m)
         if static >= self.linear_N_m:

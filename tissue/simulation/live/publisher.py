@@ -132,8 +132,8 @@ def require_ros2() -> None:
             "have the Python packages of ROS 2",
             f"no {missing[0]}",
             (
-                "source the setup.bash of an installation, such as /opt/ros/jazzy, and run "
-                "tissue with the Python that it is for"
+                "source the setup.bash of an installation, such as /opt/ros/jazzy, and "
+                "run tissue with the Python of this installation"
             ),
         )
 
