@@ -90,7 +90,8 @@ def write_stability_files(
 ) -> list[Path]:
     """Write the picture of a stability map and its boundaries [N/m].
 
-    The boundaries over the varied quantity are written as ``stability_damping`` and ``_delay``.
+    The boundaries are written as functions of damping and delay, to ``stability_damping`` and
+    ``stability_delay``.
 
     Raises
     ------

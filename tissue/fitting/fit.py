@@ -63,7 +63,7 @@ class ConstantFit:
         These quantiles and the ends of the cited range, in standard deviations of the prior, shape
         (5,).
     contraction
-        Standard deviation after the fit over the standard deviation before it.
+        Standard deviation after the fit divided by the standard deviation before the fit.
     state
         ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``. A doubtful value lies far
         outside its cited range, or was found with a clock offset that contradicts its prior.

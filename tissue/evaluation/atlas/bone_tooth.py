@@ -208,7 +208,7 @@ class ExplicitCutting(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the longest step over mass."""
+        """Draw the longest step against mass."""
         mass = data["mass"]
         panel(
             chart.subplots(),
@@ -359,7 +359,7 @@ class CutCells(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the condition number over the fill."""
+        """Draw the condition number against the fill."""
         table = data["fill"]
         fill = table["fill"]
         carried = np.where(table["carried"] > 0.0, 1.0, np.nan)
@@ -522,7 +522,7 @@ class Contrast(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw iterations over the contrast."""
+        """Draw iterations against the contrast."""
         axes = chart.subplots()
         table = data["contrast"]
         axes.axvline(REAL, color=GREY, linestyle=":", label="enamel to pulp")

@@ -124,7 +124,7 @@ class HeldTool(Page):
         return [*_rows(_measured()), *_replays()]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the amplification over the shift, one panel for each rule."""
+        """Draw the amplification against the shift, one panel for each rule."""
         holds = self.judge(data).holds
         panels = chart.subplots(1, 2, sharey=True)
         for axes, (rule, title) in zip(panels, RULES.items(), strict=True):

@@ -87,7 +87,7 @@ class Locking(Page):
     )
 
     def measure(self) -> Data:
-        """Vary 1 - 2 nu."""
+        """Vary Poisson's ratio nu, at equal steps in the logarithm of 1 - 2 nu."""
         # 1 - 2 nu from 0.4 (nu = 0.3) to 2e-4 (nu = 0.4999), evenly on a logarithmic axis
         ratios = 0.5 * (1.0 - np.geomspace(0.4, 2e-4, 8))
         shear = YOUNG / (2.0 * (1.0 + ratios))
@@ -139,7 +139,7 @@ class Locking(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the ratio of the deflection to the beam's deflection, over 1 - 2 nu."""
+        """Draw the ratio of the deflection to the beam's deflection against 1 - 2 nu."""
         bar = data["bar"]
         gap = 1.0 - 2.0 * bar["poisson_ratio"]
         limit = gap[bar["quadratic_trusted"] > 0.0].min()

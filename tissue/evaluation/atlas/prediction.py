@@ -214,7 +214,7 @@ class Horizon(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the error over the horizon."""
+        """Draw the error against the horizon."""
         table = data["horizon"]
         horizon_ms = table["ahead_ms"]
         curves = [
@@ -361,7 +361,7 @@ class TrainedElsewhere(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the error over the stiffness of the wall."""
+        """Draw the error against the stiffness of the wall."""
         table = data["wall"]
         axes = chart.subplots()
         axes.axvline(HOME_N_M, color=GREY, linestyle=":", label="trained here")

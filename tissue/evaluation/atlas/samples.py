@@ -304,7 +304,7 @@ class WildInput(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the force over the jump."""
+        """Draw the force against the jump."""
         table = data["jump"]
         jump = table["jump_m"]
         panel(

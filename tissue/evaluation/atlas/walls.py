@@ -309,7 +309,7 @@ class Quantisation(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw stiffness over friction."""
+        """Draw stiffness against friction."""
         axes = chart.subplots()
         table = data["friction"]
         friction = table["friction_N"]
@@ -459,7 +459,7 @@ class ThinWalls(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the speed over the thickness."""
+        """Draw the speed against the thickness."""
         axes = chart.subplots()
         penalty = data["penalty"]
         thrown = data["proxy"]

@@ -41,7 +41,7 @@ __all__ = [
 COARSEST_TICKS = 32
 """Largest number of ticks between two evaluations, less than the 50 ms of the reported means."""
 INTERPOLATION = 2e-3
-"""Largest error of a line between two evaluations at the tick between them, over the mean force.
+"""Largest error of interpolation between two evaluations, relative to the mean force.
 
 Above this error, both halves are evaluated too. The uncertainty of the built-in scenes,
 interpolation included, is then 0.01 to 0.03 % (``tests/bench/bench_reference.py``).

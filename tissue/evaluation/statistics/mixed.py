@@ -249,7 +249,10 @@ def _plain(name: str) -> str:
 
 
 NODES = 96
-"""Nodes over the intraclass correlation. 48 nodes give the same intervals to four digits."""
+"""Number of quadrature nodes for the intraclass correlation.
+
+With 48 nodes, the intervals agree to four digits.
+"""
 
 
 SLOPE_SPREAD = 10.0

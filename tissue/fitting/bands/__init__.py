@@ -1,1 +1,1 @@
-"""Bands of a run over the ranges of its constants, and which constant matters."""
+"""Bands of a run for the ranges of its constants, and the influence of each constant."""
