@@ -224,9 +224,9 @@ EXEMPT = {
 }
 BY_DATA = {
     "tool.spin_rpm": "motion.feed_mm_s must give chips for each tooth thinner than",
-    "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
+    "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries. ",
     "keep_clear.names": "keep_clear.names must be structures of the anatomy (none), got ",
-    "materials": "materials must hold a constant that the scene rests on, got ",
+    "materials": "materials must hold a constant that the scene uses, got ",
 }
 """Refusals of keys that only the contents of files leave without effect.
 

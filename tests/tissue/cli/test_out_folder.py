@@ -53,8 +53,8 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
         "out must be a folder, got the file taken. Choose another --out"
     )
     assert refused("run", "milling", "--out", "taken/below/it") == (
-        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}: "
-        "choose another --out"
+        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}. "
+        "Choose another --out"
     )
 
 

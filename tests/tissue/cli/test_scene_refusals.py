@@ -92,7 +92,7 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=1e9))
     message = refused("run", "milling", "--set", "voxels.spacing_mm=0.02", "--no-pictures")
     assert all(
-        word in message for word in ("voxels.spacing_mm", "1.0 GB", "0.02", "2.0 GB", "use 0.03")
+        word in message for word in ("voxels.spacing_mm", "1.0 GB", "0.02", "2.0 GB", "Use 0.03")
     )
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=2e6))
     fits = refused("run", "milling", "--set", "voxels.spacing_mm=0.1", "--no-pictures").rsplit(

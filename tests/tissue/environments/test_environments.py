@@ -137,7 +137,7 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         np.eye(1),
         remark=(),
     )
-    with pytest.raises(InputError, match="must hold a constant that the environment rests on"):
+    with pytest.raises(InputError, match="must hold a constant that the environment uses"):
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):
         tissue.environments.Palpation(materials=file)

@@ -94,7 +94,7 @@ def test_the_cheapest_that_is_good_enough_is_chosen():
     assert choose(points, Fidelity(force_error=0.2 * SAFETY)).setting == "coarse"
     assert choose(points, Fidelity(force_error=0.031 * SAFETY)).setting == "middle"
     assert choose(points, Fidelity(tick_ms=0.5)).setting == "fine"
-    with pytest.raises(InputError, match="nearest is fine"):
+    with pytest.raises(InputError, match="nearest setting reaches: fine"):
         choose(points, Fidelity(force_error=1e-3))
     with pytest.raises(InputError, match="fidelity"):
         load_scene("milling", {"fidelity": {}})

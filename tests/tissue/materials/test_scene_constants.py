@@ -107,7 +107,7 @@ def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
         (
             [entry("soft.liver.modulus_kPa", 5.0)],
             {},
-            "must hold a constant that the scene rests on",
+            "must hold a constant that the scene uses",
         ),
         (
             [entry(RADIAL, 5.0)],

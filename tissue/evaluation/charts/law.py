@@ -46,8 +46,7 @@ LAW = "neo-hookean"
 CITED_LAW = "exponential"
 """Law that replaces the linear one for a material with a published rate of this law."""
 EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
-"""Depth divided by the ball's radius, and error of the linear force compared with the exponential
-law.
+"""Depth relative to the ball's radius, and error of the linear force against the exponential law.
 
 The rate is 4.6, the published value of a pressed liver. The layer is ten radii thick
 (`tests/tissue/evaluation/test_law_choice.py`). The errors are 1.2 times as large on a layer of five
