@@ -10,6 +10,7 @@ from meshes.base.errors import InputError
 from meshes.base.text_tables import visible, whole_number_in
 
 __all__ = [
+    "ADDRESS",
     "Flag",
     "MaybeWhole",
     "MemoryGB",
@@ -53,6 +54,8 @@ Texts = Annotated[tuple[str, ...], Parameter(negative="")]
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
+ADDRESS = {"hardware.address": "--address"}
+"""Option of a command in place of the key of a scene."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 

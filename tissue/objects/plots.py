@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from meshes.base.text_tables import nearest
+from meshes.base.hints import nearest
 from tissue.objects.trace import Trace
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
 from tissue.show.figures.force_depth import first_descent

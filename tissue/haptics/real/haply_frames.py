@@ -216,7 +216,7 @@ def problem_of(state: ServiceState) -> str:
         )
     if name not in ids:
         return (
-            f"hardware.address must name one of the devices {', '.join(ids)} behind #, got "
+            f"the address of haply must name one of the devices {', '.join(ids)} behind #, got "
             f"{name}: use #{ids[0]}"
         )
     for entry, must, remedy in (
