@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -263,7 +263,9 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
         return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
     if (values := _values(field)) is not None:
         return f"a table of names and numbers {_bounds(values.metadata)}"
-    return f"a table with entries such as {', '.join([*_parts(field)[0].model_fields][:3])}"
+    entries = ", ".join([*_parts(field)[0].model_fields][:3])
+    takes_none = any(isinstance(each, BeforeValidator) for each in field.metadata)
+    return f"{'none or ' * takes_none}a table with entries such as {entries}"
 
 
 def _bounds(metadata: Iterable[object]) -> str:
