@@ -152,9 +152,7 @@ def _without_stress(value: object) -> object:
     return None if value == "none" else value
 
 
-OR_NONE = BeforeValidator(
-    _without_stress, json_schema_input_type=Stress | Literal["none"] | None
-)
+OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
 """Mark of a table that the text none leaves out, such as ``--set stress=none``."""
 
 

@@ -219,5 +219,5 @@ def test_the_text_none_leaves_stress_out(tmp_path):
     text = scene_text("molar")
     file.write_text(f'stress = "none"\n{text[: text.index("[stress]")]}')
     assert load_scene(file).stress is None
-    with pytest.raises(InputError, match="stress must be none or a table with .*, got off"):
+    with pytest.raises(InputError, match=r"stress must be none or a table with .*, got off"):
         load_scene("molar", {"stress": "off"})
