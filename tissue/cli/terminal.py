@@ -12,6 +12,7 @@ from meshes.base.text_tables import visible, whole_number_in
 __all__ = [
     "ADDRESS",
     "Flag",
+    "Formats",
     "MaybeWhole",
     "MemoryGB",
     "Overrides",
@@ -51,6 +52,7 @@ def whole(_: object, tokens: Sequence[Token]) -> int:
 
 Flag = Annotated[bool, Parameter(negative="")]
 Texts = Annotated[tuple[str, ...], Parameter(negative="")]
+Formats = Annotated[tuple[str, ...], Parameter(name="--format", negative="")]
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
