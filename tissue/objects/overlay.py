@@ -85,12 +85,16 @@ class Loads:
 def chosen_over(curves: Sequence[Curve]) -> Over:
     """Return depth if all tools mainly advance along their axis, else time.
 
-    Samples of a band that are runs of their own differ in depth at a time. Their bands are over
-    time.
+    Bands whose samples are runs are drawn over time.
     """
-    if any(each.band is not None and "span" in each.band.summary for each in curves):
+    if any(map(_is_rerun, curves)):
         return "time"
     return "depth" if all(_mainly_descends(each.trace) for each in curves) else "time"
+
+
+def _is_rerun(curve: Curve) -> bool:
+    """Return whether the samples of a band are runs, which differ in depth at a time."""
+    return curve.band is not None and "span" in curve.band.summary
 
 
 def _mainly_descends(trace: "Table") -> bool:
@@ -168,7 +172,7 @@ def _draw(
             # Thin edges tell bands apart that cover each other.
             axes.plot(rows, np.column_stack(ends), color=colour, alpha=0.7, linewidth=0.6)
         elif curve.band is not None:
-            label += " (no band: the tool turns)"
+            label += " (band not drawn)"
         look = {"color": colour, "linewidth": widths[number], "label": label}
         axes.plot(load.place, scale * load.values[:, at], **look)
     axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
@@ -200,7 +204,8 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
     across_x, across_y, thrust = turns.inv().apply(force).T
     about = turns.inv().apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
     values = np.column_stack([thrust, across_x, across_y, about])
-    low, high = _band_ends(curve.band, turns.as_matrix(), rows, about_axis=about_axis)
+    band = None if over == "depth" and _is_rerun(curve) else curve.band
+    low, high = _band_ends(band, turns.as_matrix(), rows, about_axis=about_axis)
     return Loads(place, values, low, high, force)
 
 

@@ -121,6 +121,16 @@ def test_band_ends_are_quantiles_in_the_frame_of_the_tool():
     assert _band_ends(band, oblique, slice(None), about_axis=True) == (None, None)
 
 
+def test_a_band_of_other_depths_is_drawn_over_time_alone():
+    trace = pressing(3.0, speed_mm_s=4.0)
+    quantiles = np.zeros((5, len(trace.rows), 8))
+    band = SimpleNamespace(quantiles=quantiles, summary={"span": {}})
+    curve = Curve("held", trace, band)
+    assert chosen_over([curve]) == "time"
+    assert legend(overlay([curve])) == ["held"]
+    assert legend(overlay([curve], over="depth")) == ["held (band not drawn)"]
+
+
 def legend(panels):
     """Return the texts of the legend of a figure."""
     return [text.get_text() for text in panels[0].figure.legends[0].get_texts()]
