@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 __all__ = ["closest", "did_you_mean", "nearest"]
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jkn]|nm|mm2|mm3")
-"""Unit in a name, which says nothing about the meaning of the name."""
+"""Unit in a name, which does not add to the meaning of the name."""
 SAME_MEANING = tuple(
     frozenset(words.split())
     for words in (

@@ -195,7 +195,7 @@ class Comparison:
         found = {"run": np.repeat(list(self.runs), counts)}
         for key, values in self.scene_differences.items():
             are_numbers = all(isinstance(value, int | float) for value in values)
-            cells = list(values) if are_numbers else [_short(value) for value in values]
+            cells = np.array(values if are_numbers else [_short(value) for value in values])
             found[key.replace(".", "_")] = np.repeat(cells, counts)
         for name in dict.fromkeys(name for run in self.runs.values() for name in run.trace):
             gap = NO_LAYER if name == "layer" else np.nan

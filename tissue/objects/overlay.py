@@ -169,7 +169,7 @@ def _draw(
             ends = scale * load.low[:, at], scale * load.high[:, at]
             rows = load.place[: len(load.low)]
             axes.fill_between(rows, *ends, color=colour, alpha=0.12, linewidth=0.0)
-            # Thin edges tell bands apart that cover each other.
+            # Thin edges distinguish bands that cover each other.
             axes.plot(rows, np.column_stack(ends), color=colour, alpha=0.7, linewidth=0.6)
         elif curve.band is not None:
             label += " (band not drawn)"

@@ -314,8 +314,14 @@ def sweep(
     # Runs side by side already use all cores.
     if cores is None and workers > 1:
         cores = 1
-    settings = {"compute": compute, "cores": cores, "allow_unstable": allow_unstable}
-    run = partial(_run, pictures=drawn, band=band, **settings)
+    run = partial(
+        _run,
+        pictures=drawn,
+        band=band,
+        compute=compute,
+        cores=cores,
+        allow_unstable=allow_unstable,
+    )
     with OwnedFolder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
         left = _unfinished(runs, out, band=band, overwrite=overwrite)
         _record([each for each, _ in left], out)

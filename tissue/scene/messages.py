@@ -90,7 +90,7 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
     """
     if _holders(names, table, model):
         return _of_another_kind(names, names, table, model)
-    keys = dict(_keys(table, model, own=names[:-1]))
+    keys = dict(_keys(table, model, present=names[:-1]))
     meant = _meant(names, keys)
     if meant and not keys.get(meant[0], True):
         return _of_another_kind(names, meant[0], table, model)
@@ -132,11 +132,11 @@ def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
 
 
 def _keys(
-    table: Table, model: type[BaseModel], inside: Key = (), *, own: Key = ()
+    table: Table, model: type[BaseModel], inside: Key = (), *, present: Key = ()
 ) -> Iterator[tuple[Key, bool]]:
     """Yield the full names of keys with a value, and whether the chosen tables have them.
 
-    Keys of other kinds are those of the table `own`, and those of a motion, which any scene can
+    Keys of other kinds are those of the table `present`, and those of a motion, which any scene can
     have.
     """
     for name, field in model.model_fields.items():
@@ -146,9 +146,9 @@ def _keys(
             yield full, True
             continue
         chosen = _model_at((name,), table, model)
-        yield from _keys(_inner(table, name), chosen, full, own=own)
+        yield from _keys(_inner(table, name), chosen, full, present=present)
         for part in parts:
-            if full == own or hasattr(part, "drive"):
+            if full == present or hasattr(part, "drive"):
                 new = part.model_fields.keys() - chosen.model_fields.keys()
                 yield from (((*full, key), False) for key in part.model_fields if key in new)
 

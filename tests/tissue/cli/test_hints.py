@@ -46,9 +46,9 @@ def test_keys_are_suggested_by_meaning(scene, key, meant):
     "key", ["motion.feed_mm_s", "motion.feed", "feed_mm_s", "motion.speed_mm_s"]
 )
 def test_a_feed_is_no_key_of_a_scene_that_is_driven_by_thrust(key):
-    said = refusal("pedicle", key)
-    assert "set motion.thrust_N, which drives this scene, or set motion.kind = path" in said
-    assert "max_feed_mm_s" not in said
+    message = refusal("pedicle", key)
+    assert "set motion.thrust_N, which drives this scene, or set motion.kind = path" in message
+    assert "max_feed_mm_s" not in message
     assert "set motion.feed_mm_s, which drives this scene" in refusal("glenoid", "motion.force_N")
 
 
@@ -98,5 +98,5 @@ def test_attributes_that_texts_name_exist():
 
 @pytest.mark.parametrize("words", [("calibrate", "--ask", "--device"), ("devices", "--test")])
 def test_commands_name_their_option_of_a_device_address(refused, words):
-    said = refused(*words, "haply", "--address", "COM3")
-    assert said.startswith("--address must be ws://HOST:PORT")
+    message = refused(*words, "haply", "--address", "COM3")
+    assert message.startswith("--address must be ws://HOST:PORT")

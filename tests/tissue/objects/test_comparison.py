@@ -105,7 +105,7 @@ def test_a_tool_that_slides_is_drawn_over_time():
 
 
 def test_band_ends_are_quantiles_in_the_frame_of_the_tool():
-    """The ends of a tool that points another way are those of its own components."""
+    """The ends of a rotated tool are those of its components, not of the world's."""
     rng = np.random.default_rng(3)
     force, torque = rng.normal((1.0, -2.0, 3.0), size=(2, 400, 1, 3))
     sizes = [np.linalg.norm(each, axis=2, keepdims=True) for each in (force, torque)]
@@ -113,8 +113,8 @@ def test_band_ends_are_quantiles_in_the_frame_of_the_tool():
     band = SimpleNamespace(quantiles=np.quantile(loads, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0))
     turn = Rotation.from_euler("xz", [90.0, 90.0], degrees=True)
     low, high = _band_ends(band, turn.as_matrix()[None], slice(None), about_axis=True)
-    own = turn.inv().apply(force[:, 0])
-    expected = [own[:, 2], own[:, 0], own[:, 1], turn.inv().apply(torque[:, 0])[:, 2]]
+    local = turn.inv().apply(force[:, 0])
+    expected = [local[:, 2], local[:, 0], local[:, 1], turn.inv().apply(torque[:, 0])[:, 2]]
     np.testing.assert_allclose(low[0], np.quantile(expected, 0.05, axis=1))
     np.testing.assert_allclose(high[0], np.quantile(expected, 0.95, axis=1))
     oblique = Rotation.from_euler("x", 20.0, degrees=True).as_matrix()[None]
