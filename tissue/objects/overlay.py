@@ -25,7 +25,7 @@ __all__ = ["Curve", "Over", "chosen_over", "overlay"]
 
 Over = Literal["time", "depth"]
 MOST_NAMED = 12
-"""Largest number of curves that a legend names: four lines above the panels."""
+"""Largest number of runs that a legend names: four lines above the panels."""
 LONG = 28
 """Number of letters of a name above which a line of the legend holds only two names."""
 SMALL = 0.05
@@ -179,14 +179,22 @@ def _draw(
 
 
 def _legend(panels: NDArray[np.object_], curves: Sequence[Curve]) -> None:
-    """Put the names of the runs above all panels, unless they are too many."""
-    if len(curves) > MOST_NAMED:
-        return
+    """Put the names of the runs above all panels, evenly spaced ones if they are too many."""
     handles, labels = panels[0].get_legend_handles_labels()
+    every = -(-len(curves) // MOST_NAMED)
+    title = []
+    if every > 1:
+        title.append(f"1 run in {every} is named")
+    if any(each.band is not None for each in curves):
+        title.append("bands: 90 %")
     columns = 3 if max(map(len, labels)) < LONG else 2
-    title = "bands: 90 %" if any(each.band is not None for each in curves) else None
     legend = panels[0].figure.legend(
-        handles, labels, loc="outside upper left", ncols=columns, title=title, alignment="left"
+        handles[::every],
+        labels[::every],
+        loc="outside upper left",
+        ncols=columns,
+        title="; ".join(title),
+        alignment="left",
     )
     for text in legend.get_texts():
         text.set_parse_math(False)

@@ -135,7 +135,7 @@ def draw_ct_slices(
     looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
     looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
     # inches: three near square panels, and the legend below
-    chart, panels = panelled(title, (9.0, 3.9), 1, 3)
+    chart, panels = panelled(title, (9.0, 3.9), 1, 3, layout="compressed")
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         plane = [u, v]
         ends = np.stack([origin - 0.5 * spacing, origin + spacing * (shape - 0.5)])[:, plane]
