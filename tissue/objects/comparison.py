@@ -393,9 +393,13 @@ def _each(names: Iterable[str], values: Iterable[object]) -> str:
 
 def _stated(key: str, value: object, keys: Iterable[str]) -> str:
     """Return a key and its value in words, such as ``thrust 20 N``."""
-    last = key.rpartition(".")[2]
+    table, _, last = key.rpartition(".")
     is_unique = sum(other.rpartition(".")[2] == last for other in keys) == 1
-    words, unit = field_label(last if is_unique else key.replace(".", "_"))
+    # A kind is named by its table, such as device touch.
+    short = table if last == "kind" else last
+    words, unit = field_label(short if is_unique else key.replace(".", "_"))
+    if value is None:
+        return f"no {words}"
     shown = f"{value:g}" if isinstance(value, float) else _short(value)
     return " ".join(filter(None, (words, shown, unit)))
 

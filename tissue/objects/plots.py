@@ -152,9 +152,12 @@ def plot_figures(
     for axes, name in zip(panels, names, strict=True):
         for number, (label, runs) in enumerate(lines.items()):
             points = [(_place_of(value), found[name]) for value, found in runs if name in found]
-            if not any(isinstance(place, str) for place, _ in points):
+            look: dict[str, Any] = {"marker": "o", "markersize": 3.5}
+            look["color"] = COLOURS[number % len(COLOURS)]
+            if any(isinstance(place, str) for place, _ in points):
+                look["linestyle"] = ""  # there is nothing between two names
+            else:
                 points.sort()
-            look = {"marker": "o", "markersize": 3.5, "color": COLOURS[number % len(COLOURS)]}
             axes.plot(*zip(*points, strict=True), label=label, **look)
         axes.set_title(field_words(name), loc="left")
         axes.set_xlabel(field_words(over.rpartition(".")[2]), parse_math=False)
@@ -169,7 +172,7 @@ def plot_figures(
     if title:
         entries = panels[0].get_legend_handles_labels()
         title = field_words(title.rpartition(".")[2])
-        chart.legend(*entries, loc="outside upper left", ncols=6, title=title)
+        chart.legend(*entries, loc="outside upper left", ncols=6, title=title, alignment="left")
     return np.asarray(panels)
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import tissue
 from tissue import InputError
-from tissue.objects.comparison import _notes
+from tissue.objects.comparison import _notes, _stated
 from tissue.objects.overlay import Curve, _band_ends, chosen_over, overlay
 from tissue.simulation.trace import Table, TraceLayout
 
@@ -143,6 +143,13 @@ def test_the_legend_states_what_differs(run, other):
         "spacing 0.5 mm, feed 9 mm/s",
     ]
     assert legend(tissue.compare(run, other, names=("a", "b")).plot()) == ["a", "b"]
+
+
+def test_keys_are_stated_in_words():
+    keys = ("device.kind", "tool.spin_rpm", "anatomy.length_mm", "tool.length_mm")
+    values = ("omni", 800.0, 2.0, None)
+    stated = [_stated(key, value, keys) for key, value in zip(keys, values, strict=True)]
+    assert stated == ["device omni", "spin 800 rpm", "anatomy length 2 mm", "no tool length"]
 
 
 def test_figures_that_are_equal_are_named_in_one_line(run, back):
