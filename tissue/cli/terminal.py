@@ -71,5 +71,6 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
-            got = "it" if value is True else value
+            given = ", ".join(map(str, value)) if isinstance(value, tuple) else value
+            got = "it" if value is True else given
             raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", got, remedy)

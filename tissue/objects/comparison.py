@@ -161,7 +161,12 @@ class Comparison:
         from tissue.objects.overlay import Curve, overlay
 
         curves = [
-            Curve(label, run.trace, run.band() if "band" in run.summary else None)
+            Curve(
+                label,
+                run.trace,
+                run.band() if "band" in run.summary else None,
+                is_path_given=run.scene.device is None and run.scene.motion.kind != "thrust",
+            )
             for label, run in zip(self._labels(), self.runs.values(), strict=True)
         ]
         cuts = all(isinstance(run.scene.tool, Tool) for run in self.runs.values())

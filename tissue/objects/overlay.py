@@ -52,11 +52,15 @@ class Curve:
         Trace of the run.
     band
         Band of the run; None draws none.
+    is_path_given
+        Whether the tool follows a given path, so that all samples of a band have one depth at a
+        time.
     """
 
     label: str
     trace: "Table"
     band: "Band | None" = None
+    is_path_given: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +89,11 @@ class Loads:
 def chosen_over(curves: Sequence[Curve]) -> Over:
     """Return depth if all tools mainly advance along their axis, else time.
 
-    Bands whose samples are runs are drawn over time.
+    Bands of tools that do not follow a given path are drawn over time.
     """
-    if any(map(_is_rerun, curves)):
+    if any(each.band is not None and not each.is_path_given for each in curves):
         return "time"
     return "depth" if all(_mainly_descends(each.trace) for each in curves) else "time"
-
-
-def _is_rerun(curve: Curve) -> bool:
-    """Return whether the samples of a band are runs, which differ in depth at a time."""
-    return curve.band is not None and "span" in curve.band.summary
 
 
 def _mainly_descends(trace: "Table") -> bool:
@@ -212,7 +211,7 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
     across_x, across_y, thrust = turns.inv().apply(force).T
     about = turns.inv().apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
     values = np.column_stack([thrust, across_x, across_y, about])
-    band = None if over == "depth" and _is_rerun(curve) else curve.band
+    band = curve.band if over == "time" or curve.is_path_given else None
     low, high = _band_ends(band, turns.as_matrix(), rows, about_axis=about_axis)
     return Loads(place, values, low, high, force)
 

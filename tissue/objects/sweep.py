@@ -304,7 +304,8 @@ def sweep(
     """
     out = Path(out)
     formats = tuple(formats)
-    drawn = split_formats(formats)[0][0] if pictures else False
+    kinds, _ = split_formats(formats)
+    drawn = kinds[0] if pictures else False
     if band is not None:
         from tissue.fitting.bands.sample import rounded
 

@@ -124,8 +124,9 @@ def test_band_ends_are_quantiles_in_the_frame_of_the_tool():
 def test_a_band_of_other_depths_is_drawn_over_time_alone():
     trace = pressing(3.0, speed_mm_s=4.0)
     quantiles = np.zeros((5, len(trace.rows), 8))
-    band = SimpleNamespace(quantiles=quantiles, summary={"span": {}})
-    curve = Curve("held", trace, band)
+    band = SimpleNamespace(quantiles=quantiles)
+    assert chosen_over([Curve("path", trace, band)]) == "depth"
+    curve = Curve("held", trace, band, is_path_given=False)
     assert chosen_over([curve]) == "time"
     assert legend(overlay([curve])) == ["held"]
     assert legend(overlay([curve], over="depth")) == ["held (band not drawn)"]

@@ -146,7 +146,8 @@ def test_formats_of_pictures_and_of_the_traces(pressed, out):
         assert table["run"].tolist() == [each.name for each in found.runs for _ in range(50)]
         assert set(table["seed"]) == {1.0, 2.0}
     with pytest.raises(InputError, match=r"format must be one of png, .*, got docx"):
-        tissue.sweep(pressed, {"seed": [1, 2]}, out=out, formats=("docx",))
+        tissue.sweep(pressed, {"seed": [1, 2]}, out=out / "other", formats=("docx",))
+    assert not (out / "other").exists()
 
 
 def test_the_machine_is_no_figure_of_a_sweep(pressed, out):
