@@ -134,6 +134,14 @@ class GlenoidAnatomy(Glenoid, Drilled):
     """Radius of the sphere that shapes the concave face; more than half the height of the face."""
     subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
     """Mean thickness of the subchondral plate."""
+    subchondral_density_kg_m3: float = Field(1300.0, ge=200, le=2200)
+    """Apparent density of the subchondral plate."""
+    trabecular_density_below_plate_kg_m3: float = Field(450.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone at the plate; it changes to the density of the vault
+    over 5 mm.
+    """
+    trabecular_density_kg_m3: float = Field(300.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone in the vault."""
 
 
 class GlenoidSurface(Glenoid, SurfaceAnatomy):
@@ -346,6 +354,12 @@ class VertebraAnatomy(Drilled):
     """Angle of the pedicle's axis towards the midline, from back to front."""
     pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
     """Thickness of the cortex of pedicle and arch."""
+    trabecular_density_kg_m3: float = Field(180.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone in the body."""
+    pedicle_density_kg_m3: float = Field(280.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone in pedicle and arch."""
+    cortical_density_kg_m3: float = Field(1800.0, ge=200, le=2200)
+    """Apparent density of the cortex."""
 
 
 class WallAnatomy(Part):

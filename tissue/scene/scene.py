@@ -11,7 +11,7 @@ from functools import partial
 from html import escape
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, model_validator
 
 from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
@@ -147,6 +147,15 @@ class Stress(Part):
     """Time between two solves. The stress belongs to a state at most this old."""
 
 
+def _without_stress(value: object) -> object:
+    """Return None for the text that leaves a table out."""
+    return None if value == "none" else value
+
+
+OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
+"""Mark of a table that the text none leaves out, such as ``--set stress=none``."""
+
+
 def anatomy_parts() -> tuple[type[Part], ...]:
     """Return the tables of all anatomies that are known so far."""
     return tuple(part for kind in ANATOMIES.known for part in ANATOMIES[kind].parameters)
@@ -198,8 +207,10 @@ class Scene(Part):
     """Processing of the force."""
     device: Device | None = None
     """Device with which a hand moves the tool. Without it, the motion moves the tool."""
-    stress: Stress | None = None
-    """Cell size and interval for the displacement and stress of a tooth."""
+    stress: Annotated[Stress | None, OR_NONE] = None
+    """Cell size and interval for the displacement and stress of a tooth. `stress = "none"` computes
+    neither.
+    """
     heat: bool = False
     """Computation of the temperature of bone, or of a tooth and its pulp."""
     organ: Organ = Organ()

@@ -5,7 +5,7 @@ Cutters and probes have the keys that their registries in `tissue.scene.names` l
 
 import math
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Strict, create_model, model_validator
 
@@ -260,6 +260,8 @@ class Motion(Part):
 class PathMotion(Motion):
     """Motion of the tip along straight lines at a given feed; it then stays at the end."""
 
+    drive: ClassVar[str] = "feed_mm_s"
+    """Key that sets how fast the tool moves."""
     kind: Literal["path"] = "path"
     """Motion along a given path."""
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
@@ -276,6 +278,7 @@ class ThrustMotion(Motion):
     The feed follows from the balance with the cutting force.
     """
 
+    drive: ClassVar[str] = "thrust_N"
     kind: Literal["thrust"] = "thrust"
     """Motion under a given thrust."""
     start_mm: Vector = (0.0, 0.0, 0.5)
