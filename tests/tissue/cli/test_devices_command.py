@@ -51,7 +51,7 @@ def test_without_devices_each_kind_has_a_sentence(command, alone):
         "recorded",
     ]
     assert "pip install forcedimension-core" in out and "pip install pyOpenHaptics" in out
-    assert all(": " in line and ", got " in line for line in lines[1:])
+    assert all(". " in line and ", got " in line for line in lines[1:])
 
 
 def test_found_devices_come_first_with_their_limits(command, alone, monkeypatch):

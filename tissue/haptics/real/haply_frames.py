@@ -212,7 +212,7 @@ def problem_of(state: ServiceState) -> str:
     ids = state.device_ids
     if not ids:
         return (
-            "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "
+            "haply must list an Inverse3, got none. Plug it in, switch it on, and look for it in "
             "Haply Hub"
         )
     if name not in ids:
