@@ -49,7 +49,7 @@ def test_a_feed_is_no_key_of_a_scene_that_is_driven_by_thrust(key):
     message = refusal("pedicle", key)
     assert "Set motion.thrust_N, which drives this scene, or set motion.kind = path" in message
     assert "max_feed_mm_s" not in message
-    assert "set motion.feed_mm_s, which drives this scene" in refusal("glenoid", "motion.force_N")
+    assert "Set motion.feed_mm_s, which drives this scene" in refusal("glenoid", "motion.force_N")
 
 
 @pytest.mark.parametrize("key", ["noise", "output.colour", "cutting.energy"])
