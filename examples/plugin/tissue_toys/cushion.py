@@ -38,7 +38,7 @@ class CushionModel(WallModel):
         self.hardening_m = 1e-3 * cushion.hardening_mm
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the response of the linear wall, with a force and stiffness that grow with depth."""
+        """Return the response of a linear wall, with force and stiffness increased with depth."""
         response = super().respond(motion)
         depth_m = 1e-3 * response.measures[0]
         response.wrench *= 1.0 + depth_m / self.hardening_m
