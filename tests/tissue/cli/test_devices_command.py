@@ -183,11 +183,11 @@ def test_the_push_is_made_only_after_the_word_is_typed(
         ),
         (
             ("--test", "recorded"),
-            "hardware.address must name a file of poses with device = recorded, got nothing",
+            "--address must name a file of poses with device = recorded, got nothing",
         ),
         (
             ("--test", "network", "--address", "x"),
-            "hardware.address must be udp://HOST:PORT or ws://HOST:PORT",
+            "--address must be udp://HOST:PORT or ws://HOST:PORT",
         ),
         (
             ("--test", "network", "--out", "no/such/x.toml"),

@@ -217,7 +217,7 @@ def problem_of(state: ServiceState) -> str:
         )
     if name not in ids:
         required = f"name one of the devices {', '.join(ids)} after #"
-        return str(InputError("hardware.address", required, name, f"use #{ids[0]}"))
+        return str(InputError("the address of haply", required, name, f"use #{ids[0]}"))
     for entry, must, remedy in (
         (
             "calibrated",
