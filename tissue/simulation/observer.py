@@ -39,8 +39,8 @@ FULL = 0.9
 Linux stops a real-time thread that takes 95 % of a second for the rest of that second.
 """
 BEHIND = (
-    "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was "
-    "played later than that"
+    "the ticks were {:.3g} s behind the wall clock in all. The schedule was moved by "
+    "this time, so the device received its forces later than the trace states"
 )
 BEHIND_S = 0.01
 """Largest lateness of a tick before the lost time is given up [s].
