@@ -491,7 +491,7 @@ class Loop:
         if parts.volume is None or not isinstance(parts.tissue, HasVoxels):
             raise InputError(
                 "surface",
-                "be asked of a scene with voxels",
+                "belong to a scene with voxels",
                 "a scene without voxels",
                 "use tissue.Bone.surface for the surface of a bone",
             )
