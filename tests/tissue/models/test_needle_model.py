@@ -181,7 +181,7 @@ def test_the_place_on_the_surface_does_not_matter(seed):
 
 def test_a_needle_that_starts_inside_is_refused():
     with pytest.raises(
-        InputError, match=r"tip outside the organ, got it 5 mm inside. Start above the surface"
+        InputError, match=r"tip outside the organ, got a tip 5 mm inside. Start above the surface"
     ):
         NeedleModel(LIVER, diameter_m=NEEDLE_M).place(at(5.0))
 
