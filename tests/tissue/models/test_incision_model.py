@@ -203,7 +203,9 @@ def test_measures_are_those_of_the_cut():
 
 
 def test_a_blade_that_starts_inside_is_refused():
-    with pytest.raises(InputError, match="start with the blade outside the tissue, got a blade 5 mm"):
+    with pytest.raises(
+        InputError, match="start with the blade outside the tissue, got a blade 5 mm"
+    ):
         IncisionModel(SKIN, BLADE).place(at((0, 0, -5)))
 
 
