@@ -1,4 +1,4 @@
-"""Plots of a trace, of several runs over each other, and of figures over a swept value."""
+"""Plots of a trace, of several runs in the same axes, and of figures over a swept value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
@@ -44,8 +44,7 @@ def plot_columns(
     """Draw columns over time, by default force and torque on the tool, and mark events.
 
     Returns
-    -------
-    The panels, shape (panels,), one for each unit.
+    ------- Axes, shape (panels,), one for each unit.
     """
     wanted = chosen_panels(trace, columns)
     if ax is not None and len(wanted) > 1:
@@ -58,7 +57,7 @@ def plot_columns(
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
         labels = [field_label(name)[0] for name in names]
-        # Only the three components of a vector have a size.
+        # Only the three components of a vector have a magnitude.
         if [label[-2:] for label in labels] == [" x", " y", " z"]:
             size = np.linalg.norm([trace[name] for name in names], axis=0)
             axes.fill_between(
@@ -76,12 +75,12 @@ def plot_columns(
 
 
 def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list[str]]:
-    """Return columns by their unit, by default force and torque.
+    """Return the columns to draw, grouped by unit; the default is force and torque.
 
     Raises
     ------
     InputError
-        If there is no such column, or it has no numbers.
+        If a column does not exist, or does not contain numbers.
     """
     asked: Sequence[str] = FORCE_AND_TORQUE
     if columns is not None:
@@ -105,7 +104,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
 
 
 def new_panels(count: int) -> "NDArray[np.object_]":
-    """Return stacked panels in a figure of pyplot, which a notebook shows."""
+    """Return stacked axes in a figure of pyplot, which a notebook shows."""
     from matplotlib import pyplot
 
     _, panels = pyplot.subplots(
@@ -120,28 +119,28 @@ def new_panels(count: int) -> "NDArray[np.object_]":
 
 
 MOST_NAMED = 12
-"""Largest number of curves that a legend names: four lines above the panels."""
+"""Largest number of curves in a legend, which then takes four lines above the panels."""
 LONG = 28
-"""Number of letters of a name above which a line of the legend holds only two names."""
+"""Largest number of letters in a name for which a line of the legend holds more than two names."""
 
 
 @styled
 def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.object_]:
-    """Draw the size of force and torque of all traces, and the difference of their forces.
+    """Draw the magnitudes of force and torque of all traces, and the differences between their
+    forces.
 
-    The difference is between the first trace's force and another trace's force at the same
-    position.
+    The last panel shows the magnitude of the difference between the force of each other trace and
+    the force of the first trace, at the same time or depth.
 
     Parameters
     ----------
     traces
-        Traces by name.
+        Traces, keyed by name.
     over
-        ``time``, or ``depth`` from the first contact in the first descent.
+        ``time``, or ``depth`` below the point of first contact, during the first descent.
 
     Returns
-    -------
-    Three panels.
+    ------- Three axes.
     """
     if over not in ("time", "depth"):
         raise InputError("over", "be time or depth", over, "use one of these")
@@ -157,7 +156,7 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
         if first is None:
             first = place, force
         else:
-            # A difference exists only where both have values.
+            # A difference exists only where both traces have values.
             common = first[0][(first[0] >= place[0]) & (first[0] <= place[-1])]
             apart = _at(common, place, force) - _at(common, *first)
             panels[2].plot(common, np.linalg.norm(apart, axis=1), **look)
@@ -179,7 +178,7 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
 
 
 def _place(trace: "Table", over: str, name: str) -> tuple[slice, Array]:
-    """Return the rows to draw, and their time [s] or depth [mm]."""
+    """Return the rows to draw, and the time [s] or depth [mm] of each row."""
     if over == "time":
         return slice(None), trace["time_s"]
     axis, outward = facing(trace)
@@ -199,7 +198,9 @@ def _at(places: Array, known: Array, vectors: Array) -> Array:
 
 
 def _colour(number: int, count: int) -> object:
-    """Return a colour: distinct for a few curves, along a scale for many."""
+    """Return the colour of a curve: from a list of distinct colours, or from a scale if there are
+    many curves.
+    """
     if count <= len(COLOURS):
         return COLOURS[number]
     from matplotlib import colormaps
@@ -220,23 +221,22 @@ def plot_figures(
     Parameters
     ----------
     lines
-        Value and figures of each run, by the label of its line.
+        Value and figures of each run, keyed by the label of the line.
     names
-        Figures to draw, one in a panel.
+        Names of the figures to draw, one in each panel.
     over
-        Name of the value.
+        Name of the swept value.
     title
         Title of the legend; empty for a single line without a legend.
 
     Returns
-    -------
-    The panels, shape (names,).
+    ------- Axes, shape (names,).
     """
     from matplotlib import pyplot
 
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
-    # Inches for a panel, and for the legend above all.
+    # Heights in inches of a panel, and of the legend above all panels.
     size = 3.2 * columns, 2.4 * rows + 0.3
     chart, grid = pyplot.subplots(rows, columns, squeeze=False, figsize=size, layout="constrained")
     panels, empty = np.split(grid.ravel(), [len(names)])
@@ -261,6 +261,8 @@ def plot_figures(
 
 
 def _place_of(value: Any) -> float | str:
-    """Return a swept value as a place on an axis: a number, or a text for any other value."""
+    """Return the position of a swept value on an axis: a number, or a text if the value is not a
+    number.
+    """
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return value if is_number else str(value)
