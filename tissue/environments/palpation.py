@@ -69,8 +69,8 @@ class Palpation(ContactEnvironment):
     by 30 mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between
     3 mm above and 3 mm below the surface.
 
-    **Observation**, see `entries`: position and velocity of the tip, force and torque on the tip, and
-    remaining time.
+    **Observation**, see `entries`: position and velocity of the tip, force and torque on the
+    tip, and remaining time.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 

@@ -160,7 +160,8 @@ class Run(engine.Run):
             figure.
 
         Returns
-        ------- Axes, shape (panels,). ``run.plot()[0].figure`` is the figure.
+        -------
+        Axes, shape (panels,). ``run.plot()[0].figure`` is the figure.
 
         Raises
         ------
@@ -201,7 +202,8 @@ class Run(engine.Run):
             PNG file to write; an existing one is replaced.
 
         Returns
-        ------- In a notebook, an interactive view. In a script with a display, None, after the
+        -------
+        In a notebook, an interactive view. In a script with a display, None, after the
         window was closed. Otherwise a still picture, which a notebook shows; ``array`` contains its
         pixels.
 
@@ -367,7 +369,8 @@ def report(
         Function that is called with the name of the current work.
 
     Returns
-    ------- Path of the file.
+    -------
+    Path of the file.
 
     Raises
     ------

@@ -242,7 +242,8 @@ def motor_forces(run: CarvedRun, ideal_N: Array | None = None) -> MotorForces:
         Result of `ideal_force_N`. If it is not given, the scene is simulated again.
 
     Returns
-    ------- Mean forces in each tick except the last one; see `MotorForces`.
+    -------
+    Mean forces in each tick except the last one; see `MotorForces`.
 
     Raises
     ------
