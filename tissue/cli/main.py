@@ -115,7 +115,7 @@ def _default(value: object) -> str | None:
 
 app = App(
     name="tissue",
-    version=lambda: tissue.__version__,  # read only when asked for
+    version=lambda: tissue.__version__,  # read only on request
     help="Simulate cutting bone, drilling teeth and pressing soft organs.",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(show_default=_default),

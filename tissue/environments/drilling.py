@@ -86,7 +86,7 @@ class Drilling(ContactEnvironment):
     Parameters
     ----------
     materials
-        File of constants that replace those from the cited sources, in the format that `tissue fit`
+        File of constants that replace the built-in constants, in the format that `tissue fit`
         writes.
     options
         As for `ContactEnvironment`.

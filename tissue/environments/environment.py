@@ -53,7 +53,7 @@ class RestorableBone:
     shell_spacing_m
         Distance between the cutting elements of the cutter [m].
     materials
-        File of constants that replace those from the cited sources; None for the cited sources.
+        File of constants that replace the built-in constants; None for the built-in constants.
 
     Attributes
     ----------

@@ -87,7 +87,7 @@ class Milling(ContactEnvironment):
     patch
         Whether observations include the remaining bone around the burr.
     materials
-        File of constants that replace those from the cited sources, in the format that `tissue fit`
+        File of constants that replace the built-in constants, in the format that `tissue fit`
         writes.
     options
         As for `ContactEnvironment`.

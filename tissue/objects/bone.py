@@ -152,10 +152,10 @@ class Bone:
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         options
-            ``material``: name of the material whose cutting coefficients are used, ``bone`` (from
-            the cited sources) or a registered material. ``cutting``: coefficients that replace
-            these, keyed by their names in a scene. ``materials``: file of constants, in the format
-            that `tissue fit` writes.
+            ``material``: name of the material whose cutting coefficients are used, ``bone`` (built
+            in) or a registered material. ``cutting``: coefficients that replace these, keyed by
+            their names in a scene. ``materials``: file of constants, in the format that `tissue
+            fit` writes.
 
         Raises
         ------

@@ -39,7 +39,7 @@ __all__ = [
 
 
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Return simulated observers of a group, drawn from the distributions in the cited sources.
+    """Return simulated observers of a group, drawn from the distributions in the literature.
 
     A simulated observer is a model of a person's perception. The groups are novice, intermediate
     and expert.

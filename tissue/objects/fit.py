@@ -53,8 +53,8 @@ class Fit:
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.
 
-        The table has the range in the cited sources, the 5, 50 and 95 % quantiles after the fit,
-        and the state of each constant.
+        For each constant, the table has the range before the fit (from the cited source), the 5, 50
+        and 95 % quantiles after the fit, and a state such as whether the data determine it.
         """
         import pandas
 

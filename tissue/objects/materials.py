@@ -1,4 +1,4 @@
-"""Material constants from the cited sources, for users."""
+"""Material constants with their sources, for users."""
 
 from typing import TYPE_CHECKING
 
@@ -73,7 +73,7 @@ class Material(dict[str, Constant]):
 
 
 def material(name: str) -> Material:
-    """Return the constants of a material, from the cited sources or as registered.
+    """Return the constants of a built-in or registered material.
 
     Parameters
     ----------

@@ -287,10 +287,11 @@ class Organ:
         Parameters
         ----------
         modulus_kPa, poisson_ratio, options
-            As for `from_tetrahedra`. The defaults are the values from the cited sources, 5.4 kPa
-            and 0.49.
+            As for `from_tetrahedra`. The defaults are the built-in values from the literature, 5.4
+            kPa and 0.49.
         materials
-            File of constants that replace the cited values, in the format that `tissue fit` writes.
+            File of constants that replace the built-in values, in the format that `tissue fit`
+            writes.
         edge_mm
             Edge length of the tetrahedra [mm].
 

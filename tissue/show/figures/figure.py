@@ -236,7 +236,7 @@ def axis_names(run: "Run") -> tuple[str, ...]:
     named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
     bone = run.scene.bone
     if getattr(bone, "centre_mm", None) is not None or getattr(bone, "along", None) is not None:
-        return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
+        return tuple("xyz")  # the site on a bone need not be its glenoid
     # For bone from a file, the direction of x (forward or backward) depends on the side of the
     # body, which the file does not contain.
     return ("x", *named[1:]) if bone.from_file else named

@@ -54,8 +54,8 @@ class FittedConstant:
     cited, fitted
         Median and ends of the 90 % interval, (low, value, high), before and after the fit.
     fitted_z, cited_z
-        The three fitted values, and the ends of the range in the cited sources, in standard
-        deviations of the prior.
+        The three fitted values, and the ends of the range before the fit, in standard deviations of
+        the prior.
     is_identified
         True if the log narrows the constant.
     """
@@ -238,7 +238,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: str = "log") -> None:
     """Draw the 90 % intervals of constants before and after the fit, with their values.
 
-    The scale is that of the range in the cited sources. `source` is the kind of measurement.
+    The scale is that of the range before the fit. `source` is the kind of measurement.
     """
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):

@@ -151,8 +151,8 @@ def draw_press(
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
-        # a needle is several times as long as an organ is high: its shaft would make the organ
-        # small
+        # a needle is several times as long as an organ is high, so with its shaft the organ would
+        # be small
         if flat and probe.n_points:
             probe = probe.clip(
                 normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2]))

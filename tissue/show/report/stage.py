@@ -114,7 +114,7 @@ def stage(saved: SavedRun) -> Record:
 
 def _ends(points_mm: Array) -> list[list[float]]:
     """Return the lowest and highest corner around points."""
-    # nothing is shown: any box will do
+    # nothing is shown, so any box is valid
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]

@@ -356,7 +356,7 @@ class RunScene:
             points.append(np.asarray(self.series.frames[0].points))
         sizes = [float(np.linalg.norm(np.ptp(each, axis=0))) for each in points]
         self.size_mm = max([*sizes, 0.0 if self.series is None else self.series.size_mm])
-        # enough of many points to find their extent
+        # a subset of many points is enough to find their extent
         some = (each[:: max(len(each) // MOST_POINTS, 1)] for each in points)
         self.tissue_mm: Array = np.vstack([np.zeros((0, 3)), *some])
 

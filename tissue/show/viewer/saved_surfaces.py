@@ -215,7 +215,7 @@ def _over_time(
 
     from tissue.models.bone.carver import CarvingReplay
 
-    # the accelerator of the run may not be in this machine
+    # this machine may not have the accelerator of the run
     device = compute if compute in map(str, wp.get_devices()) else "cpu"
     removal = scene.voxels.removal
     replay = CarvingReplay(volume, cutter_of(scene.tool), poses, removal=removal, device=device)

@@ -155,8 +155,7 @@ class SiteWindow:
         middle = 1e3 * self._surface.vertices_m.mean(axis=0)
         if self.normal is not None:
             aside = np.cross(self.normal, [0.0, 0.0, 1.0])
-            # the normal points to the head or the feet: there is no direction at right angles to
-            # both
+            # the normal points to the head or the feet, so no direction is perpendicular to both
             aside = aside if np.linalg.norm(aside) > 0.1 else np.array([1.0, 0.0, 0.0])
             towards = self.normal + ASIDE * aside / np.linalg.norm(aside)
         towards = towards / np.linalg.norm(towards)

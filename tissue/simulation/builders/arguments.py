@@ -97,7 +97,7 @@ def given_note(
 ) -> dict[str, str]:
     """Return the note ``materials``, which lists the given constants that `by` uses.
 
-    There is no note if no constants were given; all constants are then from the cited sources.
+    There is no note if no constants were given; all constants are then the built-in ones.
 
     Raises
     ------

@@ -273,7 +273,7 @@ class VoxelBone:
     Attributes
     ----------
     store
-        The bricks.
+        Store of the bricks.
     coefficients
         Cutting coefficients of each layer.
     left_at

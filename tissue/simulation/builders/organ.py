@@ -187,7 +187,7 @@ def material_of(
 ) -> tuple[SoftMaterial, dict[str, str]]:
     """Return the material of a scene's organ, and notes keyed by subject.
 
-    Constants that the scene does not give come from the cited sources.
+    For constants that the scene does not give, the built-in values are used.
 
     Raises
     ------
@@ -402,7 +402,7 @@ def hindrance(organ: Organ) -> str | None:
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ with the rate of its exponential law, from the scene or the cited sources."""
+    """Return an organ with the rate of its exponential law, from the scene or built in."""
     if organ.law != "exponential" or organ.exponential_rate is not None:
         return organ
     cited = constants.constants("soft", organ.material).get("exponential_rate")

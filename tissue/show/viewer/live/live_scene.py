@@ -488,8 +488,8 @@ class Pointer(Target):
         interactor.AddObserver("MouseMoveEvent", self._moved)
         interactor.AddObserver("LeaveEvent", self._left)
         interactor.AddObserver("KeyPressEvent", self._pressed)
-        # An event that the style is asked for by name is not its own any more: neither zoom nor
-        # shortcuts remain.
+        # If an observer is added for an event of the style, the style no longer handles the event.
+        # Zoom and shortcuts are thus switched off.
         style.AddObserver("MouseWheelForwardEvent", lambda *_: self.along(-NOTCH_MM))
         style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
         style.AddObserver("CharEvent", lambda *_: None)

@@ -283,7 +283,7 @@ class PageServer:
                     session.take(do, values)
                 await asyncio.sleep(pace.wait_s(loop.time()))
                 if request.transport is None or request.transport.is_closing():
-                    break  # the page is gone, and what it has sent before counts no more
+                    break  # the page is gone, and its earlier messages are ignored
         except MessageError as error:
             await _close(socket, request.transport, WSCloseCode.POLICY_VIOLATION, str(error))
         finally:

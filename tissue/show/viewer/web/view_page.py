@@ -23,7 +23,7 @@ from tissue.simulation.run_folder import SavedRun
 __all__ = ["ViewPage"]
 
 SIZE = (960, 720)
-"""Size until the page reports its own size [pixel]."""
+"""Size of the picture until the page reports its own size [pixels]."""
 MARGINS = (0.05, 0.82, 0.06, 0.94)
 """Left, right, lower and upper end of the area for the scene, relative to the picture.
 
@@ -116,7 +116,7 @@ class ViewPage:
             self._changed()
         elif do == "layer" and values["name"] in self._legend:
             self._hide(self.hidden ^ {str(values["name"])})
-            # a hidden layer is noticed by the colours of layers, not by those of depth
+            # a hidden layer is visible in the colours of layers, not in those of depth
             self.chosen = self._choose(LAYER if self.chosen == DEPTH else self.chosen)
             self._changed()
         elif do == "end":
