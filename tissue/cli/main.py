@@ -110,7 +110,7 @@ def leave_pipe() -> NoReturn:
 
 def _default(value: object) -> str | None:
     """Return the default that the help shows; None if there is no default or a switch is off."""
-    return None if value is None or value is False or value == () else str(value)
+    return None if value is None or value is False or value in ((), "") else str(value)
 
 
 app = App(

@@ -25,13 +25,13 @@ from tissue.scene.load import scene_names
             "scene must be a built-in name (caries, glenoid, incision, liver-press, milling, molar, "
             "needle, palpation, pedicle, wall) or a TOML file, got gleniod (did "
             "you mean "
-            "glenoid?): list them with `tissue scenes`",
+            "glenoid?). List them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
             "scene must be a built-in name (caries, glenoid, incision, liver-press, milling, molar, "
             "needle, palpation, pedicle, wall) or a TOML file, got mill (did you mean "
-            "milling?): list them with `tissue scenes`",
+            "milling?). List them with `tissue scenes`",
         ),
         (
             ("run", "x.toml"),
@@ -129,7 +129,8 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
     monkeypatch.setitem(sys.modules, writer, None)
     assert refused("run", "milling", "--format", kind) == (
-        f"format {kind} must have its writer installed, got no {writer}: {install_command(kind)}"
+        f"format {kind} must have its writer installed, got no {writer}. "
+        f"Run {install_command(kind)}"
     )
     assert install_command(kind).startswith(f'pip install "{writer}>=')
 
