@@ -34,7 +34,7 @@ Speeds are averaged because encoder positions change in steps. One step of a Tou
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Force rendering, from the positions of device and tool to the played force.
+    """Force rendering: stages from the positions of device and tool to the played force.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class HandMotion(Motion):
     limits
         Largest force and torque of the device, and their largest rates of change.
     rendering
-        Force rendering, from the positions of device and tool to the played force.
+        Stages from the positions of device and tool to the played force.
     script
         Scripted motion, and how far the hand departs from it.
     """
