@@ -152,7 +152,12 @@ def __getattr__(name: str) -> Any:
         return import_module(_MODULES[name])
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'tissue' has no attribute {name!r}")
+    hint = ""
+    if not name.startswith("_"):  # Python itself asks for such names
+        from meshes.base.hints import nearest
+
+        hint = nearest(name, __all__)
+    raise AttributeError(f"module 'tissue' has no attribute {name!r}{hint}")
 
 
 def __dir__() -> list[str]:

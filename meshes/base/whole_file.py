@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
@@ -76,6 +75,9 @@ def whole_file(path: Path) -> Iterator[Path]:
 @cache
 def package_version() -> str:
     """Return the version of this library, which its files carry."""
+    # not loaded for `tissue --help`, of which it would take a tenth
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version("tissue-sim")
     except PackageNotFoundError:

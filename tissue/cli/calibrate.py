@@ -4,8 +4,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshes.base.errors import InputError
-from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
+from meshes.base.errors import InputError, names_of_caller
+from tissue.cli.terminal import ADDRESS, Flag, MaybeWhole, Whole, console, left_out, problems
 from tissue.system.owned_folder import OutputLock
 from tissue.system.stopping import Terminated
 
@@ -103,7 +103,8 @@ def calibrate(
     target = out or Path("observer.json")
     name = observer or f"person on {device}"
     asking = questioner(observer, device, address=address or "", read=input, show=console.print)
-    with OutputLock(target, folder=False), asking as (answer, limit_N):
+    naming = names_of_caller(ADDRESS)
+    with naming, OutputLock(target, folder=False), asking as (answer, limit_N):
         plan = Plan(
             seed=seed,
             trials=TRIALS if trials is None else trials,

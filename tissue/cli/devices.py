@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissue.cli.terminal import Flag, console, left_out, problems
+from meshes.base.errors import names_of_caller
+from tissue.cli.terminal import ADDRESS, Flag, console, left_out, problems
 
 if TYPE_CHECKING:
     from tissue.haptics.real.adapter import FoundDevice
@@ -105,7 +106,7 @@ def _test(
         raise unknown_name("--test", known, name)
     if out is not None:
         require_new_file(out, overwrite=overwrite)
-    with adapter_class(name)(Hardware(address=address)) as adapter:
+    with names_of_caller(ADDRESS), adapter_class(name)(Hardware(address=address)) as adapter:
         with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
             measured = self_test(adapter, seconds=seconds)
         console.print(*_lines(measured), sep="\n")

@@ -5,13 +5,14 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from cyclopts import (
     App,
+    Argument,
     CoercionError,
     CycloptsError,
     MissingArgumentError,
@@ -285,7 +286,7 @@ def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
 
 def _usage(error: CycloptsError) -> str:
     """Return one sentence for a command line that cannot be parsed."""
-    from meshes.base.text_tables import nearest
+    from meshes.base.hints import nearest
 
     command = " ".join(["tissue", *(error.command_chain or ())])
     match error:
@@ -295,10 +296,9 @@ def _usage(error: CycloptsError) -> str:
             command = "tissue"
         case UnknownOptionError(token=token, argument_collection=arguments):
             word = (token.keyword or token.value).split("=")[0]
-            known = [
-                name for argument in arguments for name in argument.names if name.startswith("-")
-            ]
-            what = f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}"
+            known = _options(arguments)
+            hint = nearest(word, known) or _other_use(word, known)
+            what = f"option must be one of {', '.join(known)}, got {word}{hint}"
         case MissingArgumentError(argument=argument) if argument is not None:
             name = argument.name if argument.name.startswith("-") else argument.name.lower()
             what = f"{name} must be given, got nothing"
@@ -310,3 +310,21 @@ def _usage(error: CycloptsError) -> str:
         case _:
             what = " ".join(str(error).split()).rstrip(".")
     return f"{what}. See `{command} --help`"
+
+
+def _options(arguments: Iterable[Argument]) -> list[str]:
+    """Return the names of the options among a command's arguments."""
+    return [name for each in arguments for name in each.names if name.startswith("-")]
+
+
+def _other_use(word: str, known: list[str]) -> str:
+    """Return where an unknown option exists, or how to set a key of the scene; else no text."""
+    commands = [name for name in app if not name.startswith("-") and app[name].default_command]
+    holders = [
+        f"`tissue {name}`"
+        for name in commands
+        if word in _options(app[name].assemble_argument_collection())
+    ]
+    if holders:
+        return f" (an option of {', '.join(holders)})"
+    return " (keys of the scene are set by --set KEY=VALUE)" if "--set" in known else ""

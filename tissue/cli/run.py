@@ -5,13 +5,14 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
 from tissue.cli.terminal import (
     Flag,
+    Formats,
     MaybeWhole,
     MemoryGB,
     Overrides,
@@ -180,7 +181,7 @@ class FileOptions:
     """
 
     out: Path | None = None
-    format_: Annotated[Texts, Parameter(name="--format", negative="")] = ()
+    format_: Formats = ()
     pictures: str = "png"
     no_pictures: Flag = False
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
-from tissue.cli.terminal import Flag, Texts, console, left_out
+from tissue.cli.terminal import Flag, Formats, Texts, console, left_out
 from tissue.system.progress import progress
 
 __all__ = ["assess", "compare", "report", "view"]
@@ -79,7 +79,8 @@ def assess(
 def compare(
     *folders: Path,
     out: Path | None = None,
-    over: Literal["time", "depth"] = "time",
+    over: Literal["time", "depth"] | None = None,
+    format_: Formats = (),
     overwrite: Flag = False,
 ) -> None:
     """Compare runs with the first of them: their scenes, figures and forces.
@@ -91,13 +92,17 @@ def compare(
     out
         Folder for the picture and the table; without it they are only printed.
     over
-        Abscissa of the picture: time, or depth of the tool's tip from its first contact.
+        Abscissa of the picture: time, or depth of the tool's tip from its first contact; default
+        depth if the tools mainly advance along their axes.
+    format_
+        Format of the picture, png, svg or pdf, or of one table with the traces of all runs,
+        parquet, npz, mat or h5; may be repeated.
     overwrite
         Replace the comparison that the folder already holds.
     """
     from rich.table import Table
 
-    from tissue.objects.comparison import FILES, KIND
+    from tissue.objects.comparison import FILES, KIND, split_formats
     from tissue.objects.comparison import compare as compared
     from tissue.system.owned_folder import require_folder
 
@@ -106,8 +111,10 @@ def compare(
         left_out(
             "without --out, for nothing is drawn",
             "remove it",
-            over=over if over != "time" else None,
+            over=over,
+            format=format_,
         )
+    split_formats(format_)
     if out is not None:
         require_folder(out, KIND, FILES, overwrite=overwrite)
     found = compared(*folders)
@@ -117,10 +124,11 @@ def compare(
         table.add_column(title, justify="right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    console.print(table)
+    if rows:
+        console.print(table)
     console.print(*found.lines(), sep="\n")
     if out is not None:
-        written = found.save(out, over=over, overwrite=overwrite)
+        written = found.save(out, over=over, formats=format_, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}")
 
 

@@ -10,7 +10,9 @@ from meshes.base.errors import PRESENT, InputError
 from meshes.base.text_tables import visible, whole_number_in
 
 __all__ = [
+    "ADDRESS",
     "Flag",
+    "Formats",
     "MaybeWhole",
     "MemoryGB",
     "Overrides",
@@ -50,9 +52,12 @@ def whole(_: object, tokens: Sequence[Token]) -> int:
 
 Flag = Annotated[bool, Parameter(negative="")]
 Texts = Annotated[tuple[str, ...], Parameter(negative="")]
+Formats = Annotated[tuple[str, ...], Parameter(name="--format", negative="")]
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
+ADDRESS = {"hardware.address": "--address"}
+"""Option of a command in place of the key of a scene."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 
@@ -66,5 +71,6 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
-            got = PRESENT if value is True else value
+            given = ", ".join(map(str, value)) if isinstance(value, tuple) else value
+            got = PRESENT if value is True else given
             raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", got, remedy)

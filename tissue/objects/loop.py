@@ -204,7 +204,7 @@ class Loop:
         model = self._loop.parts.tissue
         milling = model.milling if isinstance(model, ToothModel) else model
         self._limits = milling.limits if isinstance(milling, BoneModel) else None
-        self._row = TickRow(self._loop.trace.columns)
+        self._row = TickRow(self._loop.trace.columns, self._loop.trace.layer_names)
         self._row.values_of_tick = self._loop.trace.rows[0]
 
     def _scene_loop(self, scene: Scene, extent: Extent, cores: int | None) -> engine.Loop:

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
-from meshes.base.text_tables import nearest
+from meshes.base.hints import nearest
 from tissue.materials.constants import Constant, constants, listed
 from tissue.objects.html import table_html
 from tissue.objects.trace import needed

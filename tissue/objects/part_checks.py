@@ -8,7 +8,8 @@ from itertools import chain
 from typing import Any
 
 from meshes.base.errors import InputError
-from meshes.base.text_tables import nearest, shown
+from meshes.base.hints import nearest
+from meshes.base.text_tables import shown
 from tissue.scene.registry import CUTTERS, TABLES
 
 __all__ = [

@@ -14,7 +14,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.text_tables import DEEPEST, nearest, read_text, read_toml, require_shallow, shown
+from meshes.base.hints import nearest
+from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.part import is_file_key

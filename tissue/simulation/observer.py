@@ -15,6 +15,7 @@ from meshes.base.errors import require_positive
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.simulate import RunObserver
+from tissue.simulation.trace import NO_LAYER
 from tissue.system.priorities import TickPriority
 
 __all__ = [
@@ -96,18 +97,21 @@ class Observers(RunObserver):
         return events
 
 
-class TickRow(Mapping[str, float]):
+class TickRow(Mapping[str, Any]):
     """Row of the trace for one tick, by its columns, such as ``row["model_force_z_N"]``.
 
-    It is the same object in every tick and shows the present tick. ``dict(row)`` keeps its values.
+    ``row["layer"]`` is the name of a layer, as in the trace. All other values are numbers. It is
+    the same object in every tick and shows the present tick. ``dict(row)`` keeps its values.
     """
 
-    def __init__(self, columns: tuple[str, ...]) -> None:
+    def __init__(self, columns: tuple[str, ...], layer_names: tuple[str, ...]) -> None:
         self._places = {name: place for place, name in enumerate(columns)}
+        self._layers = (*layer_names, NO_LAYER)
         self.values_of_tick: Array = np.zeros(len(columns))
 
-    def __getitem__(self, name: str) -> float:
-        return float(self.values_of_tick[self._places[name]])
+    def __getitem__(self, name: str) -> Any:
+        value = float(self.values_of_tick[self._places[name]])
+        return self._layers[int(value)] if name == "layer" else value
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -124,11 +128,11 @@ class OnTick(RunObserver):
 
     def __init__(self, function: Callable[[int, TickRow], Any]) -> None:
         self._function = function
-        self._row = TickRow(())
+        self._row = TickRow((), ())
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Store the names of the columns."""
-        self._row = TickRow(columns)
+        """Store the names of the columns and of the layers."""
+        self._row = TickRow(columns, parts.tissue.layer_names)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Call the function."""

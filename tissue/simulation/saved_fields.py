@@ -38,8 +38,11 @@ UNITS = {
     "mm3_s": "mm³/s",
     "mm_s": "mm/s",
     "rad_s": "rad/s",
+    "N_mm2": "N/mm²",
     "N_mm": "N/mm",
+    "kN_m": "kN/m",
     "N_m": "N/m",
+    "kg_m3": "kg/m³",
     "Nm": "N m",
     "um": "µm",
     "us": "µs",
@@ -49,7 +52,7 @@ UNITS = {
     "C": "°C",
     "degC": "°C",
     **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
-    **{unit: unit for unit in ("s", "ms", "W", "Hz")},
+    **{unit: unit for unit in ("s", "ms", "W", "Hz", "rpm")},
 }
 """Units that end the name of a field or a column, compound ones first, and their notation."""
 IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}

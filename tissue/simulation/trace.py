@@ -32,6 +32,7 @@ __all__ = [
     "load_columns",
     "read_table",
     "read_trace",
+    "write_columns",
     "write_table",
     "write_trace",
 ]
@@ -254,9 +255,14 @@ def check_format(kind: str) -> None:
 def write_trace(trace: Table, folder: Path, kind: str) -> Path:
     """Write ``folder/trace.kind`` and return its path."""
     path = folder / f"trace.{kind}"
-    with whole_file(path) as temporary:
-        FORMATS[kind]({name: trace[name] for name in trace}, temporary)
+    write_columns({name: trace[name] for name in trace}, path)
     return path
+
+
+def write_columns(columns: Columns, path: Path) -> None:
+    """Write columns to a file in the format of its suffix, one of `FORMATS`."""
+    with whole_file(path) as temporary:
+        FORMATS[path.suffix.lower().removeprefix(".")](columns, temporary)
 
 
 def write_table(table: Table, path: Path) -> None:
@@ -274,10 +280,10 @@ def write_table(table: Table, path: Path) -> None:
     if kind != "csv":
         check_format(kind)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if kind != "csv":
+        write_columns({name: table[name] for name in table}, path)
+        return
     with whole_file(path) as temporary:
-        if kind != "csv":
-            FORMATS[kind]({name: table[name] for name in table}, temporary)
-            return
         head = StringIO()
         csv.writer(head, lineterminator="\n").writerow(table.columns)
         temporary.write_text(

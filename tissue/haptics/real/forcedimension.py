@@ -32,7 +32,7 @@ With two calls in each tick, this takes 50 ms. After this time the force of a si
 removed anyway.
 """
 MISSING = (
-    "must be installed for a device of Force Dimension, got none: pip install "
+    "must be installed for a device of Force Dimension, got none. Run pip install "
     "forcedimension-core with Python "
     "3.11 or 3.12, and the SDK of forcedimension.com"
 )
@@ -110,7 +110,7 @@ class ForceDimensionAdapter(HardwareAdapter):
         # The two classes search with the same library. Only one of them reports that nothing is
         # connected.
         if not found and not cls.has_motors:
-            return cls.missing("a device must be connected, got none: check power and cable")
+            return cls.missing("a device must be connected, got none. Check power and cable")
         return found
 
     def open(self) -> None:

@@ -70,6 +70,12 @@ class Marks:
     normal: Array | None = None
     points_mm: Array | None = None
 
+    def arrow_mm(self, length_mm: float) -> Array:
+        """Return start and end of the arrow along the normal, shape (2, 3); (0, 3) without one."""
+        if self.centre_mm is None or self.normal is None:
+            return np.zeros((0, 3))
+        return np.stack([self.centre_mm, self.centre_mm + length_mm * self.normal])
+
     def draw(self, axes: "Axes", projected: Callable[[Array], Array], length_mm: float) -> None:
         """Draw the path, and the site as a dot with an arrow along its normal.
 
@@ -85,9 +91,8 @@ class Marks:
         if self.points_mm is not None:
             label = "path of the tip"
             axes.plot(*projected(self.points_mm).T, color=PATH, linewidth=1.3, label=label)
-        if self.normal is not None and self.centre_mm is not None:
-            tip = self.centre_mm + length_mm * self.normal
-            start, end = projected(np.stack([self.centre_mm, tip]))
+        if self.normal is not None:
+            start, end = projected(self.arrow_mm(length_mm))
             draw_arrow(axes, start, end, SITE)
             axes.plot(*start, "o", color=SITE, markersize=4, label="site and normal")
 
@@ -130,7 +135,7 @@ def draw_ct_slices(
     looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
     looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
     # inches: three near square panels, and the legend below
-    chart, panels = panelled(title, (9.0, 3.9), 1, 3)
+    chart, panels = panelled(title, (9.0, 3.9), 1, 3, layout="compressed")
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         plane = [u, v]
         ends = np.stack([origin - 0.5 * spacing, origin + spacing * (shape - 0.5)])[:, plane]
@@ -148,7 +153,13 @@ def draw_ct_slices(
             _outline(axes, field, (u, v, through), place, look)
         marks.draw(axes, partial(np.take, indices=plane, axis=1), NORMAL_MM)
         axes.set(xlabel=f"{AXES[u]} [mm]", ylabel=f"{AXES[v]} [mm]", aspect="equal")
-        axes.set(xlim=ends[:, 0], ylim=ends[:, 1])
+        # The arrow of a site at the edge of the image, and its path, lie outside of it.
+        marked = [marks.arrow_mm(NORMAL_MM)]
+        if marks.points_mm is not None:
+            marked.append(marks.points_mm)
+        shown = np.vstack([ends, np.vstack(marked)[:, plane]])
+        x, y = np.stack([shown.min(axis=0), shown.max(axis=0)], axis=1)
+        axes.set(xlim=x, ylim=y, facecolor="black")
         if v == 1:  # the patient's front is up, as radiologists have it
             axes.invert_yaxis()
         axes.set_title(f"{name}, {AXES[through]} {place:.1f} mm")

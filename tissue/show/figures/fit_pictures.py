@@ -429,8 +429,8 @@ def _label(group: str) -> str:
     """Return names of constants without table and unit, one line each."""
     lines = []
     for name in group.split(" + "):
-        _, _, rest = name.partition(".")
-        material, _, constant = rest.rpartition(".")
-        words = UNIT.sub("", constant or material)
-        lines.append(f"{material} {words}".replace("_", " ").strip())
+        table, *material, constant = name.split(".")
+        # A factor of the density of an image is density.bone: its table is the quantity.
+        words = [*material, constant] if material else [constant, table]
+        lines.append(" ".join([*words[:-1], UNIT.sub("", words[-1])]).replace("_", " "))
     return "\n".join(lines)

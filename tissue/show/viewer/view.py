@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.models.tissue_model import TICK_S
@@ -128,7 +128,7 @@ def _check_arguments(
         refused |= {(name, "for an imported bone"): True for name in options}
     for (name, where), is_refused in refused.items():
         if is_refused:
-            raise InputError(f"{name} must be left out {where}: leave it out")
+            raise InputError(name, f"be left out {where}", PRESENT, "leave it out")
     if web:
         require_web()
     if "movie" in files:

@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, names_of_caller
-from meshes.base.text_tables import nearest, shown
+from meshes.base.hints import nearest
+from meshes.base.text_tables import shown
 from meshes.surfaces.glenoid import GLENOID_LAYERS
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import read_triangles

@@ -183,6 +183,7 @@ class WindowProcess:
             "high_m": high_m,
             "start_m": parts.motion.sweep_m()[0],
             "axis": parts.motion.rotations()[0][:, 2],
+            "layer_names": np.array(parts.tissue.layer_names),
             **self._shared.start,
             **(more_start or {}),
         }

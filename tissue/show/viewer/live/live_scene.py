@@ -6,6 +6,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from vtkmodules.vtkCommonDataModel import vtkPlane
 
 from meshes.base.arrays import Array
 from tissue.scene.scene import Scene
@@ -58,6 +59,8 @@ class Readings:
         Load of the tissue on the tool [N], [N m], shape (3,) each.
     device_N
         Size of the force that the device displays [N], None without a device.
+    layer
+        Name of the layer at the tool, such as ``dentin``.
     numbers
         The columns of `NUMBERS` by name.
     """
@@ -67,6 +70,7 @@ class Readings:
     force_N: Array
     torque_Nm: Array
     device_N: float | None
+    layer: str
     numbers: dict[str, float]
 
     @classmethod
@@ -81,6 +85,7 @@ class Readings:
             device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0]))
             if plays
             else None,
+            layer=str(table["layer"][0]),
             numbers={name: float(table[name][0]) for name in NUMBERS},
         )
 
@@ -123,11 +128,14 @@ class LiveBone:
         Points that must be in view [mm], shape (n, 3).
     colours
         Colours of the existing layers by name, red, green and blue, 0 to 1.
+    cut
+        Plane in front of which the bone is not drawn, or None.
     """
 
     def __init__(self, plotter: Plotter, bone: BoneSurface) -> None:
         self._plotter = plotter
         self._bone = bone
+        self.cut: vtkPlane | None = None
         names = bone.volume.layer_names
         colours = layer_colours(names)
         self._look = layer_look(names)
@@ -151,7 +159,14 @@ class LiveBone:
             return
         with_layers(surface, self._bone.volume)
         surface.point_data["Normals"] = smooth_normals(surface, passes=PASSES)
-        self._plotter.add_mesh(surface, name="bone", **self._look)
+        actor = self._plotter.add_mesh(surface, name="bone", **self._look)
+        if self.cut is not None:
+            actor.mapper.AddClippingPlane(self.cut)
+
+    def cut_open(self, plane: vtkPlane | None) -> None:
+        """Draw the bone behind a plane only, or all of it."""
+        self.cut = plane
+        self._draw()
 
 
 class LiveOrgan:
@@ -223,6 +238,8 @@ class LiveScene:
         Points that must be in view [mm], shape (n, 3).
     target_options
         Arguments of a `tissue.show.viewer.live.live_scene.Target`, by name.
+    is_cut_open
+        True if the bone between the camera and the tool is left out.
     """
 
     def __init__(
@@ -239,6 +256,7 @@ class LiveScene:
             start = dict(file)
         scene = self.scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
         self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
+        self._layer_names = tuple(map(str, start["layer_names"]))
         self.plotter = new_plotter(
             size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen
         )
@@ -270,6 +288,29 @@ class LiveScene:
         self._updated = 0.0
         self._took = 0.0
         self._largest = LEAST_N
+        self._cut = vtkPlane()
+        self.is_cut_open = False
+
+    @property
+    def can_be_cut_open(self) -> bool:
+        """True for a scene with bone."""
+        return isinstance(self.tissue, LiveBone)
+
+    def cut_open(self, is_open: bool) -> None:
+        """Leave out the bone between the camera and the tool, or draw it again."""
+        if isinstance(self.tissue, LiveBone) and is_open != self.is_cut_open:
+            self.is_cut_open = is_open
+            self.tissue.cut_open(self._cut if is_open else None)
+
+    def _place_cut(self, tip_mm: Array, axis: Array) -> None:
+        """Place the cut through the tip and along the axis of the tool, facing the camera."""
+        forward = np.array(self.plotter.camera.GetDirectionOfProjection())
+        across = forward - (forward @ axis) * axis
+        # a camera that looks along the tool has no such plane
+        size = float(np.linalg.norm(across))
+        normal = across / size if size > 0.1 else forward
+        self._cut.SetOrigin(*tip_mm)
+        self._cut.SetNormal(*normal)
 
     def update_tissue(self) -> bool:
         """Update the tissue if it is due; return whether it changed."""
@@ -290,11 +331,13 @@ class LiveScene:
         message = self.arrays.read("row")
         if message is None or message[0] == 0:
             return None
-        readings = Readings.of(Table(self._columns, message[1][None]))
+        readings = Readings.of(Table(self._columns, message[1][None], self._layer_names))
         # a quaternion of zeros: the row has not been written yet
         if not readings.turn.any():
             return None
         self._mark.position = tuple(target_mm)
+        if self.is_cut_open:
+            self._place_cut(readings.tip_mm, self.target_options["axis"])
         self._spring.points = np.stack([readings.tip_mm, target_mm])
         self._largest = max(self._largest, float(np.linalg.norm(readings.force_N)))
         self._tool.show(readings.tip_mm, readings.turn, readings.force_N, largest_N=self._largest)

@@ -86,7 +86,10 @@ class LivePage:
         from matplotlib.colors import to_hex
 
         legend = {name: to_hex(colour) for name, colour in self.shown.colours.items()}
-        return {"scene": self.shown.scene.name, "legend": legend}
+        # the tool works inside a tooth, where it cannot be seen otherwise
+        self.shown.cut_open("dentin" in self.shown.colours)
+        cut = self.shown.is_cut_open if self.shown.can_be_cut_open else None
+        return {"scene": self.shown.scene.name, "legend": legend, "cut": cut}
 
     def attend(self, attended: bool) -> None:
         """Continue the ticks if a page is open, otherwise let them wait."""
@@ -109,6 +112,9 @@ class LivePage:
             self._paused = False
             self._hold()
             self.arrays["resets"][0] = self._resets
+        elif do == "cut":
+            self.shown.cut_open(bool(values["on"]))
+            self.stage.changed = True
         elif do == "end":
             self.leave()
         # a paused tool must not jump to another place when the run continues
@@ -188,6 +194,7 @@ class LivePage:
             figures["force_N"] = np.round(read.force_N, 4).tolist()
             figures["torque_Nm"] = round(float(np.linalg.norm(read.torque_Nm)), 6)
             figures["device_N"] = read.device_N
+            figures["layer"] = read.layer
         if not loads and figures == self._last:
             return None
         self._last = figures

@@ -35,7 +35,7 @@ NUMBERS = {
 }
 """Entries that are numbers, with their ranges."""
 WORDS = ("key", "field", "layer")
-SWITCHES = ("pause", "play")
+SWITCHES = ("pause", "play", "cut")
 """Messages with one entry, ``name``, a word, or ``on``, true or false."""
 ALONE = ("reset", "end", "seen")
 """Messages without any."""
