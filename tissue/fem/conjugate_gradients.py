@@ -126,17 +126,18 @@ def conjugate_gradients(
     precondition
         Function that multiplies forces by B, an approximate inverse of K.
     error
-        Function that estimates the relative error of an iterate.
+        Function that estimates the relative error of an iterate. The iterations end when it is at
+        most ``tolerance``.
     limit
-        Iterations allowed.
+        Largest number of iterations.
     start
         First guess; default: zero.
     least_curvature
         Below this value ``p . K p`` of a direction p is a rounding error, and K is not positive
         definite.
     correct_last
-        Add the correction for the last residual, which is already computed, to the converged
-        solution. It reduces the error where no eigenvalue of ``B K`` is above 2.
+        True to add the correction for the last residual, which is already computed, to the
+        converged solution. The correction reduces the error if no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:

@@ -258,8 +258,7 @@ class ProxyRenderer(SpringDamper):
 
     The law is F = k (p_proxy - p) + b (v_proxy - v). The damper acts on the relative velocity, so
     that the damper can only dissipate energy. A published form has only ``+ b v_device`` and
-    creates the power b v^2 (E9 of the project's list of errors). The damper is off while the device
-    is free.
+    creates the power b v^2. The damper is off while the device is free.
     """
 
     def render(

@@ -1,4 +1,4 @@
-"""Estimates of a force: most probable force for an observation (E7), and recursive filter (E8).
+"""Estimates of a force: most probable force for an observation, and recursive filter.
 
 No scene uses these estimates. They are the equations of the paper with corrections.
 `tests/verification` compares them with a grid and with the steady state of the filter.
@@ -42,7 +42,7 @@ def map_force_N(
     median_N: ArrayLike | None = None,
     log_spread: ArrayLike | None = None,
 ) -> Array:
-    """Estimate the force [N] of largest posterior density, for any real observation (E7).
+    """Estimate the force [N] of largest posterior density, for any real observation.
 
     Observations may be zero or negative. The logarithm of the density has the slope g(u) = -(u - m)
     / s^2 - 1 + (y - e^u) e^u / r^2 in u = ln F. This slope either decreases everywhere, or it
@@ -140,12 +140,12 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
 class LocalLevel:
     """Filter for a random walk with variance q per step, observed with variance r.
 
-    Source: Kalman 1960; E8::
+    Source: Kalman 1960::
 
         P = sigma^2 + q,   G = P / (P + r),   level += G (seen - level),   sigma^2 = G r
 
-    The printed formula sigma^2 = q r / (q + r) omits the last variance in P. For q = r = 1 it gives
-    0.5, but the steady state of the filter is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
+    The formula printed in the paper, sigma^2 = q r / (q + r), omits the last variance in P. For q =
+    r = 1 it gives 0.5, but the steady state of the filter is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
 
     Attributes
     ----------

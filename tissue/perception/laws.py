@@ -190,7 +190,7 @@ def _logarithm(force_N: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Weber:
-    """Threshold kappa (level + offset), with 75 % right answers in two-interval trials (E6).
+    """Threshold kappa (level + offset), with 75 % right answers in two-interval trials.
 
     Weber's law alone, kappa level, has a threshold of zero at a level of zero, so that every change
     would be felt there. The offset is the level at which the ratio of threshold to level is twice
@@ -275,7 +275,7 @@ class LogTable:
 
 
 class ForceMap:
-    """Force to command by E5: its expected intensity for this observer matches the reference.
+    """Map to the force whose expected intensity for this observer matches the reference.
 
     The reference is the intensity that the reference observer has at gain x force.
 

@@ -63,8 +63,8 @@ class Observer:
     """Observer: normal posterior of one person's parameters.
 
     The coordinates are (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma). In these
-    coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6),
-    and lapse rates are between 0 and 1.
+    coordinates every draw is a possible person: factor, thresholds and scatter are positive, and
+    lapse rates are between 0 and 1.
 
     Attributes
     ----------
@@ -311,8 +311,7 @@ class Population:
     alpha has a log-normal distribution with mean 1, beta a normal distribution, and sigma squared
     an inverse-gamma distribution. The mean of alpha is 1, because the unit of intensity is chosen
     as the average intensity at 1 N. Weber's fraction and low-force term have log-normal
-    distributions, so that thresholds are positive (E6). The lapse rate has a logit-normal
-    distribution.
+    distributions, so that thresholds are positive. The lapse rate has a logit-normal distribution.
 
     Attributes
     ----------

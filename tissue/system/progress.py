@@ -26,9 +26,9 @@ TRUSTED = 0.03
 Below this share the estimate is wrong, because the first steps also load the code.
 """
 SHORT_S = 10.0
-"""Remaining time below which it is not shown [s]."""
+"""Smallest remaining time that is shown [s]."""
 QUIET_S = 30.0
-"""Time between two lines of progress without a terminal [s], long for a short log."""
+"""Time between two lines of progress without a terminal [s]; a long time keeps a log short."""
 
 
 def in_notebook() -> bool:
@@ -80,16 +80,17 @@ def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
 
 
 class Remaining:
-    """Remaining time of a command, from its pace so far."""
+    """Remaining time of a command, estimated from its pace so far."""
 
     def __init__(self) -> None:
         self._begun = 1.0
         self._begun_s = 0.0
 
     def text(self, share: float) -> str:
-        """Return the remaining time as text for a completed share, empty if it is not known.
+        """Return the remaining time for a completed share as text; empty if it is not known.
 
-        The pace counts from the first report, since a continued command does not begin at zero.
+        The pace is measured from the first report, because a continued command does not begin at
+        zero.
         """
         now_s = perf_counter()
         if share < self._begun:

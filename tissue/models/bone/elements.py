@@ -113,10 +113,10 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
 
 
 CREEP_M_S = 5e-5
-"""Upper limit of the speed at which an element of a held tool reaches its full edge force [m/s].
+"""Upper limit of the speed at which an element reaches its full edge force [m/s].
 
-Chosen. A tool that is pressed with a fraction of its edge force creeps at this fraction of the
-speed.
+It applies to a tool on a haptic device. The value is chosen. A tool that is pressed with a fraction
+of its edge force creeps at this fraction of the speed.
 """
 
 
@@ -124,7 +124,7 @@ class CuttingForces:
     """Cutting forces on the elements of a tool in bone.
 
     The bone in front of the elements is found once for each pose. The forces can then be computed
-    for any velocity; they are summed over chunks of elements.
+    for any velocity; they are summed over chunks (groups) of elements.
 
     Parameters
     ----------

@@ -277,8 +277,8 @@ class BoneModel:
             response.wrench[:] = motion.balanced
             response.removal_rate_m3_s = float(sums[RATE])
         response.engaged_m2[:] = sums[AREA : self._forces.slopes]
-        # The smooth surface of a held tool carries force, so that its contact is reported only for
-        # a tool on a path.
+        # The smooth surface of a tool on a haptic device carries force. Its contact is reported
+        # only for a tool on a prescribed path.
         looks = is_new and motion.balanced is None
         self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=looks)
         return response

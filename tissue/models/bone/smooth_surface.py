@@ -46,8 +46,8 @@ Source: Shirazi-Adl et al., 1993, quoted from memory, so that the confidence is 
 class SmoothSurface:
     """Surface of a tool that does not cut.
 
-    For a tool on a prescribed path, only the area of this surface in bone is computed. For a held
-    tool, its contact with bone is rigid and perfectly plastic.
+    For a tool on a prescribed path, only the area of this surface in bone is computed. For a tool
+    on a haptic device, its contact with bone is rigid and perfectly plastic.
 
     Parameters
     ----------

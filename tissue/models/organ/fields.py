@@ -99,11 +99,11 @@ class OrganFields:
         self._kept.clear()
 
     def _compute_large(self, windows: LawWindows) -> None:
-        """Solve the stored frames under the organ's hyperelastic law, which may creep.
+        """Solve the stored frames of an organ with a hyperelastic law, which may creep.
 
-        Displacement and strain are the response of the law to the crept forces. Stress and reaction
-        are multiplied by the ratio of the acting resultant to the crept resultant. This is exact if
-        acting and crept forces have the same distribution.
+        Displacement and strain are the response of the law to the crept forces (see `keep`). Stress
+        and reaction are multiplied by the ratio of the acting resultant to the crept resultant.
+        This is exact if acting and crept forces have the same distribution.
         """
         unsettled = 0
         for time_s, forces, crept, moved_m in self._kept:

@@ -125,7 +125,8 @@ class TickState:
     Attributes
     ----------
     nodal_forces_N, crept_N
-        Contact forces, and crept forces [N], each of shape (t, 3).
+        Contact forces, and crept forces (contact forces after creep of the tissue, see the module)
+        [N], each of shape (t, 3).
     offset_m
         Offset that the law adds to the displacement by the compliance in that tick [m], shape (t,
         3).

@@ -1,7 +1,8 @@
 """Windows on an organ in which its hyperelastic law is solved.
 
 A window is the whole organ, or a region around a point on its surface. Outside the region the organ
-is linear (`tissue.fem.region`). When a tool slides, the window changes.
+is linear (`tissue.fem.region`). When a tool slides, the window changes. Crept forces are the
+contact forces after creep of the tissue, see `tissue.models.organ.law`.
 """
 
 from collections.abc import Callable

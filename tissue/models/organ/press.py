@@ -1,4 +1,4 @@
-"""One press of a tool on a soft organ: straight in from the first touch, then held."""
+"""Press of a tool on a soft organ: a straight motion from the first touch, then a hold."""
 
 from dataclasses import dataclass
 from math import ceil

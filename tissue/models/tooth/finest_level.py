@@ -253,7 +253,7 @@ class FinestLevel:
     def solve(self, load_N: Array, correct: Callable[[], None]) -> Array:
         """Return the displacement [m] for a load [N], smoothed, corrected and smoothed again.
 
-        Both have shape (n, 3).
+        Load and displacement have shape (n, 3).
 
         ``correct`` is a function that reads ``residual`` and adds the correction by the coarser
         grids to ``vector``.
