@@ -129,7 +129,8 @@ class Carver:
     device
         Warp device name.
     cores
-        Processor cores to split large launches over; default all. The result does not depend on it.
+        Number of processor cores to split large kernel launches over; default all. The result does
+        not depend on it.
 
     Attributes
     ----------

@@ -139,7 +139,7 @@ class CuttingForces:
     chip_per_speed_s
         Chip thickness divided by the feed speed along the normal [s].
     cores
-        Processor cores to split large launches over; default all.
+        Number of processor cores to split large kernel launches over; default all.
 
     Attributes
     ----------

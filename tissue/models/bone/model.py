@@ -52,7 +52,8 @@ class BoneModel:
     device
         Warp device name.
     cores
-        Processor cores to split large launches over; default all. The result does not depend on it.
+        Number of processor cores to split large kernel launches over; default all. The result does
+        not depend on it.
 
     Attributes
     ----------

@@ -504,7 +504,7 @@ class SurfaceContact:
         tip_m
             The tool's tip [m], shape (3,), world frame.
         rotation
-            Tool to world, shape (3, 3); z is the tool's axis, from tip to shank.
+            Rotation from tool to world, shape (3, 3); z is the tool's axis, from tip to shank.
 
         Raises
         ------

@@ -110,7 +110,7 @@ def press(
     point_m
         Target of the tool's tip on the surface [m], shape (3,).
     rotation
-        Tool to world, shape (3, 3); the tool moves along its -z.
+        Rotation from tool to world, shape (3, 3); the tool moves along its -z.
     depth_m
         Travel of the tool after its first touch [m].
     speed_m_s, hold_s
