@@ -1,8 +1,8 @@
 """Uncut bone at a point, computed to second order in the voxel size.
 
 Each voxel has two static numbers: the signed distance of its centre to the original surface, and
-the distance to the nearest change of layer. Both are interpolated between voxel centres. A point
-lies in bone if the interpolated surface distance is negative. To find its layer, the second
+the distance to the nearest change of layer. The two numbers are interpolated between voxel centres.
+A point lies in bone if the interpolated surface distance is negative. To find its layer, the second
 distance is interpolated once per layer, with a negative sign in the voxels of other layers. The
 layer with the largest result is chosen. Far from the surface, and far from every change of layer,
 the value of the nearest voxel is used. Lengths are in voxels.

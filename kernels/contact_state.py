@@ -228,7 +228,8 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
     return distance, direction
 
 
-# Largest number of steps. Bisection alone, the fallback, reduces a bracket to rounding in 53 steps.
+# Largest number of steps. Bisection, the fallback, reduces a bracket to rounding errors in 53
+# steps.
 NEWTON_STEPS = 60
 EXACT = wp.constant(wp.float64(1e-13))
 """Relative distance to the friction cone at which the slipping force counts as solved."""

@@ -81,7 +81,7 @@ def to_lanes(
     # out
     lanes_out: wp.array2d(dtype=Any),  # [component, slot]
 ):
-    """Copy a nodal vector to lanes. Both may have single or double precision."""
+    """Copy a nodal vector to lanes. Vector and lanes may have single or double precision."""
     node = wp.tid() + offset
     for c in range(3):
         lanes_out[c, slot[node]] = lanes_out.dtype(vector[node][c])
@@ -95,7 +95,7 @@ def from_lanes(
     # out
     vector_out: wp.array(dtype=Any),  # [node]
 ):
-    """Copy lanes to a nodal vector. Both may have single or double precision."""
+    """Copy lanes to a nodal vector. Lanes and vector may have single or double precision."""
     node = wp.tid() + offset
     at = slot[node]
     value = vector_out[node]

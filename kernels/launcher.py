@@ -13,7 +13,8 @@ Choice of splitting: a launch is split if the gain measured on this machine is l
 Two processors may share one core, or other processes may keep a core busy. Half of the work then
 takes as long as the whole work, and splitting only costs time. The gain is the ratio of the time
 without splitting to the time with splitting. A short calibration before the first launch measures
-the gain. It is measured again while the launches run, first often and later more and more rarely.
+the gain. The gain is measured again while the launches run, first often and later more and more
+rarely.
 """
 
 import ctypes
@@ -79,7 +80,7 @@ A launch that is just large enough to be split has two such parts.
 SAMPLE_BYTES = 1 << 16
 """Number of bytes that the calibration hashes first, which takes tens of us.
 
-From this time follows the number of bytes that take the time of a part.
+The number of bytes that take the time of a part is computed from this time.
 """
 
 
@@ -107,7 +108,7 @@ class SplitChoice:
 
     @property
     def splits(self) -> bool:
-        """Whether the gain is large enough to split the launch."""
+        """True if the gain is large enough to split the launch."""
         return self.gain >= LEAST_GAIN
 
     def next_run(self) -> bool:

@@ -339,7 +339,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     if share < _LITTLE_BONE:
         flipped = [float(bone[np.flip(mask, axis)].mean()) for axis in range(3)]
         axis = int(np.argmax(flipped))
-        # If nearly all of the flipped label lies on bone, the message says that the label is
+        # If nearly all of the flipped label lies on bone, the message states that the label is
         # flipped.
         if flipped[axis] > max(_ALL_BONE, 2.0 * share):
             found += f" ({flipped[axis]:.0%} if it were flipped {_FLIPS[axis]})"

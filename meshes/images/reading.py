@@ -111,8 +111,8 @@ def _header(path: Path) -> Header:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    # A NIfTI-2 header has 540 bytes and starts with this number, in one of the two byte orders. A
-    # NIfTI-1 header has 348 bytes.
+    # A NIfTI-2 header has 540 bytes and starts with this number, in either byte order. A NIfTI-1
+    # header has 348 bytes.
     first = first_bytes(path, 540)
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
     with suppress(HeaderDataError, WrapStructError, ValueError):

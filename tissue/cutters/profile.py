@@ -293,7 +293,7 @@ def hemispherical_reamer(
 ) -> Profile:
     """Return a hemisphere that cuts with its face.
 
-    It has a central guide peg if the diameter of the peg is not 0.
+    The reamer has a central guide peg if the diameter of the peg is not 0.
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
@@ -309,7 +309,7 @@ def flat_reamer(
 ) -> Profile:
     """Return a disc with the thickness ``length_m`` that cuts with its face and rim.
 
-    It has a central guide peg if the diameter of the peg is not 0.
+    The reamer has a central guide peg if the diameter of the peg is not 0.
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
