@@ -11,9 +11,10 @@ Expected for a glenoid reamed 2 mm deep:
 - the thrust peaks at 94 N,
 - the torque peaks at 0.90 N m.
 
-The figures depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). They
-are plausible, not validated. Over the cited ranges, 90 % of the peaks lie between 41 and 361 N, and
-between 0.38 and 3.5 N m (`tissue run glenoid --band 4096`).
+These values depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). The
+values are plausible, not validated. If the coefficients are drawn from their cited ranges, 90 % of
+the peak thrusts lie between 41 and 361 N, and 90 % of the peak torques between 0.38 and 3.5 N m
+(`tissue run glenoid --band 4096`).
 """
 
 from pathlib import Path
@@ -28,7 +29,7 @@ FIGURES.mkdir(exist_ok=True)
 
 # %%
 # A scene contains bone, tool and path. `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})`
-# would change one of its keys. A run has a row for each tick of 1 ms.
+# would change one key of the scene. The trace of a run has a row for each tick of 1 ms.
 
 run = tissue.simulate(tissue.load_scene("glenoid"))
 removed = run.trace["removed_mm3"][-1]
@@ -41,8 +42,8 @@ assert abs(thrust - 94.5) < 1.0
 assert abs(torque - 0.901) < 0.01
 
 # %%
-# Thrust and torque grow with the contact area between reamer and bone, until the feed ends 2 mm
-# deep.
+# Thrust and torque increase with the contact area between reamer and bone, until the feed ends at a
+# depth of 2 mm.
 
 depth = -run.trace["tool_z_mm"]
 fed = depth < 1.9995
@@ -61,8 +62,8 @@ panels[2].set_xlabel("depth of the reamer / mm")
 figure.savefig(FIGURES / "01_force.png", dpi=150)
 
 # %%
-# The carved surface is a mesh of pyvista. Each of its points has the depth of the bone that was
-# removed above it.
+# The carved surface is a pyvista mesh. Each point of the mesh has the depth of the bone that was
+# removed above this point.
 
 surface = run.surface()
 plotter = pyvista.Plotter(off_screen=True, window_size=[1000, 800])

@@ -2,15 +2,16 @@
 Sub-voxel against binary removal
 ================================
 
-Sub-voxel removal makes a tick slower. This example shows how much accuracy it gains.
+Sub-voxel removal makes a tick slower. This example shows how much sub-voxel removal reduces the
+error of volume and force.
 
-A ball burr mills a slot 0.25 mm deep and returns 0.1 mm deeper, at several voxel sizes. One run
-removes the part of a voxel that is inside the tool. The other run removes whole voxels. The volume
-is compared with the exact volume of the slot. The force is compared with the force on voxels of
-0.03 mm.
+A ball burr mills a slot 0.25 mm deep and returns 0.1 mm deeper, at several voxel sizes. For each
+size, one run removes the part of a voxel that is inside the tool. The other run removes whole
+voxels (binary removal). The volume is compared with the exact volume of the slot. The force is
+compared with the force on voxels of 0.03 mm.
 
-Expected at 0.1 mm: the volume is within 0.5 % for sub-voxel removal, and more than 1 % off for
-binary removal.
+Expected with voxels of 0.1 mm: the error of the volume is below 0.5 % with sub-voxel removal, and
+more than 1 % with binary removal.
 """
 
 from math import acos, pi, sin
@@ -50,9 +51,9 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
     changes = {
         "voxels.spacing_mm": spacing_mm,
         "voxels.removal": removal,
-        # the smallest block around a burr of 6 mm on a path of 4 mm
+        # the smallest block that contains a burr of 6 mm on a path of 4 mm
         "anatomy.size_mm": [12, 8, 2],
-        # equal elements of the burr on all voxels, so that only the voxels differ
+        # equal surface elements of the burr for all voxel sizes, so that only the voxels differ
         "tool.shell_spacing_mm": 0.1,
         "motion.points_mm": path,
         "motion.feed_mm_s": FEED_MM_S,
@@ -63,14 +64,14 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
 
 
 def steady_force(run: tissue.Run) -> NDArray[np.float64]:
-    """Force [N] over the middle of the second pass, shape (ticks, 3)."""
+    """Return the force [N] in the middle of the second pass, shape (ticks, 3)."""
     # the middle half of the second pass, which takes 400 ticks before the last 10 ticks at rest
     return run.trace.vectors("model_force", "N")[-310:-110]
 
 
 # %%
-# The exact volume of the slot is the sum of a spherical cap, in two halves, and a circular segment
-# over the length.
+# The exact volume of the slot is the sum of two halves of a spherical cap, and of a circular
+# segment times the length of the path.
 
 depth = DEPTHS_MM[1]
 angle = 2.0 * acos(1.0 - depth / RADIUS_MM)
@@ -96,8 +97,9 @@ assert at[0.1, "subvoxel"] < 0.005
 assert at[0.1, "binary"] > 0.01
 
 # %%
-# On the same voxels, sub-voxel removal is always nearer to the exact volume. The force is equal
-# with both. It depends on distances from the tool, not on the remaining volume of the voxels.
+# At each voxel size, the volume of sub-voxel removal is nearer to the exact volume. The force is
+# the same with both methods of removal, because the force does not depend on the remaining volume
+# of the voxels. It depends on distances from the tool.
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained")
 for kind, colour, look in (("subvoxel", "#0072B2", "o-"), ("binary", "#D55E00", "s--")):

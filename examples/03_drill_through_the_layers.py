@@ -2,19 +2,21 @@
 Drill through the layers of a tooth
 ===================================
 
-A bur moves straight down through enamel into dentin and stops above the pulp. The layers are
-identified from the force.
+A bur moves straight down through enamel into dentin and stops above the pulp. The example
+identifies the layers from the force.
 
 Expected:
 
-- The axial force is 1.12 N in enamel and 0.136 N in dentin, 8.2 times less. Both lie within the 0.1
-  to 4.9 N that are published for preparing teeth.
-- The force falls halfway at a depth of 1.40 mm. In the voxels, enamel ends 1.35 mm below the fossa.
-- 0.60 mm of dentin are left above the pulp, after a warning at 1 mm.
+- The axial force is 1.12 N in enamel and 0.136 N in dentin. The ratio of these forces is 8.2. Both
+  forces lie within the published range for preparing teeth, 0.1 to 4.9 N.
+- The force falls to the middle between these two values at a depth of 1.40 mm. In the voxels,
+  enamel ends 1.35 mm below the fossa.
+- At the end, 0.60 mm of dentin are left above the pulp. The run gives a warning at 1 mm.
 
-The figures depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). They
-are plausible, not validated. Over the cited ranges, 90 % of the values lie between 0.3 and 5.4 N in
-enamel, and between 0.05 and 0.6 N in dentin (`bench_band.py --published`).
+These values depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). The
+values are plausible, not validated. If the coefficients are drawn from their cited ranges, 90 % of
+the forces lie between 0.3 and 5.4 N in enamel, and between 0.05 and 0.6 N in dentin
+(`bench_band.py --published`).
 """
 
 from pathlib import Path
@@ -32,8 +34,8 @@ LAYERS = ("enamel", "dentin")
 PUBLISHED_N = (0.1, 4.9)
 
 # %%
-# The bur moves straight down into the built-in molar. Stress is switched off, and the margin is
-# only as large as the pulp needs.
+# The bur moves straight down into the built-in molar. The stress computation is switched off. The
+# margin of voxels around the path is only as large as needed to reach the pulp.
 
 changes = {
     "voxels.margin_mm": 1.5,
@@ -49,7 +51,7 @@ layer = run.trace["layer"]
 
 # %%
 # For each layer, take the ticks in which the bur cuts mostly that layer. The mean axial force is
-# computed over the middle half of them.
+# computed from the middle half of these ticks.
 
 levels_N = {}
 for name in LAYERS:
@@ -66,8 +68,8 @@ assert all(PUBLISHED_N[0] < level < PUBLISHED_N[1] for level in levels_N.values(
 assert abs(enamel / dentin - 8.2) < 0.1
 
 # %%
-# Compare two depths: where the force has fallen halfway for the last time, and the lowest enamel
-# voxel below the fossa.
+# Compare two depths: the last depth at which the force is halfway between enamel and dentin, and
+# the depth of the lowest enamel voxel below the fossa.
 
 felt_mm = float(depth[np.flatnonzero(force > 0.5 * (enamel + dentin))[-1]])
 volume = run.volume
@@ -84,7 +86,7 @@ assert abs(left_mm - 0.60) < 0.02
 assert [event for _, event in run.events] == ["less than 1 mm of dentin is left over the pulp"]
 
 # %%
-# Plot the force over depth, with the layers behind it.
+# Plot the force as a function of depth, with the layers in the background.
 
 figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
 ends = (0.0, true_mm, DEPTH_MM)

@@ -4,19 +4,21 @@ Carious or healthy by the force alone
 
 A round bur moves straight down the fossa of two molars. One of them has a lesion 3 mm deep. A
 threshold on the axial force classifies each tick as carious or sound. The example computes the best
-share of correct classifications, and the probability that the force of a carious tick is smaller
-than that of a sound one. Then the sound tooth is drilled at half the feed.
+share of correct classifications, and the probability that the force in a carious tick is smaller
+than the force in a sound tick. Then the sound tooth is drilled at half the feed.
 
 Expected:
 
-- The force in the carious tooth is 0.16 of the force in the sound tooth over the whole lesion, 0.09
-  in enamel and 0.59 in dentin.
-- The best threshold classifies 95 % of all ticks correctly, because decayed enamel is at first
-  harder than sound dentin. In dentin it classifies all ticks correctly.
-- The threshold holds for one feed only. At half the feed all sound dentin is classified as carious.
+- Over the whole lesion, the force in the carious tooth is 0.16 of the force in the sound tooth. The
+  ratio is 0.09 in enamel and 0.59 in dentin.
+- The best threshold classifies 95 % of all ticks correctly. Errors occur because decayed enamel is
+  at first harder than sound dentin. In dentin, the threshold classifies all ticks correctly.
+- The threshold is valid for one feed only. At half the feed, it classifies all sound dentin as
+  carious.
 
 The forces have no noise and depend on coefficients of low confidence
-(`tissue/materials/cutting.toml`). The example does not show how well a hand would discriminate.
+(`tissue/materials/cutting.toml`). The example does not show how well a person would discriminate
+carious from sound tissue.
 """
 
 from pathlib import Path
@@ -34,14 +36,14 @@ DEPTH_MM = 3.4
 FEED_MM_S = 1.5
 
 # %%
-# There are three runs: sound, carious, and sound at half the feed. The voxels are 0.1 mm large, and
-# stress is switched off.
+# There are three runs: the sound tooth, the carious tooth, and the sound tooth at half the feed.
+# The voxels have a size of 0.1 mm, and the stress computation is switched off.
 
 
 def drill(scene: str, feed_mm_s: float) -> tissue.Run:
     """Drill straight down into a built-in tooth."""
     changes = {
-        # twice the spacing of the scene, an eighth of its voxels
+        # twice the spacing of the built-in scene, so an eighth of the number of voxels
         "voxels.spacing_mm": 0.1,
         "motion.points_mm": [[0, 0, 0.2], [0, 0, -DEPTH_MM]],
         "motion.feed_mm_s": feed_mm_s,
@@ -57,14 +59,14 @@ slow = drill("molar", 0.5 * FEED_MM_S).trace
 
 # %%
 # The best threshold classifies the most ticks correctly. Carious and sound ticks have equal weight.
-# The area under the ROC is the probability that the force of a carious tick is below that of a
-# sound one.
+# The area under the ROC curve is the probability that the force in a carious tick is below the
+# force in a sound tick.
 
 
 def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
-    """Return the best threshold [N], its share of right calls and the area under the ROC.
+    """Return the best threshold [N], its share of correct ticks and the area under the ROC curve.
 
-    A tick with a force below the threshold is called carious.
+    A tick with a force below the threshold is classified as carious.
     """
     levels = np.unique(np.concatenate([soft, hard]))
     thresholds = 0.5 * (levels[1:] + levels[:-1])
@@ -72,7 +74,7 @@ def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
     above = 1.0 - np.searchsorted(np.sort(hard), thresholds) / len(hard)
     best = int(np.argmax(below + above))
     area = 1.0 - np.searchsorted(np.sort(hard), soft, side="right").mean() / len(hard)
-    # the mean of the shares of right calls in both groups, so that a larger group does not decide
+    # mean of the shares of correct ticks in both groups, so that both groups have equal weight
     return float(thresholds[best]), float(0.5 * (below + above)[best]), float(area)
 
 

@@ -2,20 +2,21 @@
 Press a liver and look inside
 =============================
 
-A ball presses a liver. The example shows force over depth, displacement and stress.
+A ball presses a liver. The example shows the force as a function of depth, and the displacement and
+stress in the liver.
 
 Expected:
 
-- The force is 0.285 N at 5 mm, with a ball of 20 mm on tissue of 5.4 kPa. This is 0.86 of the Hertz
-  force for a half-space: the surface is a dome that yields, and Hertz's parabola is steeper than
-  the ball.
+- The force is 0.285 N at a depth of 5 mm, with a ball of 20 mm on tissue with a modulus of 5.4 kPa.
+  This is 0.86 of the Hertz force for a half-space. There are two reasons: the surface is a dome
+  that yields, and Hertz replaces the ball by a parabola that is steeper than the ball.
 - The tissue under the ball moves down nearly as far as the ball.
 - The von Mises stress is largest within one radius below the ball.
 
-The cells of the scene are quadratic, and fine only under the ball. Halving either the fine or the
-coarse cells changes the force by about 1 %. The run reports the depth from which linear elasticity
-is 5 % off. The modulus comes from a cited range of 2 to 15 kPa. The force is proportional to it, so
-nine of ten livers have a force between 0.11 and 0.79 N.
+The cells of the mesh are quadratic, and small only under the ball. If the small cells or the large
+cells are halved in size, the force changes by about 1 %. The run reports the depth from which the
+error of linear elasticity is 5 %. The cited range of the modulus is 2 to 15 kPa. The force is
+proportional to the modulus, so nine of ten livers have a force between 0.11 and 0.79 N.
 """
 
 from pathlib import Path
@@ -34,8 +35,8 @@ YOUNG_PA = 5.4e3
 POISSON = 0.49
 
 # %%
-# A ball presses the built-in liver with the linear law, straight down. The last frame has the
-# fields.
+# A ball presses the built-in liver straight down. The law is linear. The last frame of the run has
+# the displacement and stress fields.
 
 changes = {
     "organ.material": "liver",
@@ -63,8 +64,8 @@ assert abs(ratio - 0.86) < 0.03
 assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]
 
 # %%
-# The mesh of the last frame is a pyvista mesh, with displacement at its points and stress in its
-# cells.
+# The mesh of the last frame is a pyvista mesh, with the displacement at the points and the stress
+# in the cells.
 
 mesh = run.dataset()
 moved = mesh.point_data["displacement_mm"]
@@ -77,7 +78,7 @@ assert abs(-moved[under, 2] - DEPTH_MM) < 1.0
 assert away < RADIUS_MM
 
 # %%
-# Plot the force over depth, compared with Hertz's solution.
+# Plot the force as a function of depth, compared with Hertz's solution.
 
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
 axes.plot(depth, force, color="#0072B2", linewidth=2.2, label="liver")
@@ -96,7 +97,8 @@ axes.set_title(f"Ball of {2 * RADIUS_MM:g} mm on the dome of a liver of {1e-3 * 
 figure.savefig(FIGURES / "05_force.png", dpi=150)
 
 # %%
-# Show the deformed liver, cut open through the ball. The displacement fades over a few radii.
+# Show the deformed liver, cut open through the ball. At a distance of a few ball radii, the
+# displacement is small.
 
 bent = mesh.warp_by_vector("displacement_mm")
 half = bent.clip("y", origin=(0.0, 0.0, 0.0), invert=False)

@@ -2,26 +2,26 @@
 Needle through the capsule of a liver
 =====================================
 
-A needle is pushed through the capsule of a liver and a vessel wall. It is then drawn out and pushed
-in again along its track.
+A needle is pushed through the capsule of a liver and a vessel wall. The needle is then drawn out
+and pushed in again along its track.
 
 Expected:
 
-- The capsule is punctured at 16.9 mm with 2.30 N, and the force drops by 0.67 N. It does not drop
-  to the cutting force alone. The edge of the hole still holds 0.65 N, and the organ stays deflected
-  by 13.7 mm.
-- After the puncture the force grows by 11.6 N per metre of needle in the organ.
+- The capsule is punctured at a travel of 16.9 mm and a force of 2.30 N. The force then drops by
+  0.67 N, but not down to the cutting force alone. The edge of the hole still carries 0.65 N, and
+  the organ stays deflected by 13.7 mm.
+- After the puncture the force increases by 11.6 N per metre of needle in the organ.
 - The vessel wall, 30 mm deep in the organ, breaks at 49.9 mm of travel with 3.00 N.
-- When the needle is drawn back, the shaft sticks over 32.6 mm before it slides. It pulls with up to
-  1.91 N.
-- The second insertion needs 59 % of the work of the first one, because nothing is punctured and
-  nothing is cut.
+- When the needle is drawn back, the shaft sticks for 32.6 mm of travel before it slides. The organ
+  pulls the needle with up to 1.91 N.
+- The second insertion needs 59 % of the work of the first insertion, because the needle punctures
+  no membrane and cuts no tissue.
 
-The numbers of liver are a published fit to one needle (Okamura 2004). The numbers of the vessel
-wall have no source (`tissue/materials/needle.toml`). The curve is therefore fitted, not predicted.
-Over the ranges, 90 % of punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`). 90
-% of the forces at the wall lie between 2.4 and 4.2 N, with a median of 3.1 N (with this example's
-`changes` and `--band 128`).
+The constants of liver are a published fit to one needle (Okamura 2004). The constants of the vessel
+wall have no source (`tissue/materials/needle.toml`). The force curve is therefore fitted, not
+predicted. If the constants are drawn from their ranges, 90 % of the punctures lie between 13.7 and
+20.2 mm (`tissue run needle --band 200`). Of the forces at the vessel wall, 90 % lie between 2.4 and
+4.2 N, with a median of 3.1 N (with this example's `changes` and `--band 128`).
 """
 
 from pathlib import Path
@@ -39,7 +39,8 @@ OUT_MM = -20.0
 WALL_MM = 30.0
 
 # %%
-# The scene `needle` has a path in, out and in again. Travel counts from the undeformed surface.
+# In the scene `needle`, the path goes in, out and in again. The travel is measured from the
+# undeformed surface.
 
 changes = {
     "anatomy.membrane_depths_mm": {"vessel wall": WALL_MM},
@@ -72,8 +73,8 @@ assert abs(force[puncture] - 2.30) < 0.01 and abs(travel[puncture] - 16.9) < 0.0
 assert abs(drop - 0.67) < 0.01 and abs(held - 0.65) < 0.001 and abs(deflection - 13.7) < 0.05
 
 # %%
-# After that, the friction along the shaft grows with the length of needle in the organ. Then the
-# needle breaks through the vessel wall.
+# After that, the friction along the shaft increases with the length of needle in the organ. Then
+# the needle breaks through the vessel wall.
 
 insertion = trace["insertion_mm"]
 sliding = slice(puncture + 1, int(np.flatnonzero(insertion == WALL_MM)[0]))
@@ -87,8 +88,8 @@ assert abs(slope - 11.6) < 0.1
 assert abs(force[wall] - 3.00) < 0.01 and abs(travel[wall] - 49.9) < 0.05
 
 # %%
-# When the needle is drawn back, the shaft sticks before it slides. In the second insertion, capsule
-# and wall are already open.
+# When the needle is drawn back, the shaft sticks before it slides. In the second insertion, the
+# capsule and the vessel wall are already open.
 
 back = slice(first, last)
 stuck = DEEP_MM - travel[back][insertion[back] == insertion[first]].min()
@@ -105,7 +106,7 @@ print(f"work: {work_mJ[0]:.0f} mJ at first, {work_mJ[1]:.0f} mJ along the track,
 assert abs(share - 0.59) < 0.01
 
 # %%
-# Plot the force over travel, with its components during the first insertion.
+# Plot the force as a function of travel, with its components during the first insertion.
 
 figure, axes = plt.subplots(figsize=(8, 4.8), layout="constrained")
 parts = [trace[name][:first] for name in ("elastic_N", "cutting_N", "friction_N")]

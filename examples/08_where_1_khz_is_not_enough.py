@@ -2,21 +2,22 @@
 Limits of a 1 kHz haptic loop
 =============================
 
-A wall that feels hard needs a stiffness of about 1 kN/m. This example computes the rate that a
-device needs to play it while nobody holds the device.
+A virtual wall that feels hard needs a stiffness of about 1 kN/m. This example computes the loop
+rate that a device needs to play this stiffness while nobody holds the device.
 
 Expected for the six-degree-of-freedom device (75 g, 0.4 N s/m):
 
-- Without delay and amplifier lag it is stable up to 801 N/m at 1 kHz and 1601 N/m at 2 kHz. A rate
-  of 1 kHz is not enough, and 2 kHz is.
-- With half a millisecond of delay and an amplifier of 300 Hz it is stable up to 262 N/m at 1 kHz
-  and 371 N/m at 10 kHz. No rate is enough.
-- In a hand, it is stable up to 2906 N/m at 1 kHz, because of the damping of the hand.
-- If a model responds at 100 Hz and its force is held in the meantime, the device in that hand is
-  stable up to 770 N/m only, at any rate of the loop.
+- Without delay and amplifier lag, the device is stable up to 801 N/m at 1 kHz and 1601 N/m at
+  2 kHz. A rate of 1 kHz is not enough, but 2 kHz is enough.
+- With half a millisecond of delay and an amplifier of 300 Hz, the device is stable up to 262 N/m at
+  1 kHz and 371 N/m at 10 kHz. No rate is enough.
+- In a hand, the device is stable up to 2906 N/m at 1 kHz, because of the damping of the hand.
+- If a tissue model responds at 100 Hz and its force is held in the meantime, the device in that
+  hand is stable up to 770 N/m only, at any rate of the loop.
 
-Every figure comes from an eigenvalue. Oscillations of a loop grow 5 % above it and fade 5 % below
-it. The 0.8 to 1 kN/m are from Choi and Tan (2004). The damping of the device is a prior.
+Each of these stiffnesses is a critical stiffness, computed from eigenvalues. In a simulation,
+oscillations grow at a stiffness 5 % above the critical stiffness, and decay at 5 % below it. A wall
+feels hard from 0.8 to 1 kN/m (Choi and Tan 2004). The damping of the device is a prior.
 """
 
 from collections.abc import Iterable
@@ -35,8 +36,8 @@ HARD_N_M = 1000.0
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0)
 
 # %%
-# Compute the device at each rate: without lag, as it is, and held by an expert. A loop is a
-# dataclass of plain numbers.
+# Compute the critical stiffness of three loops at each rate: the device without lag, the device
+# with lag, and the device held by an expert. A loop is a dataclass of plain numbers.
 
 real = [
     replace(tissue.stability.wall_loop("six-dof", HARD_N_M), tick_s=1.0 / rate) for rate in RATES_HZ
@@ -81,8 +82,8 @@ assert abs(held[at_1_khz] - 2906.0) < 2.0
 assert abs(slow_critical - 770.0) < 2.0
 
 # %%
-# A simulated loop confirms the eigenvalues. In four seconds its oscillation grows 5 % above the
-# critical stiffness, and fades 5 % below it.
+# A simulation of the loop over four seconds confirms the eigenvalues. The oscillation grows at 5 %
+# above the critical stiffness, and decays at 5 % below the critical stiffness.
 
 for loop in (*(row[at_1_khz] for row in loops.values()), slow):
     limit = tissue.stability.critical_stiffness_N_m(loop)
@@ -96,7 +97,7 @@ for loop in (*(row[at_1_khz] for row in loops.values()), slow):
     assert above > 1.0 > below
 
 # %%
-# Plot the critical stiffness over the rate. Walls above the shaded stiffness feel hard.
+# Plot the critical stiffness as a function of the rate. Walls above the shaded range feel hard.
 
 figure, axes = plt.subplots(figsize=(7.5, 4.6), layout="constrained")
 for (name, row), colour, marker in zip(

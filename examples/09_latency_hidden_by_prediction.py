@@ -2,19 +2,19 @@
 Latency hidden by prediction
 ============================
 
-A force that is played 4 ms late has an error of nearly 4 % on a stiff wall. This example shows how
-much of the error a prediction can remove.
+On a stiff wall, a force that is played 4 ms late has an error of nearly 4 %. This example shows how
+much of this error a prediction can remove.
 
-Three hands, one of each expertise group, push a ball onto a wall with 4 ms of latency between the
-force and the device. Errors are ||F - ideal|| / ||ideal|| over a run, at the motor. The ideal force
-is the force of a loop without delay at the true position of the device.
+Three simulated hands, one of each expertise group, push a ball onto a wall. The latency between
+force and device is 4 ms. The error of a run is ||F - ideal|| / ||ideal||, where F is the force at
+the motor. The ideal force is the force of a loop without delay at the true position of the device.
 
 Expected errors:
 
 - 3.7 % without prediction,
 - 1.6 % with a straight line through the last ten milliseconds,
-- 0.6 % with the law of the wall at the end of the path that an operator on delayed positions
-  predicts,
+- 0.6 % with a Koopman operator: the operator predicts the path from past positions, and the force
+  is computed from the law of the wall at the end of this path,
 - 0.3 % with a perfect prediction from the encoder steps.
 """
 
@@ -37,8 +37,7 @@ PREDICTIONS = {
 LATENCY_MS = 4
 
 # %%
-# Run every hand with every prediction. `tissue.motor_forces` returns the played and the ideal
-# force.
+# Run each hand with each predictor. `tissue.motor_forces` returns the played and the ideal force.
 
 runs: dict[str, list[tissue.Run]] = {}
 for kind in PREDICTIONS:

@@ -2,7 +2,9 @@
 Calibrate an observer
 =====================
 
-This example shows how well 120 comparisons and 24 numbers measure the perception of a person.
+An observer is a model of a person's force perception. This example shows how well the constants of
+an observer can be measured. The person compares two forces 120 times, and rates 24 forces with a
+number.
 
 Expected:
 
@@ -10,8 +12,8 @@ Expected:
   % and 1.71. Both true values are in the 95 % intervals.
 - A session that is interrupted after 50 trials and continued from its log ends with the same
   observer, bit for bit.
-- Over 200 such people one session is off by about 15 %. This is the limit of 120 answers, because
-  the answer to a comparison is one bit.
+- In sessions with 200 such people, the error of one session is about 15 %. This is the limit of 120
+  answers, because the answer to a comparison is one bit.
 """
 
 import tempfile
@@ -57,7 +59,8 @@ assert abs(weber / WEBER - 1.0) < 0.35 and abs(numbers.mean[1] / EXPONENT - 1.0)
 assert (again.observer("a").mean == done.observer("a").mean).all()
 
 # %%
-# One session each with 200 people who have the same true values shows the scatter of a session.
+# One session with each of 200 people shows the scatter of a session. All these people have the same
+# true values.
 
 found = tissue.calibration.estimated_webers(tissue.calibration.alike(PEOPLE, **TRUTH))
 spread = float(np.log(found / WEBER).std())
@@ -65,8 +68,8 @@ print(f"scatter of the Weber fraction over {PEOPLE} people: {100 * spread:.0f} %
 assert 0.12 < spread < 0.19
 
 # %%
-# Plot the result of one session, the results of sessions with 200 people, and the numbers given to
-# forces.
+# Plot the result of one session, the results of the sessions with 200 people, and the numbers that
+# the person gave to forces.
 
 figure, panels = plt.subplots(1, 3, figsize=(12, 4.0), layout="constrained")
 edges = 100.0 * done.threshold.prior.weber_edges

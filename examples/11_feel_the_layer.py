@@ -2,21 +2,23 @@
 Feel the layer of a liver
 =========================
 
-This example tests whether a hand can discriminate the capsule of a liver from the parenchyma below
-it. It also tests whether a force that is scaled for the person helps.
+This example tests whether simulated people can discriminate the capsule of a liver from the
+parenchyma below the capsule. The example also tests whether scaling the force to the perception of
+each person improves discrimination.
 
 Expected:
 
-- In the tenth of a second before the puncture the mean force on the needle is 2.1 N, and 1.6 N in
-  the tenth of a second after it. 100 simulated people of each group discriminate the two forces
-  with an error below 10 %.
-- The force is scaled for each person, after 24 numbers from that person. This changes the correct
-  answers by less than 3 %.
+- The mean force on the needle is 2.1 N in the tenth of a second before the puncture, and 1.6 N in
+  the tenth of a second after the puncture. 100 simulated people of each group discriminate the two
+  forces with an error below 10 %.
+- To scale the force for a person, the person first rates 24 forces with a number. Scaling changes
+  the share of correct answers by less than 3 %.
 
-A mapping that rises with the force and keeps its end points also keeps the number of just
-noticeable differences between them. It gains in one band of forces what it loses in another.
-Scaling increases the difference for people whose exponent is below the reference exponent, and
-decreases it for the others. For an observer equal to the reference it changes nothing.
+A mapping that increases with the force and keeps two end points also keeps the number of just
+noticeable differences between these end points. If the mapping improves discrimination in one range
+of forces, it reduces discrimination in another range. Scaling increases the force difference for
+people whose Stevens exponent is below the reference exponent, and decreases it for other people.
+For a person with the reference exponent, scaling has no effect.
 
 The scatter of the tissue is larger than any of these effects: a capsule breaks at a force between
 1.7 and 2.9 N. Exponents and thresholds of people are priors.
@@ -36,7 +38,8 @@ GROUPS = ("novice", "intermediate", "expert")
 WINDOW_S = 0.1  # time over which a person averages a force
 
 # %%
-# Run the needle, and compute the mean force in a window on either side of the puncture.
+# Run the scene `needle`, and compute the mean force in a time window before the puncture and in one
+# after the puncture.
 
 run = tissue.simulate(tissue.load_scene("needle", {"duration_s": 1.5}))
 time_s = run.trace["time_s"]
@@ -52,7 +55,8 @@ print(f"capsule {capsule:.2f} N, parenchyma {parenchyma:.2f} N")
 assert 1.9 < capsule < 2.3 and 1.5 < parenchyma < 1.8
 
 # %%
-# People of each group compare the two forces, unscaled and scaled for each person.
+# Simulated people of each group compare the two forces, first unscaled and then scaled for each
+# person.
 
 errors = {}
 for group in GROUPS:
@@ -76,7 +80,7 @@ print(f"reference: right answers change by {100 * abs(scaled - plain).max():.1f}
 assert (plain == scaled).all()
 
 # %%
-# Plot the two windows in the run, and the share of wrong answers.
+# Plot the two time windows in the run, and the share of wrong answers.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.0), layout="constrained")
 left.plot(time_s, force_N, color="0.15", linewidth=1.6)

@@ -2,16 +2,16 @@
 A small study
 =============
 
-This example tests whether predicting the force hides the latency of a contact with a wall.
+This example tests whether a prediction of the force hides the latency during contact with a wall.
 
-Expected over two trials of each group:
+Expected from two trials of each group:
 
-- Without prediction, the played force is 5 % off the force without latency.
-- Prediction by a Koopman operator leaves less than 0.85 of that error, and removes more than two of
-  six milliseconds of lag.
+- Without prediction, the error of the played force is 5 %, relative to the force without latency.
+- Prediction by a Koopman operator reduces this error to less than 0.85 of its size, and removes
+  more than two of six milliseconds of lag.
 - A trial that runs alone gives the same numbers to the last bit.
 
-The people are simulated.
+All people in this study are simulated.
 """
 
 import tempfile
@@ -26,8 +26,8 @@ FIGURES = Path("figures")
 PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
 
 # %%
-# The trials run on two worker processes, which import this script. The code that starts them is
-# therefore under the main guard.
+# The trials run in two worker processes, which import this script. The code that starts these
+# processes is therefore under the main guard.
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
@@ -52,7 +52,7 @@ if __name__ == "__main__":
     assert plain["latency_ms"] - predicted["latency_ms"] > 2.0
 
 # %%
-# Run a single trial by its name, to look at one trial of a study.
+# Run a single trial of the study by its name, to inspect this trial.
 
 if __name__ == "__main__":
     alone = tissue.study.trial(PLAN, "T2-expert-0001").rows[1]
@@ -61,7 +61,7 @@ if __name__ == "__main__":
     print(f"trial T2-expert-0001 alone: the same {100 * inside:.3f} %")
 
 # %%
-# Plot each trial under both methods as a line.
+# Plot a line for each trial. The line connects the errors of the two methods.
 
 if __name__ == "__main__":
     figure, panels = plt.subplots(1, 2, figsize=(8.0, 4.0), layout="constrained")

@@ -2,23 +2,23 @@
 Assess a trainee against an expert
 ==================================
 
-A novice presses a wall, and the run is compared with that of an expert. Both hands hold the same
-simulated device (Touch), with the same seed.
+A simulated novice presses a wall. The run is compared with the run of a simulated expert. The two
+hands hold the same simulated device (Touch), with the same seed.
 
-The score measures how steady the hand is: 0 for the tremor of a novice, 100 for that of an expert.
-The other measures are the distance from the path, the force and the depth. The two runs are aligned
-by place, so a different pace is not an error.
+The score measures how steady the hand is. It is 0 for the tremor of a novice, and 100 for the
+tremor of an expert. The other measures are the distance from the path, the force and the depth. The
+two runs are compared at equal positions along the path, so a different pace is not an error.
 
 Expected:
 
 - The novice has a score near 0, and the expert a score near 100.
 - The novice deviates by 3.6 mm from the straight path of the expert.
-- The novice presses the wall with 35 N, the expert with 27 N. The device plays a small share of
-  this.
+- The novice presses the wall with 35 N, and the expert with 27 N. The device plays a small share of
+  these forces.
 - The novice exceeds the force limit once, 0.6 s after the start.
 
-The differences between hands are priors (`tissue/materials`). The example shows the method, not
-people.
+The differences between the hands are priors (`tissue/materials`). The example shows the method. It
+gives no results about real people.
 """
 
 from pathlib import Path
@@ -51,8 +51,8 @@ assert hands[0] is not None and hands[0].score < 40.0
 assert hands[1] is not None and hands[1].score > 80.0
 
 # %%
-# Plot the trainee over time, the reference at the same place, and the limits. The spans in which a
-# limit was exceeded are marked.
+# Plot the measures of the trainee as a function of time, the reference at the same position, and
+# the limits. Marks show the times in which a limit was exceeded.
 
 quantities = (found.deviation, found.force, found.depth)
 figure, panels = plt.subplots(3, 1, figsize=(8.0, 6.4), sharex=True, layout="constrained")

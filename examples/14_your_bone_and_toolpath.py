@@ -2,15 +2,15 @@
 Your bone, your toolpath
 ========================
 
-A closed surface becomes bone of two densities. A burr follows a path of points at two feeds. The
-four cuts are compared and written for MATLAB.
+Two bones with different densities are made from a closed surface. A burr follows a path of points
+at two feeds in each bone. The four cuts are compared and written for MATLAB.
 
 Expected:
 
-- Twice the feed multiplies the mean force by 1.19 only. Chips are thin, and the edge force does not
-  grow with them.
-- A density 1.5 times higher multiplies the force by 1.84, the power 1.5 of the cutting
-  coefficients.
+- At twice the feed, the mean force is only 1.19 times as large. Chips are thin, so most of the
+  force is the edge force, which does not depend on the chip thickness.
+- At 1.5 times the density, the force is 1.84 times as large. This is the density ratio to the power
+  1.5, as in the cutting coefficients.
 - All four cuts remove 12.5 mm3.
 """
 
@@ -27,8 +27,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
 # %%
-# Use any closed STL, OBJ, PLY or VTK file in millimetres. Here the example first writes a shaft
-# with a thicker end.
+# Use any closed STL, OBJ, PLY or VTK file in millimetres. This example first writes such a file: a
+# shaft with a thicker end.
 
 z = np.linspace(-20.0, 20.0, 60)
 profile = np.column_stack([8.0 + 2.0 * (z / 20.0) ** 2, np.zeros(60), z])
@@ -74,7 +74,7 @@ assert abs(by_feed - 1.19) < 0.02 and abs(by_density - 1.84) < 0.02
 assert all(abs(cut.removed_mm3[-1] - 12.5) < 0.2 for cut in cuts.values())
 
 # %%
-# Plot the force of the four cuts over the position along the shaft.
+# Plot the force of the four cuts as a function of the position along the shaft.
 
 figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
 for ((density, feed), cut), line in zip(cuts.items(), ("--", "-", "--", "-"), strict=True):

@@ -2,14 +2,14 @@
 Your organ with a stiff cyst
 ============================
 
-A kidney of 10 kPa with a cyst of 60 kPa is made from two closed surfaces. It is pressed at five
-places to locate the cyst.
+A kidney with a modulus of 10 kPa and a cyst of 60 kPa are made from two closed surfaces. A ball
+presses the kidney at five places to locate the cyst.
 
-Expected 3 mm deep with a ball of 20 mm: a force of about 0.3 N, and 0.56 to 0.67 N above the cyst,
-twice as much.
+Expected at a depth of 3 mm with a ball of 20 mm: the force is about 0.3 N. Above the cyst, it is
+0.56 to 0.67 N, which is twice as much.
 
-The tetrahedra differ from one meshing to the next. The cells are linear, for speed, so forces are
-somewhat too large (use `order=2` for figures). The moduli are made up.
+The tetrahedra differ each time the mesh is made. They are linear, because this is faster. Forces
+are therefore somewhat too large (use `order=2` for accurate values). The moduli are invented.
 """
 
 from pathlib import Path
@@ -24,7 +24,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
 # %%
-# Your own surfaces come from files or from pyvista. Here they are a bean and a ball inside it.
+# Your own surfaces come from files or from pyvista. In this example, the surfaces are a bean and a
+# ball inside the bean.
 
 kidney = pyvista.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
 x, y, z = np.asarray(kidney.points).T
@@ -46,7 +47,7 @@ organ = organ.refined(edge_mm=3.0, near_mm=places_mm)
 print(organ)
 
 # %%
-# The organ is pressed at each place from rest. It has no memory of earlier presses.
+# Each press starts from the undeformed organ. Earlier presses have no effect.
 
 ball = tissue.ball(diameter_mm=20.0)
 presses = [
@@ -60,7 +61,7 @@ assert np.argmax(forces) == 3 and 1.6 < forces[3] / np.median(elsewhere) < 2.5
 assert 0.5 < forces[3] < 0.75 and np.all(np.abs(elsewhere - 0.31) < 0.06)
 
 # %%
-# Plot the force over depth at the five places.
+# Plot the force as a function of depth at the five places.
 
 figure, axes = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
 for place, press, colour in zip(

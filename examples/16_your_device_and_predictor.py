@@ -5,7 +5,8 @@ Your device and your predictor
 A device with two methods, `read` and `command`, presses a soft block with 4 ms of latency. A
 predictor with two methods, `observe` and `predict`, hides the latency.
 
-Expected: the error of the force is 4.2 % of its size without the predictor, and 1.5 % with it.
+Expected: the error of the force relative to its size is 4.2 % without the predictor, and 1.5 % with
+the predictor.
 """
 
 from pathlib import Path
@@ -22,20 +23,20 @@ FIGURES.mkdir(exist_ok=True)
 LATENCY_MS = 4
 
 # %%
-# A device returns its position in metres and takes forces in newtons. This device is a motor that
-# moves up and down for any command, so that runs can be compared. A device with hardware has the
-# same two methods.
+# A device returns its position in metres and takes forces in newtons. This device imitates a motor
+# that moves up and down, whatever force is commanded, so that runs can be compared. A class for
+# real hardware has the same two methods.
 
 
 class Shaker:
-    """Moves by 3 mm around 1 mm below its origin, twice a second."""
+    """Device that oscillates with 3 mm around 1 mm below its origin, twice a second."""
 
     def __init__(self) -> None:
         self.last_N = np.zeros(3)
 
     def read(self, time_s: float) -> tissue.Sample:
         """Return a sample with the position and velocity of the device at a time."""
-        # two turns a second
+        # two cycles a second
         turn = 4.0 * np.pi
         height = 3e-3 * np.cos(turn * time_s) - 3e-3
         return tissue.Sample(
@@ -48,8 +49,8 @@ class Shaker:
 
 
 # %%
-# A predictor observes every tick, and returns the force some ticks later. This one continues the
-# last slope of the force.
+# A predictor observes every tick, and returns the force some ticks later. This predictor continues
+# the force along its last slope.
 
 
 class Slope:
@@ -60,9 +61,9 @@ class Slope:
         self.slope_N = np.zeros(3)
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
-        """Observe a tick. A slow model has a force in some ticks only."""
+        """Observe a tick. If the tissue model is slow, only some ticks have a force."""
         if force_N is not None:
-            # the mean over about 5 ticks, so that single encoder steps do not count
+            # mean over about 5 ticks, so that single encoder steps have little effect
             self.slope_N = 0.8 * self.slope_N + 0.2 * (force_N - self.force_N)
             self.force_N = force_N
 
@@ -72,8 +73,8 @@ class Slope:
 
 
 # %%
-# The stability of the loop is checked. The loop then runs for a second: without latency, with
-# latency, and with latency and the predictor.
+# The stability of the loop is checked. Then the loop runs for one second in three versions: without
+# latency, with latency, and with latency and the predictor.
 
 block = tissue.Organ.block(
     (40.0, 40.0, 20.0), modulus_kPa=20.0, poisson_ratio=0.45, edge_mm=3.0, order=1
@@ -82,10 +83,10 @@ numbers = tissue.DeviceParameters(mass_kg=0.05, damping_N_s_m=0.5, force_limit_N
 
 
 def played(delay_ms: int, predictor: Slope | None) -> Floats:
-    """Force at the device over a second [N], shape (1000,)."""
+    """Return the force at the device for one second [N], shape (1000,)."""
     loop = tissue.Loop(
         block,
-        # small against the block of 40 mm; the start is 2 mm above it
+        # small compared with the block of 40 mm; the ball starts 2 mm above the block
         tissue.ball(diameter_mm=12.0),
         device=Shaker(),
         limits=numbers,
@@ -114,7 +115,7 @@ print(
 assert abs(errors[0] - 0.042) < 0.004 and abs(errors[1] - 0.015) < 0.004
 
 # %%
-# Plot one press: without latency, late, and predicted.
+# Plot the force of one press: without latency, with latency, and with latency and the predictor.
 
 figure, axes = plt.subplots(figsize=(8.0, 4.2), layout="constrained")
 time_ms = np.arange(len(prompt))

@@ -2,12 +2,12 @@
 Learn to palpate
 ================
 
-The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`:
+The cross-entropy method finds the four parameters of a policy for `tissue/Palpation-v0`:
 
 - the depth of the press,
 - the distance from the start,
-- the speed of sliding around,
-- the radial range of motion around the place with the largest force.
+- the speed of sliding along the circle,
+- the radial range of motion at the place with the largest force.
 
 Needs ``pip install ".[rl]"``.
 """
@@ -34,9 +34,10 @@ HIGH = np.array([-0.3, 20.0, 60.0, 0.9])
 """
 
 # %%
-# The policy slides around a circle. It then moves out and in where the resistance was largest, and
-# lifts at the hardest place. It uses the observation alone. The resistance of a place is the force
-# over the depth to the power of 3/2, as for any ball.
+# The policy slides along a circle. It then moves outward and inward where the resistance was
+# largest, and lifts at the hardest place. The policy uses only the observation. The resistance of a
+# place is the force divided by the depth to the power of 3/2, which is constant in Hertz contact of
+# a ball.
 
 
 def hardest(felt: list[Floats]) -> Floats:
@@ -51,7 +52,7 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     """Return the score of an episode by a policy: height, radius, speed and share of radius."""
     height, radius, speed, share = np.clip(policy, LOW, HIGH)
     observation, _ = env.reset(seed=seed)
-    # corners of 15 degrees, back to the first
+    # corners at steps of 15 degrees, back to the first corner
     turns = np.linspace(0.0, 2.0 * np.pi, 25)
     plan = [radius * np.array([np.cos(turn), np.sin(turn)]) for turn in turns]
     felt: list[Floats] = []
@@ -62,21 +63,21 @@ def score(env: Any, policy: Floats, seed: int) -> float:
         tip = TIP_MM * observation[:3].astype(float)
         # entries 0 to 2 are the tip, 3 to 5 its velocity, 6 to 8 the force
         force = FORCE_N * float(np.linalg.norm(observation[6:9]))
-        # while it moves outward, the tip is not at its depth yet
+        # while the tip moves outward, it has not reached its depth yet
         if np.hypot(*tip[:2]) > 0.5 * radius:
-            # above 0.3 mm of depth, force and depth are too small for their ratio
+            # at depths below 0.3 mm, force and depth are too small to compute the resistance
             felt.append(np.array([*tip[:2], force / max(-tip[2], 0.3) ** 1.5]))
         # a corner counts as reached within 0.5 mm: a step at 60 mm/s is 1.2 mm long
         while plan and np.hypot(*(plan[0] - tip[:2])) < 0.5:
             plan.pop(0)
-        # stage 1: across the hardest place of the circle; stage 2: the hardest place of that line
+        # stage 1: cross the hardest place of the circle; stage 2: go to the hardest place there
         if not plan and stage < 2 and felt:
             place, stage = hardest(felt), stage + 1
             felt = felt if stage == 2 else []
             plan = [place] if stage == 2 else [place, (1.0 - share) * place, (1.0 + share) * place]
         away = (plan[0] if plan else tip[:2]) - tip[:2]
         aside = away / max(float(np.hypot(*away)), speed * STEP_S) * speed
-        # without a plan the tip rises as fast as it can, above the 3 mm that count as lifted
+        # without further corners, the tip rises at full speed above the 3 mm that count as lifted
         rise = (height if plan else 10.0) - tip[2]
         action = np.array([*aside, rise / STEP_S]) / TOP_MM_S
         observation, _, terminated, truncated, info = env.step(np.clip(action, -1.0, 1.0))
@@ -86,27 +87,27 @@ def score(env: Any, policy: Floats, seed: int) -> float:
 
 # %%
 # The cross-entropy method (Rubinstein 1999): draw policies from a normal distribution, keep the
-# best quarter, and fit the distribution to them. Each policy is scored on the same fresh episodes
-# of its generation.
+# best quarter of the policies, and fit the distribution to this quarter. All policies of a
+# generation are scored on the same new episodes.
 
 
 def learn(
     env: Any, rng: np.random.Generator, *, generations: int = 5, count: int = 16, episodes: int = 3
 ) -> Floats:
-    """Return mean and spread of the policies of every generation, shape (generations + 1, 2, 4)."""
-    # a first guess that presses too lightly (score 0.12), and a third of the bounds around it
+    """Return mean and spread of the policies in each generation, shape (generations + 1, 2, 4)."""
+    # a first guess that presses too lightly (score 0.12), with a spread of a third of the bounds
     mean = np.array([-0.6, 7.0, 15.0, 0.1])
     spread = 0.3 * (HIGH - LOW)
     history = [np.array([mean, spread])]
     for generation in range(generations):
         # height, radius, speed and share, see `score`
         policies = rng.normal(mean, spread, (count, 4))
-        # seeds of learning start at 1000, those of the unseen episodes at 0
+        # seeds for learning start at 1000, seeds of the unseen episodes start at 0
         seeds = 1000 + generation * episodes + np.arange(episodes)
         scores = [np.mean([score(env, policy, int(seed)) for seed in seeds]) for policy in policies]
         best = np.clip(policies[np.argsort(scores)[-count // 4 :]], LOW, HIGH)
         mean = best.mean(axis=0)
-        # keep a spread of 2 % of the bounds, since the best of few may agree by chance
+        # add a spread of 2 % of the bounds, because a few best policies may agree by chance
         spread = best.std(axis=0) + 0.02 * (HIGH - LOW)
         history.append(np.array([mean, spread]))
     return np.array(history)

@@ -5,9 +5,9 @@ A robot drills a pedicle
 A robot arm in MuJoCo drills the pedicle of a lumbar vertebra. `tissue.Loop` gives the force on the
 drill in every millisecond, and MuJoCo moves the arm under it.
 
-The arm is under admittance control: it feeds the drill as the thrust allows. It pauses when the
-drill breaks through the cortex, and then continues to 15 mm. It stops the drill 1 mm before the
-spinal canal.
+The arm is under admittance control, which computes the feed of the drill from the thrust. The arm
+pauses when the drill breaks through the cortex, and then continues to a depth of 15 mm. The arm
+stops the drill 1 mm before the spinal canal.
 
 Needs ``pip install mujoco``.
 """
@@ -30,8 +30,8 @@ ENTRY_M = np.array([0.5, 0.0, 0.15])
 """Origin of the scene in the frame of the robot [m]; the axes of both frames are parallel."""
 
 # %%
-# The arm has six joints. The drill hangs on the last one, its tip at the site ``tip``. Every step
-# of MuJoCo takes 1 ms, as a tick of the tissue does.
+# The arm has six joints. The last joint carries the drill, whose tip is at the site ``tip``. A step
+# of MuJoCo takes 1 ms, which is also the duration of a tick of the tissue.
 
 ARM = """
 <mujoco>
@@ -58,10 +58,10 @@ ARM = """
 
 
 class Arm:
-    """Arm whose drill is held at a pose by torques at the joints.
+    """Arm that holds a drill at a pose by torques at the joints.
 
-    The torques follow from the inertia of the arm at its tip (Khatib 1987, IEEE J. Robot. Autom.
-    3:43), with the measured force of the bone added.
+    The torques are computed from the inertia of the arm at its tip (Khatib 1987, IEEE J. Robot.
+    Autom. 3:43). The measured force of the bone is added.
     """
 
     stiffness_per_kg = 150.0**2  # natural frequency of 150 rad/s, 24 Hz, critically damped
@@ -75,7 +75,7 @@ class Arm:
         self.yields = np.zeros((6, self.model.nv))
 
     def place(self, tip_m: Floats, turn: Floats) -> None:
-        """Find joint angles for a pose, by damped Newton steps from a bent arm."""
+        """Find joint angles for a pose by damped Newton steps that start from a bent arm."""
         self.data.qpos[:] = [0.0, 0.2, 1.4, 0.0, 1.5, 0.0]
         for _ in range(200):
             mujoco.mj_forward(self.model, self.data)
@@ -86,25 +86,25 @@ class Arm:
         assert np.abs(error).max() < 1e-6, "the arm reaches the entry"
 
     def jacobian(self) -> Floats:
-        """Jacobian of the tip: velocity and angular velocity by joint, shape (6, 6)."""
+        """Return the Jacobian of the tip: velocity and angular velocity per joint, shape (6, 6)."""
         mujoco.mj_jacSite(self.model, self.data, self.columns[:3], self.columns[3:], self.tip.id)
         return self.columns
 
     def poses(self) -> Floats:
-        """Poses of the arm's parts in the frame of the scene [mm], shape (parts, 4, 4)."""
+        """Return poses of the arm's parts in the frame of the scene [mm], shape (parts, 4, 4)."""
         poses = np.tile(np.eye(4), (self.model.ngeom, 1, 1))
         poses[:, :3, :3] = self.data.geom_xmat.reshape(-1, 3, 3)
         poses[:, :3, 3] = 1e3 * (self.data.geom_xpos - ENTRY_M)
         return poses
 
     def error(self, tip_m: Floats, turn: Floats) -> Floats:
-        """Distance [m] and small rotation [rad] from the tip to a pose, shape (6,)."""
+        """Return distance [m] and small rotation [rad] from the tip to a pose, shape (6,)."""
         now = self.tip.xmat.reshape(3, 3)
         about = 0.5 * sum(np.cross(now[:, axis], turn[:, axis]) for axis in range(3))
         return np.concatenate([tip_m - self.tip.xpos, about])
 
     def step(self, tip_m: Floats, velocity: Floats, turn: Floats, wrench: Floats) -> None:
-        """Hold the tip at a moving pose under the wrench of the bone, for 1 ms."""
+        """Hold the tip at a moving pose for 1 ms, while the wrench of the bone acts."""
         data = self.data
         jacobian = self.jacobian()
         mujoco.mj_solveM(self.model, data, self.yields, jacobian)
@@ -113,7 +113,7 @@ class Arm:
         stiffness = self.stiffness_per_kg
         wanted = stiffness * self.error(tip_m, turn) + 2.0 * np.sqrt(stiffness) * rate
         data.qfrc_applied[:] = data.qfrc_bias + jacobian.T @ (at_tip @ wanted - wrench)
-        # MuJoCo takes the force at the centre of mass of the body.
+        # MuJoCo applies the force at the centre of mass of the body.
         arm_m = self.tip.xpos - data.xipos[self.drill]
         data.xfrc_applied[self.drill] = wrench
         data.xfrc_applied[self.drill, 3:] += np.cross(arm_m, wrench[:3])
@@ -121,9 +121,10 @@ class Arm:
 
 
 # %%
-# Admittance control turns the thrust into a feed: M dv/dt + D v = wanted thrust - thrust. The
-# thrust is the measured force along the drill, after a low-pass of 5 ms. The drill has broken
-# through once the thrust has fallen to 40 % of its maximum. The canal is guarded by distance.
+# Admittance control computes the feed v from the thrust: M dv/dt + D v = wanted thrust - thrust.
+# The thrust is the measured force along the drill, after a low-pass filter of 5 ms. The drill has
+# broken through if the thrust has fallen to 40 % of its maximum. The arm stops if the distance from
+# the canal is too small.
 
 THRUST_N = 30.0
 DAMPING_N_S_M = 8e3
@@ -145,11 +146,13 @@ FRAME_TICKS = 100
 def drill(
     arm: Arm, loop: tissue.Loop, entry_mm: Floats, turn: Floats, depth_mm: float
 ) -> tuple[Floats, dict[str, int], list[Floats]]:
-    """Drill from 1 mm above an entry to a depth; return the record, ticks of events and poses.
+    """Drill from 1 mm above an entry to a depth.
+
+    Return the record, the tick of each event and the poses of the arm.
 
     A row of the record holds thrust [N], feed [mm/s], depth [mm], distance from the canal [mm] and
-    distance of the tip from the planned axis [mm]. Poses are those of the arm's parts in each
-    picture of the movie, shape (parts, 4, 4) [mm].
+    distance of the tip from the planned axis [mm]. For each picture of the movie there is an array
+    with the poses of the arm's parts, shape (parts, 4, 4) [mm].
     """
     axis = turn[:, 2]
     above_m = 1e-3 * entry_mm + 1e-3 * axis
@@ -157,7 +160,7 @@ def drill(
     pose = np.eye(4)
 
     def seen() -> Floats:
-        """Pose of the drill in the frame of the scene [mm]."""
+        """Return the pose of the drill in the frame of the scene [mm]."""
         pose[:3, :3] = arm.tip.xmat.reshape(3, 3)
         pose[:3, 3] = 1e3 * (arm.tip.xpos - ENTRY_M)
         return pose
@@ -197,7 +200,7 @@ def drill(
 
 
 def tilted(degrees: float) -> Floats:
-    """Axes of a drill that is tilted towards the canal."""
+    """Return the axes of a drill that is tilted towards the canal."""
     cosine = np.cos(np.radians(degrees))
     sine = np.sin(np.radians(degrees))
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
@@ -215,10 +218,10 @@ aimed, guarded, _ = drill(arm, loop, np.array([2.0, 0.0, 0.0]), tilted(20.0), 20
 
 # %%
 # Expected: the thrust in the cortex is 23 to 25 N. It is below the wanted 30 N because of the
-# damping of the feed. The drill stops at the break-through, 1.2 to 1.6 mm below the entry. It
-# reaches 15 mm of depth, 6 mm from the canal and within 0.02 mm of its axis. The drill that was
-# aimed 20 degrees wrong reaches the cortex of the canal at 12.5 mm, and stops 1 mm before the
-# canal.
+# damping of the feed. The drill pauses at the break-through, 1.2 to 1.6 mm below the entry. It then
+# reaches a depth of 15 mm, at a distance of 6 mm from the canal and within 0.02 mm of the planned
+# axis. A second drill is aimed 20 degrees wrong. It reaches the cortex of the canal at a depth of
+# 12.5 mm, and stops 1 mm before the canal.
 
 through, end = events["through"], events["end"]
 stopped = planned[through + HOLD_TICKS - 1]
@@ -268,8 +271,8 @@ panels[2].legend(loc="upper right")
 figure.savefig(FIGURES / "18_robot.png", dpi=150)
 
 # %%
-# The movie shows the whole arm, and the rear half of the vertebra's surface with the drill. It ends
-# with the drilled bone.
+# The movie shows the whole arm, and the rear half of the vertebra's surface with the drill. The
+# movie ends with the drilled bone.
 
 
 def movie(vertebra: Any, drilled: Any, poses: list[Floats], record: Floats) -> None:

@@ -2,8 +2,9 @@
 A robot palpates soft tissue
 ============================
 
-A SCARA robot in MuJoCo slides a fingertip over soft tissue under a constant force. It finds a stiff
-nodule, because the finger floats higher there. MuJoCo and `tissue.Loop` both take steps of 2 ms.
+A SCARA robot in MuJoCo slides a fingertip over soft tissue under a constant force. The robot finds
+a stiff nodule, because the finger sinks less deep above the nodule. MuJoCo and `tissue.Loop` both
+take steps of 2 ms.
 
 Needs ``pip install mujoco``.
 """
@@ -26,8 +27,8 @@ SLAB_M = np.array([0.4, 0.0, 0.1])
 STEP_S = 0.002
 
 # %%
-# Two links turn in a plane, and a slide carries the fingertip down. Position control of the joints
-# is stiff in the plane. Along the slide the arm is under force control.
+# Two links rotate in a plane, and a vertical slide carries the fingertip. In the plane, stiff
+# position control moves the joints. Along the slide the robot is under force control.
 
 ARM = """
 <mujoco>
@@ -49,14 +50,14 @@ LINKS_M = 0.25
 
 
 def angles(x_m: float, y_m: float) -> Floats:
-    """Angles of shoulder and elbow for a place of the finger [rad], shape (2,)."""
+    """Return the angles of shoulder and elbow for a position of the finger [rad], shape (2,)."""
     square = (x_m**2 + y_m**2 - 2.0 * LINKS_M**2) / (2.0 * LINKS_M**2)
     elbow = -np.arccos(square)
     return np.array([np.arctan2(y_m, x_m) - 0.5 * elbow, elbow])
 
 
 class Scara:
-    """Robot whose joints follow accelerations of a critically damped controller."""
+    """Robot whose joints follow the accelerations of a critically damped controller."""
 
     def __init__(self) -> None:
         self.model: Any = mujoco.MjModel.from_xml_string(ARM)
@@ -66,14 +67,14 @@ class Scara:
         self.torque = np.zeros(3)
 
     def step(self, joints: Floats, rates: Floats, wrench: Floats) -> None:
-        """Follow joint positions and rates under the wrench of the tissue, for 2 ms."""
+        """Follow joint positions and rates for 2 ms, while the wrench of the tissue acts."""
         data = self.data
         damping = 2.0 * NATURAL_RAD_S * (rates - data.qvel)
         wanted = NATURAL_RAD_S**2 * (joints - data.qpos) + damping
         mujoco.mj_mulM(self.model, data, self.torque, wanted)
         data.qfrc_applied[:] = self.torque + data.qfrc_bias
         data.qfrc_applied[2] -= wrench[2]
-        # MuJoCo takes the force at the centre of mass of the body.
+        # MuJoCo applies the force at the centre of mass of the body.
         arm_m = self.tip.xpos - data.xipos[self.finger]
         data.xfrc_applied[self.finger] = wrench
         data.xfrc_applied[self.finger, 3:] += np.cross(arm_m, wrench[:3])
@@ -81,9 +82,9 @@ class Scara:
 
 
 # %%
-# The slab has one modulus of 5 kPa, and a nodule of 18 mm at x = -20 mm, 8 mm under the surface.
-# The finger lands at x = -45 mm and slides at 20 mm/s. Admittance control moves it down while the
-# force is below the wanted one, and up while it is above.
+# The slab has a modulus of 5 kPa, and contains a nodule of 18 mm at x = -20 mm, 8 mm under the
+# surface. The finger lands at x = -45 mm and slides at 20 mm/s. Admittance control moves the finger
+# down while the force is below the wanted force, and up while the force is above the wanted force.
 
 FORCE_N = 0.1
 DAMPING_N_S_M = 3.0
@@ -104,7 +105,7 @@ wrench = np.zeros(6)
 rows = []
 landed = 0
 while place_m < TO_M:
-    # The finger slides once it has been pressed for 0.5 s.
+    # The finger begins to slide after it has pressed for 0.5 s.
     landed += bool(wrench[2] > 0.5 * FORCE_N)
     slide = SLIDE_M_S if landed > 250 else 0.0
     rise = float(np.clip((wrench[2] - FORCE_N) / DAMPING_N_S_M, -DESCENT_M_S, DESCENT_M_S))
@@ -119,9 +120,9 @@ while place_m < TO_M:
     rows.append([*tip_mm, wrench[2], slide])
 
 # %%
-# Expected: the force stays within 3 % of 0.1 N while the finger slides. The finger is 2.6 mm deep
-# next to the nodule and 2.3 mm deep above it. The finger is highest above the nodule: the mean
-# place of the highest quarter is within 2 mm of its centre.
+# Expected: the force stays within 3 % of 0.1 N while the finger slides. The depth of the finger is
+# 2.6 mm next to the nodule and 2.3 mm above the nodule. The robot takes the mean position of the
+# highest quarter of the path. It is within 2 mm of the centre of the nodule.
 
 x_mm, _, z_mm, force_N, slides = np.array(rows).T
 slid = slides > 0.0

@@ -2,17 +2,17 @@
 Try a protocol without people
 =============================
 
-Before you invite people, try the files and the analysis of a study with simulated people. The
-question of this study: do people press a wall harder if the device plays a quarter of the force?
+Before you invite people to a study, try its files and its analysis with simulated people. The
+question of this study is: do people press a wall harder if the device plays a quarter of the force?
 
-Twelve people press the wall under both conditions, half of them with the weak force first. The
-folders are those of a study with a real device (see the guide, "Run a study with participants").
-The analysis reads only these folders.
+Twelve simulated people press the wall under two conditions: the full force and the weak force. Half
+of the people begin with the weak force. The folders have the same layout as in a study with a real
+device (see the guide, "Run a study with participants"). The analysis reads only these folders.
 
 Expected:
 
-- With the weak force, the peak force at the tool is larger in every one of the twelve people, by 19
-  N on average (95 % interval 16 to 21 N).
+- With the weak force, the peak force at the tool is larger for each of the twelve people. The mean
+  difference is 19 N (95 % interval 16 to 21 N).
 - Sign flips of the twelve differences give p = 0.0005, the smallest value that twelve differences
   can have.
 - The order of the conditions has no effect, because a simulated person does not learn.
@@ -34,12 +34,12 @@ GROUPS = ("novice", "intermediate", "expert")
 FORCE_SCALES = {"full": 0.02, "weak": 0.005}
 
 # %%
-# Every person has a folder, which holds the log of the calibration and a folder for each attempt.
-# Its name is the condition and the number of the attempt.
+# Each person has a folder, which holds the log of the calibration and a folder for each attempt.
+# The name of the folder of an attempt is the condition and the number of the attempt.
 
 
 def session(folder: Path, number: int) -> None:
-    """Simulate the session of one person: calibration, then both conditions."""
+    """Simulate the session of one person: the calibration and then the two conditions."""
     folder.mkdir()
     group = GROUPS[number % 3]
     answers = tissue.calibration.simulated_answers(
@@ -69,9 +69,9 @@ with tempfile.TemporaryDirectory() as folder:
     found = tissue.rank(people, reference)
 
 # %%
-# The measure was chosen before the study: the peak force at the tool. The mean over the attempts of
-# each person and condition gives one difference for each person. The test flips the signs of these
-# differences.
+# The measure, chosen before the study, is the peak force at the tool. For each person and
+# condition, take the mean over the attempts. The two means give one difference for each person. The
+# test flips the signs of these differences.
 
 measured = {
     person.name: {

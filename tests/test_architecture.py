@@ -253,7 +253,7 @@ def test_a_foreign_package_of_the_same_name_is_reported(tmp_path, name, module):
     message = fresh(code).stderr.splitlines()[-1]
     found = tmp_path / name if module else tmp_path
     assert message == (
-        f"ImportError: tissue needs its own package {name} at {ROOT / name}, got {found}: "
-        f"uninstall the other {name} "
+        f"ImportError: tissue needs its own package {name} at {ROOT / name}, got {found}. "
+        f"Uninstall the other {name} "
         "or reinstall tissue-sim in a fresh environment"
     )

@@ -2,8 +2,8 @@
 
 Run: python docs/_ext/scene_tables.py
 
-It writes the tables of docs/scene_keys.md, after the mark in that file. A test fails if they are
-not up to date.
+The script writes the tables of docs/scene_keys.md after the mark in that file. A test fails if the
+tables are not up to date.
 """
 
 import json
@@ -19,17 +19,17 @@ __all__ = ["PAGE", "Group", "Key", "Part", "anchors", "page", "parts", "unit_of"
 PAGE = Path(__file__).resolve().parents[1] / "scene_keys.md"
 MARK = "<!-- Tables by docs/_ext/scene_tables.py -->\n"
 """Line of the page after which the tables begin."""
-HEAD = "| key | unit | takes | default | what |\n|---|---|---|---|---|\n"
+HEAD = "| key | unit | values | default | meaning |\n|---|---|---|---|---|\n"
 Schema = dict[str, Any]
 UNITS = {
     **{each: each for each in ("N", "kN", "kPa", "kg", "mm", "m", "ms", "rad", "rpm", "s")},
     **{"Nm": "N·m", "deg": "°", "m3": "m³", "mm2": "mm²"},
 }
-"""Units as the names of keys spell them, and as people do."""
+"""Units: spelling in the names of keys, and usual spelling."""
 
 
 class Key(NamedTuple):
-    """One row: a key of a scene with what it takes, empty where there is nothing to state."""
+    """One row of a table: a key of a scene. A text is empty if there is nothing to state."""
 
     name: str
     unit: str
@@ -39,7 +39,7 @@ class Key(NamedTuple):
 
 
 class Group(NamedTuple):
-    """One table: the keys that some kinds of a part share; a part without kinds has one group."""
+    """One table: the keys that some kinds of a part share. A part without kinds has one group."""
 
     kinds: tuple[str, ...]
     text: str
@@ -47,7 +47,9 @@ class Group(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A part of a scene by the name of its TOML table, empty for the top of the file."""
+    """A part of a scene, with the name of its TOML table. The name is empty for the top of the
+    file.
+    """
 
     name: str
     text: str
@@ -56,7 +58,7 @@ class Part(NamedTuple):
 
 
 def parts() -> Iterator[Part]:
-    """Every part of a scene in the order of the schema, the top of the file first."""
+    """Yield every part of a scene in the order of the schema. The top of the file comes first."""
     schema = json.loads(schema_text())
     tables = {name: entry for name, entry in schema["properties"].items() if _models(schema, entry)}
     plain = {name: entry for name, entry in schema["properties"].items() if name not in tables}
@@ -68,7 +70,7 @@ def parts() -> Iterator[Part]:
 
 
 def _part(schema: Schema, name: str, entry: Schema) -> Iterator[Part]:
-    """A table, and those inside of it."""
+    """Yield a table, and then the tables inside this table."""
     models = _models(schema, entry)
     text = entry.get("description") or models[0]["description"]
     left_out = " This table is optional." if entry.get("default", {}) is None else ""
@@ -82,9 +84,11 @@ def _part(schema: Schema, name: str, entry: Schema) -> Iterator[Part]:
 
 
 def unit_of(name: str) -> str:
-    """Unit that ends a key's name: ``N/mm²`` of ``chip_N_mm2``, nothing of a count or a share.
+    """Return the unit at the end of a key's name, such as ``N/mm²`` for ``chip_N_mm2``.
 
-    Of several units the last one is the denominator, as in all names here.
+    A count or a ratio has no unit, and gives an empty text.
+
+    If a name has several units, the last unit is the denominator. This holds for all names of keys.
     """
     words, found = name.split("_"), []
     while len(words) > 1 and words[-1] in UNITS:
@@ -93,23 +97,23 @@ def unit_of(name: str) -> str:
 
 
 def _models(schema: Schema, entry: Schema) -> list[Schema]:
-    """The tables that a key of the scene can be; none for a plain value."""
+    """Return the tables that a key of the scene can be, or an empty list for a plain value."""
     choices = (entry, *entry.get("oneOf", ()), *entry.get("anyOf", ()))
     return [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in choices if "$ref" in each]
 
 
 def _kinds(model: Schema) -> tuple[str, ...]:
-    """Kinds that a table describes."""
+    """Return the kinds that a table describes."""
     kind = model["properties"].get("kind", {})
     return tuple(kind.get("enum") or [kind["const"]]) if "enum" in kind or "const" in kind else ()
 
 
 def _groups(schema: Schema, models: list[Schema], kinds: list[tuple[str, ...]]) -> Iterator[Group]:
-    """Yield keys by the tables that have them.
+    """Yield the keys, grouped by the tables that have them.
 
     Keys that several tables share come first, at the place of the first of these tables.
 
-    A kind has a table for each source of its shape, procedural or a file: its keys are
+    A kind has a table for each source of its shape (procedural or a file). The keys of the kind are
     the keys of all of these tables.
     """
     found: dict[Key, dict[tuple[str, ...], None]] = {}
@@ -158,7 +162,7 @@ def _takes(entry: Schema) -> str:
 
 
 def _text(pattern: str) -> str:
-    """A text, or the choices of a pattern such as ``^(none|observer:.+)$``."""
+    """Return "text", or the choices of a pattern such as ``^(none|observer:.+)$``."""
     choices = re.fullmatch(r"\^\((.*)\)\$", pattern)
     return (
         ", ".join(f"`{each.replace('.+', 'FILE')}`" for each in choices[1].split("|"))
@@ -170,7 +174,7 @@ def _text(pattern: str) -> str:
 def _range(entry: Schema) -> str:
     """Return the range of a number.
 
-    Brackets mark ends that belong to it, parentheses ends that do not.
+    A bracket marks an end that belongs to the range, and a parenthesis marks an end that does not.
     """
     low, high = entry.get("minimum"), entry.get("maximum")
     above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")
@@ -194,25 +198,27 @@ def _range(entry: Schema) -> str:
 
 
 def _number(value: float) -> str:
-    """A number with a true minus sign, digits in threes, and 2⁶³ as a power."""
+    """Return a number with a true minus sign and with digits in groups of three. 2⁶³ is written as
+    a power.
+    """
     text = f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}") if abs(value) >= 1e4 else f"{value:g}"
     return "2⁶³" if value == 2**63 else text.replace("-", "−")
 
 
 def _shown(value: object) -> str:
-    """A default as TOML has it; nothing where there is none."""
+    """Return a default as TOML spells it, or an empty text without a default."""
     if value is None or value == "":
         return ""
     return f"`{json.dumps(value)}`" if isinstance(value, bool | list) else f"`{value}`"
 
 
 def anchors() -> set[str]:
-    """Return the names of all keys with their table, each the anchor of a row."""
+    """Return the names of all keys with their table. Each name is the anchor of a row."""
     return {_anchor(part, key) for part in parts() if part.name for key in _keys(part)}
 
 
 def page() -> str:
-    """Return the whole page, with the text before the mark as it is."""
+    """Return the whole page. The text before the mark is unchanged."""
     text = PAGE.read_text("utf-8").partition(MARK)[0]
     return text + MARK + "".join(_section(part) for part in parts())
 
@@ -235,7 +241,7 @@ def _section(part: Part) -> str:
 
 
 def _row(part: Part, key: Key, seen: set[str]) -> str:
-    """Return a row; the first of its name carries the anchor."""
+    """Return a row. The first row of a name has the anchor."""
     anchor = _anchor(part, key)
     mark = "" if anchor in seen else f'<span id="{anchor}"></span>'
     seen.add(anchor)

@@ -1,7 +1,7 @@
 """Client of ``tissue serve`` in Python: moves a tool down and prints the force on it.
 
 Run ``tissue serve pedicle`` in one terminal and ``python examples/clients/pose_client.py`` in
-another. It needs Python alone. Lengths are in m, in the frame of the scene.
+another. The client needs only Python. Lengths are in m, in the frame of the scene.
 """
 
 import socket
@@ -14,7 +14,7 @@ HELLO, POSE, WRENCH, HEARTBEAT, BYE, REFUSED = range(1, 7)
 
 
 class PoseClient:
-    """Client that sends a pose and waits for its wrench.
+    """Client that sends a pose and waits for the wrench at this pose.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class PoseClient:
         return struct.unpack("<6d", payload)
 
     def ask(self, kind: int, payload: bytes, wanted: int) -> bytes | None:
-        """Send a packet; return the payload of the answer, or None if none comes in time."""
+        """Send a packet; return the payload of the answer, or None if no answer comes in time."""
         self.sent += 1
         self._send(kind, payload)
         while True:
@@ -56,7 +56,7 @@ class PoseClient:
             if answer == REFUSED:
                 raise SystemExit(body[24:].decode())
             self.seen = number
-            # The echo is the number of the packet that an answer belongs to.
+            # The echo is the number of the packet that is answered.
             if answer == wanted and echo == self.sent:
                 return body[24:]
 
@@ -73,7 +73,7 @@ class PoseClient:
 
 
 def main(port: int, steps: int) -> None:
-    """Move down by 2 micrometres in each step, 2 mm/s at steps of 1 ms."""
+    """Move down by 2 micrometres in each step. With steps of 1 ms the speed is 2 mm/s."""
     client = PoseClient(port)
     times = []
     largest = 0.0

@@ -2,10 +2,10 @@
 
 Run: ``python examples/ct/synthetic_ct.py FOLDER``.
 
-Hounsfield units follow from composition. The linear attenuation of each voxel at one energy is that
-of the volume fractions of the materials in ``meshes/ct/attenuation.toml``. Bone of every density is
-dense bone in marrow. Noise and 12-bit quantisation are added. The guide to CT import and the tests
-use it.
+Hounsfield units are computed from the composition. The linear attenuation of a voxel at one energy
+is the mean over its materials, weighted with their volume fractions
+(``meshes/ct/attenuation.toml``). Bone of every density is a mixture of dense bone and marrow. Noise
+and 12-bit quantisation are added. The guide to CT import and the tests use this CT.
 """
 
 import argparse
@@ -33,10 +33,10 @@ to the left.
 """
 HEAD_CENTRE_MM = (35.0, -8.0, 20.0)
 HEAD_RADIUS_MM = 22.0
-"""Ball of the humerus's head [mm, LPS]."""
+"""Centre and radius of the ball of the humeral head [mm, LPS]."""
 _SHAFT_X_MM = 40.0
 _SHAFT_MM = 13.0
-"""Position of the shaft's axis and radius of the shaft [mm]."""
+"""Position of the axis of the shaft, and radius of the shaft [mm]."""
 _NECK_MM = -20.0
 _RIM_MM = 18.0
 _RIM_RADIUS_MM = 28.0
@@ -48,9 +48,9 @@ _VERTEBRA_SHELL_KG_M3 = 1000.0
 _VERTEBRA_CORE_KG_M3 = 250.0
 _ARCH_KG_M3 = 1100.0
 _HALF_MM = (108.0, 80.0, 52.0)
-"""Half size of the image [mm]; the shaft is cut off at its lower edge.
+"""Half size of the image [mm]. The lower edge of the image cuts off the shaft.
 
-Sizes and densities of the bones are made up, within the usual range of adults.
+Sizes and densities of the bones are invented, within the usual range of adults.
 """
 _LOWEST_HU = -1024
 _HIGHEST_HU = 3071
@@ -78,15 +78,15 @@ class Person:
     Attributes
     ----------
     attenuation
-        Factor of the linear attenuation of adipose, muscle, blood and cortex (the shaft's alone), 1
-        where not given.
+        Factor of the linear attenuation of adipose, muscle, blood and the cortex of the shaft. It
+        is 1 for materials that are not given.
     mineral
-        Factor of what the attenuation of bone, but for the shaft's cortex, has over that of marrow
-        at the same density.
+        Factor of the difference between the attenuations of bone and of marrow at the same density.
+        It does not apply to the cortex of the shaft.
     marrow_fat
         Share of fat in marrow.
     water_HU, scale
-        Error of the scanner: Hounsfield units of water, and the factor of all.
+        Errors of the scanner: Hounsfield units of water, and a factor of all Hounsfield units.
     """
 
     attenuation: Mapping[str, float] = field(default_factory=dict)
@@ -105,11 +105,11 @@ class CtPhantom:
     stored
         Hounsfield units on the scanner's grid, 12-bit values, int16.
     labels
-        Number of each voxel's label on that grid, uint8.
+        Label number of each voxel on the same grid, uint8.
     names
-        Names of the labels by their numbers, those of TotalSegmentator where it has them.
+        Dictionary from label number to name. Names of TotalSegmentator are used where they exist.
     density_kg_m3
-        Apparent density of bone [kg/m3] on that grid, 0 outside bone.
+        Apparent density of bone [kg/m3] on the same grid, 0 outside bone.
     energy_keV
         Effective energy.
     """
@@ -121,11 +121,11 @@ class CtPhantom:
     energy_keV: float
 
     def image(self) -> Image:
-        """The CT in LPS."""
+        """CT in LPS."""
         return along_lps(self.stored, "phantom")
 
     def named_labels(self) -> Labels:
-        """The labels in LPS, on the grid of `image`."""
+        """Labels in LPS, on the grid of `image`."""
         return Labels(along_lps(self.labels, "phantom labels", labels=True), self.names)
 
     def rod_means(self) -> dict[float, float]:
@@ -144,7 +144,7 @@ class CtPhantom:
 class _Part:
     """Body with its label, distance [mm, negative inside] and bone density [kg/m3].
 
-    Where the density is None, it has a tissue instead.
+    If the density is None, the body consists of a soft tissue.
     """
 
     label: str
@@ -167,27 +167,28 @@ def ct_phantom(
     Parameters
     ----------
     rng
-        Makes the noise.
+        Random generator for the noise.
     energy_keV
         Effective energy of the X-rays.
     noise_HU
         Standard deviation of a voxel.
     spacing_mm
-        Of the columns, rows and slices [mm].
+        Distance of the columns, rows and slices [mm].
     tilt_deg
-        Tilt of the gantry about x [degrees]: slices lean, their centres stay on a line along z.
+        Tilt of the gantry about x [degrees]. Slices are tilted, and their centres stay on a line
+        along z.
     person
-        What differs from the tables.
+        Differences from the tabulated values.
 
     Raises
     ------
     InputError
         If an option is out of range.
     """
-    # the energies of the attenuation tables
+    # range of the energies in the attenuation tables
     energy = require_range("energy_keV", energy_keV, 30.0, 150.0, "use 70")
     noise = require_range("noise_HU", noise_HU, 0.0, 500.0, "use 20")
-    # the range of a scanner's gantry
+    # range of the tilt of a scanner's gantry
     tilt = math.radians(require_range("tilt_deg", tilt_deg, -30.0, 30.0, "use 0"))
     spacing = np.array([require_positive("spacing_mm", each, "use 0.9") for each in spacing_mm])
     directions = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(tilt), 0.0], [0.0, math.sin(tilt), 1.0]])
@@ -260,16 +261,16 @@ def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
     )
     share = part.density_kg_m3 / density_of("cortex")
     over_marrow = share * (linear_attenuation("cortex", energy_keV) - marrow)
-    # the shaft's cortex has a factor of its own, see `Person.attenuation`
+    # the cortex of the shaft has a separate factor, see `Person.attenuation`
     is_shaft = part.density_kg_m3 == CORTEX_KG_M3
     return factor * (marrow + over_marrow) if is_shaft else marrow + person.mineral * over_marrow
 
 
 def _parts() -> list[_Part]:
-    """Bodies in the order in which they are painted over each other."""
+    """Return the bodies. A later body replaces earlier bodies where they overlap."""
     head = HEAD_CENTRE_MM
     shaft = (_SHAFT_X_MM, HEAD_CENTRE_MM[1])
-    # sizes and places in mm, made up as those of `_HALF_MM`
+    # sizes and positions in mm are invented, see `_HALF_MM`
     spine = (-40.0, -8.0)
     canal = (spine[0], 21.5)
     rods = [
@@ -325,7 +326,7 @@ def _parts() -> list[_Part]:
 def _ellipse(at: Array, *, centre: tuple[float, float], radii: tuple[float, float]) -> Array:
     """Return the approximate distance from an elliptic cylinder along z.
 
-    It is the level function over the function's slope.
+    The distance is the level function divided by its slope.
     """
     x, y = ((at[..., k] - centre[k]) / radii[k] for k in (0, 1))
     level = np.hypot(x, y)
@@ -348,9 +349,9 @@ def _cylinder(
 
 
 def _metaphysis(at: Array, *, inside: float) -> Array:
-    """Return a cone that widens from the shaft to a rim about the head's lower half.
+    """Return a cone that widens from the shaft to a rim around the lower half of the head.
 
-    Its surface lies `inside` [mm] below the outer one.
+    The surface of the cone lies `inside` [mm] below the outer surface.
     """
     up = np.clip((at[..., 2] - _NECK_MM) / (_RIM_MM - _NECK_MM), 0.0, 1.0)
     radius = _SHAFT_MM + up * (_RIM_RADIUS_MM - _SHAFT_MM) - inside
@@ -374,7 +375,7 @@ def _arch(at: Array, *, spine_x: float) -> Array:
     across = np.abs(at[..., 0] - spine_x)
     y = at[..., 1]
     z = at[..., 2]
-    # boxes by middle and half width [mm], made up as those of `_HALF_MM`
+    # centre and half width of the boxes [mm], invented, see `_HALF_MM`
     pedicle = np.maximum(
         np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5
     )
@@ -384,15 +385,15 @@ def _arch(at: Array, *, spine_x: float) -> Array:
 
 
 def _pad(at: Array) -> Array:
-    """A pad of water below the body."""
+    """Return the distance from a pad of water below the body."""
     # as wide as the body, and 2 mm thicker than the rods on both sides [mm]
     return np.asarray(np.maximum(np.abs(at[..., 0]) - 100.0, np.abs(at[..., 1] - 70.0) - 8.5))
 
 
 def reoriented(stored: StoredImage, axes: str) -> StoredImage:
-    """Return the same voxels at the same positions, with the array's axes along `axes`.
+    """Return the same voxels at the same positions, with the axes of the array along `axes`.
 
-    An example of `axes` is RAS: right, anterior, superior.
+    For example, `axes` is RAS: right, anterior, superior.
 
     Raises
     ------
@@ -417,15 +418,15 @@ def reoriented(stored: StoredImage, axes: str) -> StoredImage:
 
 
 def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0) -> Path:
-    """Write an image in the format of its name.
+    """Write an image in the format that the ending of its name gives.
 
-    The names end in .nii, .nii.gz, .nrrd, .mha or .mhd; a name without an ending makes a DICOM
+    The endings are .nii, .nii.gz, .nrrd, .mha and .mhd. A name without an ending makes a DICOM
     folder.
 
     Raises
     ------
     InputError
-        If the name ends otherwise.
+        If the name has another ending.
     """
     path = Path(path)
     if path.name.endswith((".nii", ".nii.gz")):
@@ -442,11 +443,11 @@ def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0
 
 
 def write_phantom(folder: str | Path, phantom: CtPhantom) -> Path:
-    """Write a phantom in four formats along four orders of axes, its labels and what is true of it.
+    """Write a phantom in four formats with different axis orders, its labels and its true values.
 
-    ``dicom`` (LPS), ``ct.nii.gz`` (RAS), ``ct.nrrd`` (AIR) and ``ct.mha`` (SLP); ``labels.nii.gz``
-    with the names in ``labels.toml``; ``truth.json``: effective energy, density and mean of each
-    rod, and the ball of the humerus's head.
+    The images are ``dicom`` (LPS), ``ct.nii.gz`` (RAS), ``ct.nrrd`` (AIR) and ``ct.mha`` (SLP). The
+    labels are in ``labels.nii.gz``, and their names in ``labels.toml``. ``truth.json`` holds the
+    effective energy, the density and mean of each rod, and the ball of the humeral head.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -490,7 +491,7 @@ def _write_itk(path: Path, stored: StoredImage) -> None:
 
 
 def _write_dicom(folder: Path, stored: StoredImage, tilt_deg: float) -> None:
-    """A series of uncompressed slices, a file each along the array's last axis."""
+    """Write a series of uncompressed slices along the last axis of the array, one file each."""
     import pydicom
     from pydicom.uid import UID, ExplicitVRLittleEndian, generate_uid
 
@@ -537,12 +538,12 @@ def _set_pixels(slice_: Any, values: NDArray[np.number]) -> None:
 
 
 def _decimals(numbers: Array) -> list[str]:
-    """Numbers as DICOM writes them, 16 characters at most."""
+    """Return numbers as DICOM decimal strings of at most 16 characters."""
     return [f"{number:.9g}" for number in numbers.tolist()]
 
 
 def main(words: list[str] | None = None) -> int:
-    """Write the synthetic CT as the command line asks and return the exit status."""
+    """Write the synthetic CT with the options of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "folder",

@@ -1,6 +1,6 @@
 """Scripted policies for the environments, as baselines for learned policies.
 
-They use observations alone. `expert_of(env)` returns the expert of an environment.
+The policies use only observations. `expert_of(env)` returns the expert of an environment.
 """
 
 from typing import Any
@@ -15,17 +15,18 @@ from tissue.environments.palpation import Palpation
 __all__ = ["DrillingExpert", "MillingExpert", "PalpationExpert", "expert_of"]
 
 TRACK_MM = 0.7
-"""Distance of two tracks: the scallops between them, 0.03 mm high, lie within the margin."""
+"""Distance of two tracks [mm]. The scallops between tracks are 0.03 mm high, within the margin."""
 LAYER_MM = 0.27
-"""Depth of a layer: three layers in the pocket of 0.8 mm."""
+"""Depth of a layer [mm]. The pocket of 0.8 mm has three layers."""
 ABOVE_MM = 0.3
-"""Height of the first corner above the bone, the lowest start of the tip."""
+"""Height of the first corner above the bone [mm]: the lowest start of the tip."""
 REACHED_MM = 0.03
-"""Distance at which a corner counts as reached: as small as the scallops."""
+"""Distance at which a corner counts as reached [mm]: the height of the scallops."""
 SOFTER = 0.5
 """Share of the enamel's resistance below which the bur counts as beyond the enamel.
 
-Sound dentin has an eighth of the enamel's force (`examples/03_drill_through_the_layers.py`).
+The force in sound dentin is an eighth of the force in enamel
+(`examples/03_drill_through_the_layers.py`).
 """
 
 
@@ -39,7 +40,7 @@ class MillingExpert:
         self._corners = [np.array([-0.5 * length, rows[0], ABOVE_MM])]
         side = -0.5 * length
         for z in np.linspace(0.0, -depth, int(np.ceil(depth / LAYER_MM)) + 1)[1:]:
-            # to and fro, and each layer from the end of the last one
+            # back and forth; each layer starts at the end of the previous layer
             for y in rows:
                 self._corners += [np.array([side, y, z]), np.array([-side, y, z])]
                 side = -side
@@ -51,8 +52,8 @@ class MillingExpert:
         env = self._env
         seen = self._env.named(observation)
         share = float(np.linalg.norm(seen["force"])) / env.force_limit_N
-        # The force rises with the speed: aim at 0.9 of the limit, with a limited change in a step,
-        # and at least a fifth of the top speed.
+        # The force increases with the speed. Aim at 0.9 of the force limit. The speed changes by a
+        # limited factor in a step, and is at least a fifth of the top speed.
         self._speed = float(
             np.clip(self._speed * np.clip(0.9 / max(share, 0.1), 0.6, 1.5), 2.0, env.top_speed_mm_s)
         )
@@ -68,7 +69,7 @@ class MillingExpert:
 class DrillingExpert:
     """Policy that drills through enamel at the force limit, then 0.5 mm further, and withdraws.
 
-    It pushes gently once the resistance has halved.
+    The policy reduces the thrust after the resistance has fallen to one half.
     """
 
     def __init__(self, env: Drilling) -> None:
@@ -86,28 +87,30 @@ class DrillingExpert:
         force = float(seen["force"][2])
         # force above the limit reduces the reward
         limit = 0.95 * env.force_limit_N / env.thrust_N
-        # reached to 0.01 mm
+        # within 0.01 mm the depth counts as reached
         if self._out or depth >= self._stop_mm - 0.01:
             self._out = True
             return np.array([-1.0])
-        # in dentin, which resists less: a lighter push, and lighter still in the last 0.15 mm;
-        # scores change by less than 0.01 between 0.2 and 0.5 of the push, then 0.06 and 0.25
+        # Dentin resists less, so the thrust is reduced, and reduced again in the last 0.15 mm.
+        # Scores change by less than 0.01 if the first factor is 0.2 to 0.5, and the second 0.06 to
+        # 0.25.
         if self._stop_mm < np.inf:
             return np.array([0.35 * limit if depth < self._stop_mm - 0.15 else 0.12 * limit])
         # at first the bur's tip is not yet covered; below 0.05 mm/s the ratio is mostly noise
         if depth > 0.3 and velocity > 0.05:
             self._hardest = max(self._hardest, force / velocity)
             if force / velocity < SOFTER * self._hardest:
-                # the resistance halves about 0.08 mm beyond the junction; wanted are 0.5 mm
+                # the resistance halves about 0.08 mm below the junction; the goal is 0.5 mm below
                 self._stop_mm = depth + 0.42
-        # a light push in air, where the bur would meet the tooth at full speed
+        # a small thrust in air, so that the bur does not hit the tooth at full speed
         return np.array([limit if depth > 0.0 else 0.3 * limit])
 
 
 class PalpationExpert:
-    """Policy that slides in a circle, then out and across at its stiffest point, and lifts.
+    """Policy that slides in a circle, then along two lines through the stiffest point, and lifts.
 
-    It lifts where the tissue is stiffest.
+    The first line is radial, and the second line crosses it. The policy lifts the tip where the
+    tissue is stiffest.
     """
 
     def __init__(self, env: Palpation) -> None:
@@ -124,13 +127,13 @@ class PalpationExpert:
         tip = seen["tip"]
         force = float(np.linalg.norm(seen["force"]))
         if self._stage > 0:
-            # a ball's law; above 0.3 mm of depth, force and depth are too small for their ratio
+            # resistance of Hertz contact; at depths below 0.3 mm, force and depth are too small
             self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))
-        # force above the limit reduces the reward: press less, but never lift off
+        # force above the limit reduces the reward: reduce the depth, but keep contact
         if force > 0.9 * self._env.force_limit_N:
-            # 0.15 mm less in each step, and at least 0.5 mm deep [mm]
+            # reduce the depth by 0.15 mm in each step, to not less than 0.5 mm [mm]
             self._height_mm = min(self._height_mm + 0.15, -0.5)
-        # within 0.4 mm a place counts as reached; the first one when the tip is deep enough
+        # within 0.4 mm a place counts as reached, if the tip is also deep enough at the first place
         while (
             self._plan
             and np.linalg.norm(self._plan[0] - tip[:2]) < 0.4
@@ -165,7 +168,7 @@ class PalpationExpert:
             self._plan = [hardest, hardest - aside, hardest + aside]
         elif self._stage == 4:
             self._plan = [hardest]
-        # kept at the end, since `_hardest_place` needs at least one place when it is called again
+        # not emptied at the end, because `_hardest_place` needs at least one place
         self._felt = [] if self._stage < 4 else self._felt
 
     def _hardest_place(self) -> Array:
@@ -174,7 +177,7 @@ class PalpationExpert:
         The excess is relative to the third quartile of the stiffness.
         """
         felt = np.array(self._felt)
-        # 1e-12 is for places that are all alike
+        # 1e-12 avoids a division by zero if all places are equal
         weight = np.clip(felt[:, 2] - np.quantile(felt[:, 2], 0.75), 0.0, None) ** 2 + 1e-12
         return np.asarray((weight[:, None] * felt[:, :2]).sum(axis=0) / weight.sum())
 
@@ -182,7 +185,7 @@ class PalpationExpert:
 def expert_of(env: Any) -> MillingExpert | DrillingExpert | PalpationExpert:
     """Return a new expert for an episode of an environment, wrapped or not.
 
-    Call it with each observation.
+    Call the expert with each observation.
     """
     bare = env.unwrapped
     if isinstance(bare, Milling):

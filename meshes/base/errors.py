@@ -83,7 +83,7 @@ class InputError(ValueError):
         message = self.argument
         if self.requirement:
             value = f"{self.value} {self.unit}" if self.unit else self.value
-            received = "" if value == PRESENT else f", got {value}"
+            received = "" if value is PRESENT else f", got {value}"
             message = f"{message} must {self.requirement}{received}. {_sentence(self.remedy)}"
         return message.replace("\n", "\\n")
 

@@ -1,7 +1,6 @@
 """Text from files: TOML and JSON with limited nesting, numbers, and text for display."""
 
 import codecs
-import difflib
 import json
 import math
 import re
@@ -12,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from meshes.base.errors import InputError
+from meshes.base.hints import nearest
 
 __all__ = [
     "DEEPEST",
     "natural_order",
-    "nearest",
     "number_in",
     "number_or_nan",
     "read_json",
@@ -207,12 +206,6 @@ def visible(text: str) -> str:
 
 LONGEST_SHOWN = 120
 """Largest number of characters of a value in a message."""
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the most similar known word as a question in brackets, or an empty string."""
-    close = difflib.get_close_matches(word, list(known), n=1)
-    return f" (did you mean {close[0]}?)" if close else ""
 
 
 def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:

@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
@@ -80,6 +79,9 @@ def whole_file(path: Path) -> Iterator[Path]:
 @cache
 def package_version() -> str:
     """Return the version of this library, which is stored in its files."""
+    # import here, because it would take a tenth of the time of `tissue --help`
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version("tissue-sim")
     except PackageNotFoundError:

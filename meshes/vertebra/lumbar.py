@@ -35,10 +35,7 @@ __all__ = ["VERTEBRA_LAYERS", "VertebraSizes", "lumbar_vertebra"]
 
 VERTEBRA_LAYERS = ("cortical", "endplate", "trabecular")
 # Sizes and densities that the table above does not list are priors.
-_CORTICAL_KG_M3 = 1800.0
 _ENDPLATE_KG_M3 = 1200.0
-_TRABECULAR_KG_M3 = 180.0
-_PEDICLE_KG_M3 = 280.0
 _WAIST = 0.08
 _ENDPLATE_M = 0.6e-3
 _BODY_CORTEX_M = 0.4e-3
@@ -120,6 +117,10 @@ class VertebraSizes(Ranged):
         Angle by which the pedicle is inclined medially toward the front [degrees].
     pedicle_cortex_mm
         Thickness of the cortex of pedicle and arch [mm], less than a third of the pedicle's width.
+    cortical_density_kg_m3
+        Apparent density of the cortex [kg/m3].
+    trabecular_density_kg_m3, pedicle_density_kg_m3
+        Apparent densities of the trabecular bone in the body, and in pedicle and arch [kg/m3].
     """
 
     body_width_mm: float = ranged(48.0, 36.0, 60.0)
@@ -131,6 +132,9 @@ class VertebraSizes(Ranged):
     pedicle_height_mm: float = ranged(14.8, 8.0, 22.0)
     pedicle_angle_deg: float = ranged(17.7, 0.0, 35.0)
     pedicle_cortex_mm: float = ranged(1.0, 0.3, 3.0)
+    cortical_density_kg_m3: float = ranged(1800.0, 200.0, 2200.0)
+    trabecular_density_kg_m3: float = ranged(180.0, 50.0, 1200.0)
+    pedicle_density_kg_m3: float = ranged(280.0, 50.0, 1200.0)
 
 
 def lumbar_vertebra(**sizes: float) -> Anatomy:
@@ -145,7 +149,7 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
     Parameters
     ----------
     **sizes
-        Sizes, see `VertebraSizes`.
+        Sizes and densities, see `VertebraSizes`.
 
     Raises
     ------
@@ -197,16 +201,15 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
             f"{given.pedicle_cortex_mm:g} mm around pedicle and arch, {1e3 * _BODY_CORTEX_M:g} "
             "around the body"
         ),
-        "trabecular density": f"{_TRABECULAR_KG_M3:g} kg/m3, {_PEDICLE_KG_M3:g} in pedicle and "
-        "arch: priors of low "
-        "confidence",
+        "trabecular density": f"{given.trabecular_density_kg_m3:g} kg/m3, "
+        f"{given.pedicle_density_kg_m3:g} in pedicle and arch: priors of low confidence",
         "facets": "not modelled",
     }
     return Anatomy(
         "procedural lumbar vertebra",
         _placed(whole, turn, origin),
         VERTEBRA_LAYERS,
-        _layers(half, cortex, turn, origin),
+        _layers(half, given, turn, origin),
         notes,
         structures={"canal": _placed(canal, turn, origin)},
     )
@@ -317,11 +320,13 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
     return np.asarray(np.where((px / a) ** 2 + (py / b) ** 2 < 1.0, -away, away).astype(x.dtype))
 
 
-def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Classify:
+def _layers(sizes: _HalfSizes, given: VertebraSizes, turn: Array, origin: Array) -> Classify:
     """Return a function that classifies points by depth.
 
     The body has a thin shell and endplates. The other parts have a thicker cortex.
     """
+
+    cortex = 1e-3 * given.pedicle_cortex_mm
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
@@ -335,10 +340,10 @@ def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Cla
         shell = _BODY_CORTEX_M + (cortex - _BODY_CORTEX_M) * behind
         plate = (sizes.height - np.abs(p[:, 2]) < _ENDPLATE_M) & (behind < 1.0)
         layer = np.where(plate, 1, np.where(depth < shell, 0, 2)).astype(np.uint8)
-        sparse = _TRABECULAR_KG_M3 + (_PEDICLE_KG_M3 - _TRABECULAR_KG_M3) * behind
-        density = np.where(
-            layer == 0, _CORTICAL_KG_M3, np.where(layer == 1, _ENDPLATE_KG_M3, sparse)
-        )
+        deep = given.trabecular_density_kg_m3
+        sparse = deep + (given.pedicle_density_kg_m3 - deep) * behind
+        plate_density = np.where(layer == 1, _ENDPLATE_KG_M3, sparse)
+        density = np.where(layer == 0, given.cortical_density_kg_m3, plate_density)
         return layer, density.astype(points.dtype)
 
     return classify

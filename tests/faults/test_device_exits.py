@@ -84,7 +84,7 @@ def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, 
             message.startswith(f"device.read must not fail, got {type(error).__name__}")
             and "\n" not in message
         )
-        assert "at 0.300 s: check the device" in message and saved.problem == message
+        assert "at 0.300 s. Check the device" in message and saved.problem == message
 
 
 @pytest.mark.parametrize("kind", KINDS)

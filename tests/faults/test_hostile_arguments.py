@@ -221,15 +221,15 @@ def here(tmp_path, monkeypatch):
         (
             ("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"),
             (
-                "voxels.removal must be left out with fidelity, which chooses it, got binary: "
-                "leave fidelity out, or remove it"
+                "voxels.removal must be left out with fidelity, which chooses it, got binary. "
+                "Leave fidelity out, or remove it"
             ),
         ),
         (
             ("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"),
             (
-                "device.prediction must be left out with fidelity, which chooses it, got hold: "
-                "leave fidelity out, or remove it"
+                "device.prediction must be left out with fidelity, which chooses it, got hold. "
+                "Leave fidelity out, or remove it"
             ),
         ),
         (
@@ -269,11 +269,11 @@ def here(tmp_path, monkeypatch):
         ),
         (
             ("view", "run", "--web", "--screenshot", "a.png"),
-            "web must be left out with a screenshot or a movie: leave it out",
+            "web must be left out with a screenshot or a movie. Leave it out",
         ),
         (
             ("view", "run", "--web", "--movie", "a.gif"),
-            "web must be left out with a screenshot or a movie: leave it out",
+            "web must be left out with a screenshot or a movie. Leave it out",
         ),
         (
             ("run", "wall", "--live", "--web", "--band", "20"),

@@ -51,7 +51,7 @@ def test_a_second_process_is_kept_off_and_the_owner_is_named(tmp_path, holder, k
     process = holder(out, kind)
     for _ in range(2):  # the first refusal must not take the number away
         with pytest.raises(
-            InputError, match=f"which process {process.pid} is writing: wait for it"
+            InputError, match=f"which process {process.pid} is writing. Wait for it"
         ):
             OutputLock(out, folder=kind == "folder")
     process.kill()
@@ -68,7 +68,7 @@ def test_a_run_is_kept_out_of_a_folder_that_another_writes(tmp_path, holder, ref
     message = refused("run", "milling", "--out", out, *(["--overwrite"] if overwrite else []))
     assert message == (
         f"out must have one writer at a time, got {out}, which process {process.pid} is "
-        "writing: wait for it, end it, "
+        "writing. Wait for it, end it, "
         "or choose another --out"
     )
     assert [each.name for each in out.iterdir()] == [".lock"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import read_toml
-from tissue.cli.terminal import Flag, MaybeWhole, Overrides, console, problems
+from tissue.cli.terminal import Flag, Formats, MaybeWhole, Overrides, console, problems
 from tissue.system.progress import progress
 
 __all__ = ["parse_values", "sweep"]
@@ -25,6 +25,8 @@ def sweep(
     compute: str = "cpu",
     cores: MaybeWhole = None,
     pictures: Flag = False,
+    format_: Formats = (),
+    band: MaybeWhole = None,
     overwrite: Flag = False,
     allow_unstable: Flag = False,
 ) -> None:
@@ -48,6 +50,11 @@ def sweep(
         Processor cores of each run; default one, or all with one process.
     pictures
         Draw the pictures of each run.
+    format_
+        Format of the pictures, png, svg or pdf, or of one table with the traces of all runs,
+        parquet, npz, mat or h5; may be repeated.
+    band
+        Samples of the constants in their ranges, such as 200: each run has 50 and 90 % bands.
     overwrite
         Run existing runs again.
     allow_unstable
@@ -71,6 +78,8 @@ def sweep(
             compute=compute,
             cores=cores,
             pictures=pictures,
+            formats=format_,
+            band=band,
             overwrite=overwrite,
             allow_unstable=allow_unstable,
             progress=report,

@@ -21,8 +21,8 @@ from meshes.base.errors import (
     require_positive,
     require_range,
 )
+from meshes.base.hints import nearest
 from meshes.base.progress import Progress
-from meshes.base.text_tables import nearest
 from meshes.ct.extraction import Box, kept_label
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.frame import Image

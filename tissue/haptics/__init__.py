@@ -1,1 +1,1 @@
-"""Haptic devices, models of the hand, stability of the haptic loop, and force rendering."""
+"""Haptic devices, simulated hands, stability of the haptic loop, and force rendering."""

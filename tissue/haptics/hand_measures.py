@@ -1,4 +1,4 @@
-"""Trace columns of a device, a prediction and a perception model, and their indices."""
+"""Names and indices of the trace columns of a device, a prediction and a perception model."""
 
 __all__ = [
     "CUE",
@@ -35,36 +35,38 @@ MEASURES = (
 )
 """Trace columns of a device.
 
-In this order: pose of the device [mm, quaternion]; played force [N] and torque [N m]; filtered
-force before it is scaled into the device's range [N at the device]; 1 if the range compressed the
-force or the torque; energy taken from the device [J]; stability margin, the share of the critical
-stiffness that is left; raw force of the renderer, before prediction, filter and delay [N].
+The order is: pose of the device [mm, quaternion]; played force [N] and torque [N m]; filtered force
+before it is scaled into the device's range [N at the device]; 1 if the range compressed the force
+or the torque; energy taken from the device [J]; stability margin, 1 minus the ratio of the
+stiffness to the critical stiffness; raw force of the renderer, before prediction, filter and delay
+[N].
 """
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
 """Trace columns of a prediction.
 
-The predicted force, the size of the last one-tick error, and the source of the prediction: 1 for
-the predictor, 0 for its fallback.
+The columns are the predicted force, the size of the last one-tick error, and the source of the
+prediction: 1 for the predictor, 0 for its fallback.
 """
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
 """Trace columns of a perception model; see `tissue.perception.Perception`."""
 VIBRATION = tuple(f"vibration_{c}_N" for c in "xyz")
 """Trace columns of the vibration of a spinning cutter.
 
-The vibration is part of the device force. No other force column contains it.
+The vibration is part of the device force. No other force column contains the vibration.
 """
 CUE = tuple(f"cue_{c}_N" for c in "xyz")
-"""Trace columns of the event cues, which are part of the device force."""
+"""Trace columns of the event cues, short transients that are part of the device force."""
 TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
 """Trace columns of the true device position, for devices that know it.
 
-The encoders report this position in steps.
+The encoders quantise this position.
 """
 HAND_FORCE = tuple(f"hand_force_{c}_N" for c in "xyz")
-"""Trace columns of the force with which the device pushes the hand, mean over the previous tick.
+"""Trace columns of the mean force of the device on the hand in the previous tick.
 
-For devices that know their true position. The force is the motor force after latency, range and
-amplifier, minus the friction of the device and the force that accelerates its own mass.
+They exist for devices that know their true position. The force is the motor force after latency,
+range and amplifier, minus the friction of the device and the force that accelerates the device's
+own mass.
 """
 
 POSITION = slice(0, 3)

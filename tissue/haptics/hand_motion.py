@@ -1,4 +1,4 @@
-"""Motion of a tool held on a haptic device: one device sample in and one force out per tick."""
+"""Motion of a tool held on a haptic device: each tick reads a sample and plays a force."""
 
 from dataclasses import dataclass
 from math import pi, sqrt
@@ -27,8 +27,9 @@ SMOOTH_S = 0.01
 SMOOTH_SAMPLES = 5
 """Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.
 
-Speeds are averaged because encoder positions change in steps. One step of a Touch (0.055 mm) is
-55 mm/s over a tick of 1 ms, and 5.5 mm/s over 10 ms. Below 500 Hz, the number of samples counts.
+Speeds are averaged because encoder positions change in steps. One step of a Touch (0.055 mm) is 55
+mm/s over a tick of 1 ms, and 5.5 mm/s over 10 ms. For a device below 500 Hz, the number of samples
+is the limit.
 """
 
 
@@ -39,27 +40,27 @@ class Rendering:
     Attributes
     ----------
     law
-        Law that renders the force at the device from device and tool [N].
+        Law that renders the force at the device from the positions of device and tool [N].
     loop
-        Loop of device and law. Its delay is used to book the energy, and its filters of force and
-        velocity are applied. Without a velocity filter, the velocity of the sample is used. Its
-        tick is the time between two samples of the device.
+        Loop of device and law. The energy is computed with the delay of the loop, and the filters
+        of the loop for force and velocity are applied. Without a velocity filter, the velocity of
+        the sample is used. The tick of the loop is the time between two samples of the device.
     margin
-        Stability margin: share of the critical stiffness that is left.
+        Stability margin: 1 minus the ratio of the stiffness to the critical stiffness.
     turning_law
         Law that renders the torque at the device [N m]; None for a device without torque.
     delay_ticks
-        Ticks by which the force is delayed here.
+        Number of ticks by which the force is delayed in software.
     model_ticks
-        Ticks for which one answer of the tissue holds.
+        Number of ticks for which one response of the tissue is used.
     predictor
         Predictor of the force; None plays the present force.
     lead_ticks
         Prediction horizon [ticks].
     prediction_gain
-        Share of the step from the present to the predicted force that is played.
+        Share of the difference between predicted and present force that is played.
     played
-        Later changes of the force; default the limits of the device alone.
+        Last stages of the force; by default only the limits of the device.
     """
 
     law: Renderer
@@ -76,21 +77,21 @@ class Rendering:
 
 @dataclass(frozen=True, kw_only=True)
 class Script:
-    """Scripted motion of a hand on a device.
+    """Scripted motion of a simulated hand on a device.
 
     Attributes
     ----------
     motion
-        Provides start, orientation, region and duration.
+        Motion with start, orientation, region and duration.
     motion_scale
         Metres at the tool for each metre at the device.
     stray_m
-        Distance to which the tool may leave the scripted motion [m].
+        Largest distance between the tool and the scripted motion [m].
     after_s
-        Additional time of the hand: to react, to move and to correct [s].
+        Additional time for the hand to react, to move and to correct [s].
     device_origin_m
-        Position of the tool when the device is at its origin [m]. With None, both start at the same
-        position.
+        Position of the tool when the device is at its origin [m]. With None, device and tool start
+        at the same position.
     """
 
     motion: Motion
@@ -105,24 +106,25 @@ class HandMotion(Motion):
 
     Each tick has these steps:
 
-    1. Validate the device sample.
-    2. Move the tool towards the device. A tool that cuts is moved to the balance of its inertia,
-       its coupling and the tissue, any other tool as far as the response of the last tick allows.
-    3. Compute the tissue response. A free tool without inertia that has entered the tissue is moved
+    1. Validate the device sample. 2. Move the tool towards the device. A tool that cuts is moved to
+    the balance of its inertia, its coupling and the tissue. Any other tool moves as far as the
+    response of the last tick allows. 3. Compute the tissue response. A free tool without inertia
+    that has entered the tissue is moved
        back within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
        rate.
 
-    The played force therefore answers the sample of its own tick. Without a valid sample the tool
-    rests, the renderer pauses and the force fades to zero. A tissue that answers only every
-    ``model_ticks`` ticks leaves the tool and the rendered force unchanged in between. A predictor
-    then continues from the device motion alone.
+    The played force therefore depends on the sample of its own tick. Without a valid sample the
+    tool rests, the renderer pauses and the force fades to zero. If a tissue responds only every
+    ``model_ticks`` ticks, tool and rendered force are unchanged in between. A predictor then uses
+    only the motion of the device.
 
     Tool and device start at the same position. From there, the tool moves ``motion_scale`` metres
     for each metre of the device. With a device that plays torque, a rotational spring also couples
-    the tool to the device. The torque of the tissue turns the tool, for a tool that does not cut
-    that of the last tick. The rendered torque passes low-pass and delay before it is played.
+    the tool to the device. The torque of the tissue turns the tool. For a tool that does not cut,
+    the torque of the last tick is used. The low-pass and the delay are applied to the rendered
+    torque before it is played.
 
     Parameters
     ----------
@@ -131,11 +133,11 @@ class HandMotion(Motion):
     tool
         Law of the tool's force balance.
     limits
-        Largest force and torque of the device, and their largest rates of change.
+        Largest force and torque of the device, and largest rates of change.
     rendering
         Force rendering, from the positions of device and tool to the played force.
     script
-        Scripted motion, and how far the hand departs from it.
+        Scripted motion, and largest distance of the tool from it.
     """
 
     def __init__(
@@ -161,8 +163,8 @@ class HandMotion(Motion):
         self._contact: Renderer = rendering.law
         self._control = None
         if predictor is not None and isinstance(rendering.law, PassivityRenderer):
-            # The correction of a controller within one tick is not a trend of the force.
-            # It is therefore added after the prediction.
+            # The correction of a passivity controller lasts one tick and is not a trend of the
+            # force. It is therefore added after the prediction.
             self._contact = rendering.law.inner
             self._control = rendering.law.control
         self._scripted = script.motion
@@ -180,19 +182,22 @@ class HandMotion(Motion):
         self._delay = DelayLine(rendering.delay_ticks)
         memory = loop.velocity_memory
         filtered = None if memory is None else ConstantAcceleration(memory, step_s=loop.tick_s)
-        # The position observer filters the device in front of the tool. Otherwise one filter
-        # estimates both velocities: their difference stays zero while both move together.
+        # The position observer filters the position of the device before the tool follows it.
+        # Without this observer, one filter estimates the velocities of device and tool, so that
+        # their difference is zero while they move together.
         self._position_observer = filtered if loop.observes else None
         self._speeds = None if loop.observes else filtered
         self._samples = NewSamples(loop.tick_s)
         self._turning = LowPass(loop.filter_s, step_s=TICK_S)
         self._turning_delay = DelayLine(rendering.delay_ticks)
         self._turning_law = rendering.turning_law
-        # A device without torque has the limit 0, which a range refuses. Its range is not used.
+        # A device without torque has the limit 0, which `ForceRange` does not accept. Its range is
+        # not used.
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         # The amplifier delays by its time constant, 1 / (2 pi f).
         lag_s = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
-        # The observer books the force after the delay line, so that its delay is subtracted here.
+        # The energy observer receives the force after the delay line, so that the delay of this
+        # line is subtracted here.
         self.observer = PassivityObserver(
             delay_ticks=max(lag_s / TICK_S - rendering.delay_ticks, 0.0)
         )
@@ -211,14 +216,14 @@ class HandMotion(Motion):
 
     @property
     def observes(self) -> bool:
-        """True if position and velocity of the device are estimated in front of the tool."""
+        """True if position and velocity of the device are filtered before the tool follows."""
         return self._position_observer is not None
 
     @property
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Another device has another guard and other measures, so set it before the first tick.
+        Set another device only before the first tick, because guard and measures change too.
         """
         return self.held.device
 
@@ -238,14 +243,15 @@ class HandMotion(Motion):
         self.measures[at.MARGIN] = self._margin
 
     def sweep_m(self) -> Array:
-        """Return the positions of the scripted motion [m], with copies shifted by ``stray_m``.
+        """Return the positions of the scripted motion [m], and copies shifted by ``stray_m``.
 
         The copies are shifted along +x, -x, +y and -y.
         """
         tips = self._scripted.sweep_m()
         if self._stray == 0.0:
             return tips
-        # The surface at the site lies across z: these copies cover it around the path.
+        # The surface at the site is perpendicular to z, so that these copies cover the surface
+        # around the path.
         aside = self._stray * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
         return np.concatenate([tips, *(tips + shift for shift in aside)])
 
@@ -255,7 +261,7 @@ class HandMotion(Motion):
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
     def meet(self, tissue: TissueModel) -> None:
-        """Let a tool that cuts move in a tissue."""
+        """Set the tissue in which a tool that cuts moves."""
         tissue = getattr(tissue, "milling", tissue)
         if isinstance(self.tool, CuttingTool) and isinstance(tissue, CutTissue):
             self.tool.meet(tissue, self._start)
@@ -267,7 +273,7 @@ class HandMotion(Motion):
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
-        """Return the changes between valid and invalid samples, and the timing of the device."""
+        """Return the events of sample validation and of the device's timing."""
         return self.guard.events + self.held.happened()
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -275,7 +281,7 @@ class HandMotion(Motion):
         sample = self.guard.validate_sample(self.held.read(time_s), time_s)
         if self.held.released:
             self.held.released = False
-            self.guard.share = 0.0  # the force fades in again from zero
+            self.guard.share = 0.0  # the force increases again from zero
         self._fresh = self._ticks % self.model_ticks == 0
         self._ticks += 1
         self._sample = None
@@ -305,23 +311,24 @@ class HandMotion(Motion):
         tip = self.tool.follow(device, sample.quaternion, velocity, response, self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
-        # Most tools never turn: the matrix is computed only after a change.
+        # Most tools never turn, so that the matrix is computed only after a change.
         if self.tool.quaternion != self._turned:
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
         self._set_speed(motion, self._went)
 
     def _observe(self, sample: Sample) -> None:
-        """Take the position and the velocity of the device from a sample.
+        """Update position and velocity of the device from a sample.
 
-        In front of a tool that cuts, both are estimated by the loop's filter.
+        For a tool that cuts, the loop's filter estimates position and velocity.
         """
         self._here[:] = sample.position_m
         velocity = self._device_velocity
         velocity[:3] = sample.velocity_m_s
         velocity[3:] = sample.spin_rad_s
         if self._position_observer is not None:
-            # A slower device repeats its last sample. Repeated samples would count as rest.
+            # A slower device repeats its last sample. The filter would treat repeated samples as
+            # rest.
             if self._is_new:
                 self._position_observer.step(self._here)
             self._here[:] = self._position_observer.position
@@ -329,7 +336,7 @@ class HandMotion(Motion):
         velocity[:3] *= self._scale
 
     def play(self, response: Response) -> None:
-        """Command the force that answers the sample of this tick."""
+        """Compute and command the force for the sample of this tick."""
         wanted = None
         torque = None
         compressed = False
@@ -349,14 +356,15 @@ class HandMotion(Motion):
             if self.predictor is not None:
                 if self._sees is not None:
                     self._sees.meet(self.contact(response))
-                # The sample itself: a filter in front of the tool would delay the predictor.
+                # The predictor gets the sample itself: the filtered position would delay the
+                # predictor.
                 measured = np.array(sample.position_m)
                 self.predictor.observe(measured, speed, force if self._fresh else None)
                 predicted = self.predictor.predict(self.lead_ticks)
                 row[at.PREDICTED_FORCE] = predicted
                 row[at.RESIDUAL] = self.predictor.residual_N
                 row[at.PREDICTED_BY] = self.predictor.is_primary
-                # With gain 1 the prediction is played without rounding.
+                # With gain 1 the predicted force itself is played, without rounding.
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
                     force = self._control.step(force, here, speed, TICK_S)
@@ -442,7 +450,7 @@ class HandMotion(Motion):
         return here, speed
 
     def _pause_filters(self) -> None:
-        """Start the filters of position and velocity at rest with the next sample."""
+        """Reset the filters of position and velocity; they start at rest with the next sample."""
         self._samples.pause()
         for part in (self._position_observer, self._speeds):
             if part is not None:
@@ -467,7 +475,8 @@ class HandMotion(Motion):
     def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
         """Write the direction of motion and the speed of the tool.
 
-        A tool with inertia has a velocity. For any other tool it is estimated from the motion.
+        A tool with inertia has a velocity. For any other tool the speed is estimated from the
+        motion.
         """
         velocity = self.tool.velocity
         if velocity is None:

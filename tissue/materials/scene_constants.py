@@ -3,7 +3,6 @@
 Constants of this package are called cited, because each has a source.
 """
 
-import difflib
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, Validatio
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
+from meshes.base.hints import nearest
 from meshes.base.text_tables import read_text, read_toml
 from tissue.materials.constants import (
     CUT_AS,
@@ -242,12 +242,10 @@ def _table(found: object, name: str, path: str) -> dict[str, object]:
 def _require_known(what: str, name: str, known: Iterable[str], path: str) -> None:
     if name not in known:
         names = list(known)
-        close = difflib.get_close_matches(name, names, n=1)
-        meant = f" (did you mean {close[0]}?)" if close else ""
         raise InputError(
             "materials",
             f"name {what}: {', '.join(names)}",
-            f"{name}{meant} in {path}",
+            f"{name}{nearest(name, names)} in {path}",
             "choose a listed one",
         )
 

@@ -1,4 +1,4 @@
-"""Comparison of several runs: differences of their scenes and figures, and plotted forces."""
+"""Comparison of several runs: differences of their scenes and figures, plots, and all traces."""
 
 import csv
 import tomllib
@@ -6,15 +6,20 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError
+from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.run_folder import PICTURE_FORMATS
+from tissue.simulation.saved_fields import field_label
+from tissue.simulation.trace import FORMATS, NO_LAYER, check_format, write_columns
 from tissue.system.owned_folder import OwnedFolder, require_folder
 
 if TYPE_CHECKING:
@@ -22,15 +27,23 @@ if TYPE_CHECKING:
     import pandas
     from numpy.typing import NDArray
 
-__all__ = ["Comparison", "Over", "compare", "entries_of", "write_rows"]
+    from tissue.objects.overlay import Over
+
+__all__ = ["PLOTTED", "Comparison", "compare", "entries_of", "split_formats", "write_rows"]
 
 
-Over = Literal["time", "depth"]
-FILES = ("compare.csv", "compare.png")
+PLOTTED = (
+    *(f"compare.{kind}" for kind in PICTURE_FORMATS),
+    *(f"traces.{kind}" for kind in FORMATS),
+)
+"""Files of the figure and of all traces, by format."""
+FILES = ("compare.csv", *PLOTTED)
 KIND = "comparison"
 """Kind of output in the marker of the folder."""
 LONGEST_VALUE = 60
 """Largest number of characters of a scene's entry in a line."""
+LONGEST_LABEL = 40
+"""Largest number of characters of a legend's entry that states the differences of a run."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
 """Entries of a summary, other than the scene, that affect a run or its ticks."""
 
@@ -42,6 +55,8 @@ class Comparison:
     ----------
     runs
         At least two runs, by name.
+    are_named
+        Whether the user chose the names. Otherwise the legend of the figure states what differs.
 
     Attributes
     ----------
@@ -56,13 +71,14 @@ class Comparison:
         Other obstacles to the comparison, a sentence each.
     """
 
-    def __init__(self, runs: Mapping[str, Run]) -> None:
+    def __init__(self, runs: Mapping[str, Run], *, are_named: bool = False) -> None:
         if len(runs) < 2:
             raise InputError("compare", "be given two runs at least", len(runs), "name another one")
         self.runs = dict(runs)
         self.figures = {name: figures_of(run.summary) for name, run in runs.items()}
         self.scene_differences = _differences([run.scene for run in runs.values()])
         self.notes = list(_notes(self.runs))
+        self._are_named = are_named
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
         """Return titles, and for each figure the values of all runs.
@@ -87,7 +103,7 @@ class Comparison:
         return titles, found
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Return titles and rows of a readable table of figures.
+        """Return titles and rows of a readable table of the figures that differ.
 
         Values of other runs are followed by their relative difference from the first run.
         """
@@ -97,7 +113,8 @@ class Comparison:
             cells = [_number(base)]
             for value, share in zip(others[::3], others[2::3], strict=True):
                 cells.append(_number(value) + (f" ({100.0 * share:+.3g} %)" if share else ""))
-            found.append([figure, *cells])
+            if len(set(cells)) > 1:
+                found.append([figure, *cells])
         return ["figure", *self.runs], found
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -120,58 +137,146 @@ class Comparison:
         table.attrs["scene_differences"] = self.scene_differences
         return table.rename_axis(index="figure")
 
-    def plot(self, over: Over = "time") -> "NDArray[np.object_]":
-        """Draw the size of force and torque of all runs, and the difference of their forces.
+    def plot(self, over: "Over | None" = None) -> "NDArray[np.object_]":
+        """Draw thrust, force across the tool and torque of all runs, with their 90 % bands.
 
-        The difference is from the first run's force.
+        The legend states what differs between the runs. A panel of two runs has the difference of
+        their forces.
 
         Parameters
         ----------
         over
-            ``time``, or ``depth`` of the tool's tip from its first contact, in the first descent.
+            ``time``, or ``depth`` of the tool's tip from its first contact, in the first descent;
+            default depth if all tools mainly advance along their axis.
 
         Returns
         -------
-        The panels, shape (3,).
+        The panels, shape (panels,).
 
         Raises
         ------
         InputError
             If a run never touches, and so has no depth.
         """
-        from tissue.objects.plots import overlay
+        from tissue.objects.overlay import Curve, overlay
 
-        return overlay({name: run.trace for name, run in self.runs.items()}, over=over)
+        curves = [
+            Curve(
+                label,
+                run.trace,
+                run.band() if "band" in run.summary else None,
+                is_path_given=run.scene.device is None and run.scene.motion.kind != "thrust",
+            )
+            for label, run in zip(self._labels(), self.runs.values(), strict=True)
+        ]
+        cuts = all(isinstance(run.scene.tool, Tool) for run in self.runs.values())
+        return overlay(curves, over=over, about_axis=cuts)
 
-    def save(self, out: str | Path, *, over: Over = "time", overwrite: bool = False) -> list[Path]:
-        """Write ``compare.csv`` and ``compare.png`` into a folder; return them.
+    def _labels(self) -> list[str]:
+        """Return names for a legend: the values of the keys that differ, if they are short."""
+        keys = {
+            key: values
+            for key, values in self.scene_differences.items()
+            if not any(isinstance(value, list) for value in values)
+        }
+        labels = [
+            ", ".join(_stated(key, value, self.scene_differences) for key, value in pairs)
+            for pairs in (
+                [(key, values[at]) for key, values in keys.items()] for at in range(len(self.runs))
+            )
+        ]
+        are_usable = len(set(labels)) == len(labels) and max(map(len, labels)) <= LONGEST_LABEL
+        return labels if are_usable and not self._are_named else list(self.runs)
+
+    def traces(self) -> "dict[str, NDArray[Any]]":
+        """Return the traces of all runs as one table, one row a tick.
+
+        The first columns are the name of the run and the keys that differ, with ``_`` for each
+        dot. A column that a run does not have holds NaN, or ``none`` for the layer.
+        """
+        import numpy as np
+
+        counts = [len(run.trace.rows) for run in self.runs.values()]
+        found = {"run": np.repeat(list(self.runs), counts)}
+        for key, values in self.scene_differences.items():
+            are_numbers = all(isinstance(value, int | float) for value in values)
+            cells = np.array(values if are_numbers else [_short(value) for value in values])
+            found[key.replace(".", "_")] = np.repeat(cells, counts)
+        for name in dict.fromkeys(name for run in self.runs.values() for name in run.trace):
+            gap = NO_LAYER if name == "layer" else np.nan
+            parts = [
+                run.trace[name] if name in run.trace else np.full(count, gap)
+                for run, count in zip(self.runs.values(), counts, strict=True)
+            ]
+            found[name] = np.concatenate(parts)
+        return found
+
+    def save(
+        self,
+        out: str | Path,
+        *,
+        over: "Over | None" = None,
+        formats: Iterable[str] = (),
+        overwrite: bool = False,
+    ) -> list[Path]:
+        """Write ``compare.csv``, the figure and the traces of all runs into a folder; return them.
+
+        Parameters
+        ----------
+        out
+            Folder.
+        over
+            As for `plot`.
+        formats
+            Formats of the figure, png, svg or pdf (default png), and of the traces, parquet, npz,
+            mat or h5 (default none).
+        overwrite
+            Replace the comparison that the folder holds.
 
         Raises
         ------
         InputError
-            If the folder holds another comparison.
+            If the folder holds another comparison or a format is unknown.
         """
-        from matplotlib import pyplot
-
-        from tissue.show.figures.figure import save
-
         out = Path(out)
+        split_formats(formats)
         require_folder(out, KIND, FILES, overwrite=overwrite)
-        panels = self.plot(over)
         titles, rows = self.rows()
         with OwnedFolder(out, KIND, FILES, overwrite=overwrite):
             lines = [[figure, *values] for figure, values in rows]
             write_rows(out / FILES[0], ["figure", *titles], lines)
-            save(panels[0].figure, out / FILES[1])
+            written = self.write_plotted(out, over=over, formats=formats)
+        return [out / FILES[0], *written]
+
+    def write_plotted(
+        self, out: Path, *, over: "Over | None" = None, formats: Iterable[str] = ()
+    ) -> list[Path]:
+        """Write the figure and the traces of all runs; see `save`."""
+        from matplotlib import pyplot
+
+        from tissue.show.figures.figure import save
+
+        pictures, tables = split_formats(formats)
+        panels = self.plot(over)
+        written = [out / f"compare.{kind}" for kind in pictures]
+        for path in written:
+            save(panels[0].figure, path)
         pyplot.close(panels[0].figure)
-        return [out / name for name in FILES]
+        columns = self.traces() if tables else {}
+        for kind in tables:
+            written.append(out / f"traces.{kind}")
+            write_columns(columns, written[-1])
+        return written
 
     def lines(self) -> list[str]:
         """Return the differences other than figures, a line each."""
         found = [
             f"{key}: {_each(self.runs, values)}" for key, values in self.scene_differences.items()
         ]
-        return [*(found or ["the scenes are the same"]), *self.notes]
+        differing = {row[0] for row in self.texts()[1]}
+        same = [figure for figure, _ in self.rows()[1] if figure not in differing]
+        equal = [f"the same in all runs: {', '.join(same)}"] if same else []
+        return [*(found or ["the scenes are the same"]), *equal, *self.notes]
 
     def __repr__(self) -> str:
         return f"<comparison of {', '.join(self.runs)}: {len(self.scene_differences)} keys differ>"
@@ -209,7 +314,26 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
         raise InputError(
             "names", f"be one for each of {len(held)} runs, all different", called, "fix them"
         )
-    return Comparison(dict(zip(called, held, strict=True)))
+    return Comparison(dict(zip(called, held, strict=True)), are_named=names is not None)
+
+
+def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the formats of figures, png if there is none, and the formats of tables.
+
+    Raises
+    ------
+    InputError
+        If a format is unknown, or its writer is not installed.
+    """
+    formats = tuple(dict.fromkeys(formats))
+    known = (*PICTURE_FORMATS, *FORMATS)
+    for kind in formats:
+        if kind not in known:
+            raise unknown_name("format", known, kind)
+        if kind in FORMATS:
+            check_format(kind)
+    pictures = tuple(kind for kind in formats if kind in PICTURE_FORMATS)
+    return pictures or PICTURE_FORMATS[:1], tuple(kind for kind in formats if kind in FORMATS)
 
 
 def entries_of(scene: Scene) -> dict[str, object]:
@@ -270,6 +394,19 @@ def _each(names: Iterable[str], values: Iterable[object]) -> str:
     """Return the value of each run as text."""
     pairs = zip(names, values, strict=True)
     return ", ".join(f"{name} {_short(value)}" for name, value in pairs)
+
+
+def _stated(key: str, value: object, keys: Iterable[str]) -> str:
+    """Return a key and its value in words, such as ``thrust 20 N``."""
+    table, _, last = key.rpartition(".")
+    is_unique = sum(other.rpartition(".")[2] == last for other in keys) == 1
+    # A kind is named by its table, such as device touch.
+    short = table if last == "kind" else last
+    words, unit = field_label(short if is_unique else key.replace(".", "_"))
+    if value is None:
+        return f"no {words}"
+    shown = f"{value:g}" if isinstance(value, float) else _short(value)
+    return " ".join(filter(None, (words, shown, unit)))
 
 
 def _names(runs: list[Run]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Plots of a trace, of several runs over each other, and of figures over a swept value."""
+"""Plots of a trace, and of figures over a swept value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
@@ -7,22 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from meshes.base.text_tables import nearest
+from meshes.base.hints import nearest
 from tissue.objects.trace import Trace
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
-from tissue.show.figures.force_depth import first_descent
 from tissue.show.figures.force_time import mark_events
-from tissue.simulation.bone_surface import facing
 from tissue.simulation.saved_fields import field_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from tissue.simulation.trace import Table
-
-__all__ = ["COLOURS", "overlay", "plot_columns", "plot_figures"]
+__all__ = ["COLOURS", "new_panels", "plot_columns", "plot_figures"]
 
 
 FORCE_AND_TORQUE = tuple(
@@ -45,7 +40,7 @@ def plot_columns(
 
     Returns
     -------
-    The panels, shape (panels,), one for each unit.
+    Axes, shape (panels,), one for each unit.
     """
     wanted = chosen_panels(trace, columns)
     if ax is not None and len(wanted) > 1:
@@ -58,7 +53,7 @@ def plot_columns(
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
         labels = [field_label(name)[0] for name in names]
-        # Only the three components of a vector have a size.
+        # Only the three components of a vector have a magnitude.
         if [label[-2:] for label in labels] == [" x", " y", " z"]:
             size = np.linalg.norm([trace[name] for name in names], axis=0)
             axes.fill_between(
@@ -76,12 +71,12 @@ def plot_columns(
 
 
 def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list[str]]:
-    """Return columns by their unit, by default force and torque.
+    """Return the columns to draw, grouped by unit; the default is force and torque.
 
     Raises
     ------
     InputError
-        If there is no such column, or it has no numbers.
+        If a column does not exist, or does not contain numbers.
     """
     asked: Sequence[str] = FORCE_AND_TORQUE
     if columns is not None:
@@ -105,7 +100,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
 
 
 def new_panels(count: int) -> "NDArray[np.object_]":
-    """Return stacked panels in a figure of pyplot, which a notebook shows."""
+    """Return stacked axes in a figure of pyplot, which a notebook shows."""
     from matplotlib import pyplot
 
     _, panels = pyplot.subplots(
@@ -117,94 +112,6 @@ def new_panels(count: int) -> "NDArray[np.object_]":
         layout="constrained",
     )
     return np.asarray(panels[:, 0])
-
-
-MOST_NAMED = 12
-"""Largest number of curves that a legend names: four lines above the panels."""
-LONG = 28
-"""Number of letters of a name above which a line of the legend holds only two names."""
-
-
-@styled
-def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.object_]:
-    """Draw the size of force and torque of all traces, and the difference of their forces.
-
-    The difference is between the first trace's force and another trace's force at the same
-    position.
-
-    Parameters
-    ----------
-    traces
-        Traces by name.
-    over
-        ``time``, or ``depth`` from the first contact in the first descent.
-
-    Returns
-    -------
-    Three panels.
-    """
-    if over not in ("time", "depth"):
-        raise InputError("over", "be time or depth", over, "use one of these")
-    panels = new_panels(3)
-    first: tuple[Array, Array] | None = None
-    for number, (name, trace) in enumerate(traces.items()):
-        rows, place = _place(trace, over, name)
-        force = trace.vectors("model_force", "N")[rows]
-        torque = trace.vectors("model_torque", "Nm")[rows]
-        look = {"color": _colour(number, len(traces)), "label": name, "linewidth": 1.1}
-        panels[0].plot(place, np.linalg.norm(force, axis=1), **look)
-        panels[1].plot(place, np.linalg.norm(torque, axis=1), **look)
-        if first is None:
-            first = place, force
-        else:
-            # A difference exists only where both have values.
-            common = first[0][(first[0] >= place[0]) & (first[0] <= place[-1])]
-            apart = _at(common, place, force) - _at(common, *first)
-            panels[2].plot(common, np.linalg.norm(apart, axis=1), **look)
-    for axes, label in zip(
-        panels, ("force / N", "torque / N m", "force apart from\nthe first one's / N"), strict=True
-    ):
-        axes.set_ylabel(label)
-    panels[-1].set_xlabel(
-        "time / s" if over == "time" else "depth of the tool's tip from its first contact / mm"
-    )
-    if len(traces) <= MOST_NAMED:
-        columns = 3 if max(map(len, traces)) < LONG else 2
-        entries = panels[0].get_legend_handles_labels()
-        legend = panels[0].figure.legend(*entries, loc="outside upper left", ncols=columns)
-        for text in legend.get_texts():
-            text.set_parse_math(False)
-    plain(panels)
-    return panels
-
-
-def _place(trace: "Table", over: str, name: str) -> tuple[slice, Array]:
-    """Return the rows to draw, and their time [s] or depth [mm]."""
-    if over == "time":
-        return slice(None), trace["time_s"]
-    axis, outward = facing(trace)
-    contact = trace["contact_mm2"] > 0.0
-    if not contact.any():
-        raise InputError(
-            "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
-        )
-    height = outward * trace.vectors("tool", "mm")[:, axis]
-    rows = first_descent(height, contact)
-    return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])
-
-
-def _at(places: Array, known: Array, vectors: Array) -> Array:
-    """Interpolate vectors between known positions, shape (places, 3)."""
-    return np.column_stack([np.interp(places, known, vectors[:, c]) for c in range(3)])
-
-
-def _colour(number: int, count: int) -> object:
-    """Return a colour: distinct for a few curves, along a scale for many."""
-    if count <= len(COLOURS):
-        return COLOURS[number]
-    from matplotlib import colormaps
-
-    return colormaps["viridis"](number / (count - 1))
 
 
 @styled
@@ -220,23 +127,23 @@ def plot_figures(
     Parameters
     ----------
     lines
-        Value and figures of each run, by the label of its line.
+        Value and figures of each run, keyed by the label of the line.
     names
-        Figures to draw, one in a panel.
+        Names of the figures to draw, one in each panel.
     over
-        Name of the value.
+        Key of the swept value in the scene.
     title
-        Title of the legend; empty for a single line without a legend.
+        Key by which the lines differ; empty for a single line without a legend.
 
     Returns
     -------
-    The panels, shape (names,).
+    Axes, shape (names,).
     """
     from matplotlib import pyplot
 
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
-    # Inches for a panel, and for the legend above all.
+    # Heights in inches of a panel, and of the legend above all panels.
     size = 3.2 * columns, 2.4 * rows + 0.3
     chart, grid = pyplot.subplots(rows, columns, squeeze=False, figsize=size, layout="constrained")
     panels, empty = np.split(grid.ravel(), [len(names)])
@@ -245,22 +152,33 @@ def plot_figures(
     for axes, name in zip(panels, names, strict=True):
         for number, (label, runs) in enumerate(lines.items()):
             points = [(_place_of(value), found[name]) for value, found in runs if name in found]
-            if not any(isinstance(place, str) for place, _ in points):
+            look: dict[str, Any] = {"marker": "o", "markersize": 3.5}
+            look["color"] = COLOURS[number % len(COLOURS)]
+            if any(isinstance(place, str) for place, _ in points):
+                look["linestyle"] = ""  # there is nothing between two names
+            else:
                 points.sort()
-            look = {"marker": "o", "markersize": 3.5, "color": COLOURS[number % len(COLOURS)]}
             axes.plot(*zip(*points, strict=True), label=label, **look)
         axes.set_title(field_words(name), loc="left")
-        axes.set_xlabel(over, parse_math=False)
+        axes.set_xlabel(field_words(over.rpartition(".")[2]), parse_math=False)
     plain(panels)
     for axes in panels:
         axes.margins(x=0.05)
+        axes.ticklabel_format(axis="y", useOffset=False)
+        # From zero: an axis around the points shows a change of 1 % as steeply as one of 100 %.
+        low, high = axes.get_ylim()
+        if low > 0.0:
+            axes.set_ylim(0.0, 1.05 * high)
     if title:
         entries = panels[0].get_legend_handles_labels()
-        chart.legend(*entries, loc="outside upper left", ncols=6, title=title)
+        title = field_words(title.rpartition(".")[2])
+        chart.legend(*entries, loc="outside upper left", ncols=6, title=title, alignment="left")
     return np.asarray(panels)
 
 
 def _place_of(value: Any) -> float | str:
-    """Return a swept value as a place on an axis: a number, or a text for any other value."""
+    """Return the position of a swept value on an axis: a number, or a text if the value is not a
+    number.
+    """
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return value if is_number else str(value)

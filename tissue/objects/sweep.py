@@ -20,7 +20,7 @@ from meshes.base.progress import Progress
 from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
-from tissue.objects.comparison import Comparison, write_rows
+from tissue.objects.comparison import PLOTTED, Comparison, split_formats, write_rows
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.plots import plot_figures
 from tissue.objects.run import Run
@@ -30,7 +30,7 @@ from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.show.figures.figure import save
-from tissue.simulation.run_folder import read_summary, summary_of
+from tissue.simulation.run_folder import PICTURE_FORMATS, read_summary, summary_of
 from tissue.system.owned_folder import OwnedFolder
 from tissue.system.progress import Bar, reporting
 from tissue.system.workers import first_done, worker_pool
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Sweep", "SweptRun", "planned", "sweep"]
 
-FILES = ("sweep.csv", "sweep.png", "compare.png")
+FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 """Files of a sweep in addition to its runs."""
 RECORD = "scenes.json"
 """File with the swept scenes that require a fidelity, by run.
@@ -54,6 +54,10 @@ MOST_RUNS = 10_000
 LOST = "the process that ran it was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; the file has all figures."""
+OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
+"""Figures of the machine's load, which vary between equal runs; `Sweep.plot` leaves them out."""
+SAME = 1e-9
+"""Relative difference of figures that rounding explains."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +174,8 @@ class Sweep:
         Parameters
         ----------
         figures
-            Some of `figure_names`; default the figures that differ among the runs.
+            Some of `figure_names`; default the figures that differ among the runs, without the
+            time of ticks, which varies between equal runs.
 
         Returns
         -------
@@ -202,24 +207,28 @@ class Sweep:
         return plot_figures(lines, names, over=over, title="".join(second))
 
     def _differing(self) -> list[str]:
-        """Return the figures that differ between finished runs."""
-        values = {
-            name: {each.figures.get(name) for each in self.finished} for name in self.figure_names
-        }
-        return [name for name, found in values.items() if len(found) > 1]
+        """Return the figures that differ between finished runs by more than rounding."""
+        differing = []
+        for name in self.figure_names:
+            values = [each.figures.get(name, np.nan) for each in self.finished]
+            if name not in OF_MACHINE and not np.allclose(values, values[0], rtol=SAME, atol=0.0):
+                differing.append(name)
+        return differing
 
-    def write(self, out: Path) -> None:
-        """Write ``sweep.csv``, and with several finished runs ``compare.png`` and ``sweep.png``."""
+    def write(self, out: Path, formats: Sequence[str] = ()) -> None:
+        """Write ``sweep.csv``, and with several finished runs their figures and traces.
+
+        The formats are those of `tissue.objects.comparison.Comparison.save`.
+        """
         from matplotlib import pyplot
 
         write_rows(out / "sweep.csv", *self.rows())
-        pictures = {}
         if len(self.finished) > 1:
-            pictures["compare.png"] = self.compare().plot()
+            self.compare().write_plotted(out, formats=formats)
         if len(self.keys) in (1, 2) and self._differing():
-            pictures["sweep.png"] = self.plot()
-        for name, panels in pictures.items():
-            save(panels[0].figure, out / name)
+            panels = self.plot()
+            for kind in split_formats(formats)[0]:
+                save(panels[0].figure, out / f"sweep.{kind}")
             pyplot.close(panels[0].figure)
 
     def __repr__(self) -> str:
@@ -244,6 +253,8 @@ def sweep(
     compute: str = "cpu",
     cores: int | None = None,
     pictures: bool = False,
+    formats: Iterable[str] = (),
+    band: int | None = None,
     overwrite: bool = False,
     allow_unstable: bool = False,
     progress: Bar = None,
@@ -262,7 +273,8 @@ def sweep(
         Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1200,
         1600]}``.
     out
-        Folder for the runs, and ``sweep.csv``, ``sweep.png`` and ``compare.png``.
+        Folder for the runs, their figures in ``sweep.csv`` and ``sweep.png``, and their loads in
+        ``compare.png``.
     workers
         Number of parallel processes, each with one core unless ``cores`` states more; ticks then
         take longer. A script that uses several must begin below ``if __name__ == "__main__":``. The
@@ -271,7 +283,13 @@ def sweep(
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
-        Whether each run draws its pictures.
+        Whether each run draws its pictures, in the first of the pictures' formats.
+    formats
+        Formats of the pictures, png, svg or pdf (default png), and formats in which the traces of
+        all runs are written as one table, ``traces.FORMAT``: parquet, npz, mat or h5.
+    band
+        Samples of the constants in their ranges, as for `Run.band`: each run has a band, and
+        ``compare.png`` shows them. Finished runs without it are run again.
     overwrite
         Run finished runs again.
     progress
@@ -281,25 +299,38 @@ def sweep(
     ------
     InputError
         If no combination makes a scene, the folder holds runs of other scenes under the same names,
-        or several processes are requested with a part that they do not have.
+        a format or the number of samples is invalid, or several processes are requested with a part
+        that they do not have.
     """
     out = Path(out)
+    formats = tuple(formats)
+    kinds, _ = split_formats(formats)
+    drawn = kinds[0] if pictures else False
+    if band is not None:
+        from tissue.fitting.bands.sample import rounded
+
+        rounded(band)
     workers = int(require_range("workers", workers, 1, 4096, "use one a core"))
     runs = planned(scene, changes, out)
     # Runs side by side already use all cores.
     if cores is None and workers > 1:
         cores = 1
     run = partial(
-        _run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable
+        _run,
+        pictures=drawn,
+        band=band,
+        compute=compute,
+        cores=cores,
+        allow_unstable=allow_unstable,
     )
     with OwnedFolder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
-        left = _unfinished(runs, out, overwrite=overwrite)
+        left = _unfinished(runs, out, band=band, overwrite=overwrite)
         _record([each for each, _ in left], out)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
         runs = [replace(each, problem=problems.get(each.name, each.problem)) for each in runs]
         found = Sweep(list(runs[0].values), runs)
         report("drawing pictures", 1.0)
-        found.write(out)
+        found.write(out, formats)
     return found
 
 
@@ -362,7 +393,9 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
     return [f"{short}={word}" for word in words]
 
 
-def _unfinished(runs: list[SweptRun], out: Path, *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
+def _unfinished(
+    runs: list[SweptRun], out: Path, *, overwrite: bool, band: int | None = None
+) -> list[tuple[SweptRun, bool]]:
     """Return the remaining runs, and for each whether it may replace a run of the same scene.
 
     Raises
@@ -388,7 +421,9 @@ def _unfinished(runs: list[SweptRun], out: Path, *, overwrite: bool) -> list[tup
                 f"another one in {each.path}",
                 "pass --overwrite to replace it or choose another --out",
             )
-        if overwrite or not begun or summary_of(each.path).get("status") != "complete":
+        summary = summary_of(each.path)
+        has_band = band is None or summary.get("band", {}).get("asked") == band
+        if overwrite or not begun or summary.get("status") != "complete" or not has_band:
             left.append((each, overwrite or begun))
     return left
 
@@ -460,12 +495,23 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
     report(f"run {number + 1} of {total}, {name}: {doing}", (number + share) / total)
 
 
-def _run(each: SweptRun, replaces: bool, progress: Bar, *, pictures: bool, **settings: Any) -> str:
+def _run(
+    each: SweptRun,
+    replaces: bool,
+    progress: Bar,
+    *,
+    pictures: bool | str,
+    band: int | None,
+    **settings: Any,
+) -> str:
     """Simulate and save one run; return its problem, or an empty text."""
     assert each.scene is not None
     try:
         run = simulate(each.scene, out=each.path, overwrite=replaces, progress=progress, **settings)
         run.save(each.path, pictures=pictures)
+        if band is not None:
+            there = {"compute": settings["compute"], "cores": settings["cores"]}
+            run.band(band, pictures=pictures, progress=progress, **there)
     except InputError as refused:
         return str(refused)
     except Exception as error:

@@ -1,6 +1,6 @@
 """Anatomies of a scene for cutters: bone and teeth, procedural or from files.
 
-Each table has only the keys of its own shape.
+Each class has only the keys that its shape needs.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -37,13 +37,13 @@ class CutAnatomy(Part):
     kind: str
 
     source: ClassVar[str] = "procedural"
-    """Origin of the shape, as used in messages."""
+    """Origin of the shape, as named in messages."""
     reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear", "heat")
     """Tables of a scene that apply to this anatomy."""
 
     @property
     def from_file(self) -> str | None:
-        """File of the whole shape; None without one.
+        """File of the whole shape; None without such a file.
 
         A procedural anatomy and a tooth with one file per layer have no such file.
         """
@@ -52,7 +52,7 @@ class CutAnatomy(Part):
 
     @property
     def guide_hole_mm(self) -> tuple[float, float]:
-        """Diameter and depth of the guide hole [mm]; zeros without one."""
+        """Diameter and depth of the guide hole [mm]; zeros without a guide hole."""
         return getattr(self, "guide_hole_diameter_mm", 0.0), getattr(
             self, "guide_hole_depth_mm", 0.0
         )
@@ -64,28 +64,32 @@ class Drilled(CutAnatomy):
     guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(
         0.0, ge=0, le=50
     )
-    """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills no hole."""
+    """Diameter of a guide hole that is drilled along the tool's axis before the run. With 0 there
+    is no hole.
+    """
     guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(
         0.0, ge=0, le=100
     )
-    """Depth of the guide hole below the face."""
+    """Depth of the guide hole below the working face."""
 
 
 class Placed(Drilled):
     """Bone from a file, moved and rotated to its working face."""
 
     file: FileName = Field(examples=["scapula.stl"])
-    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
+    """Surface file (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the working face in the file's frame [mm]. Without it, the face of a glenoid is
-    searched for.
+    """Centre of the working face in the file's frame [mm]. Without this key, the program searches
+    for the face of a glenoid.
     """
     normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(
         None, examples=[(0.0, 0.0, 1.0)]
     )
     """Outward normal of the working face in the file's frame."""
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame whose component perpendicular to the normal becomes x."""
+    """Direction in the file's frame. The component of this direction perpendicular to `normal`
+    becomes the x axis of the site.
+    """
     cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
     """Thickness of the cortical shell below the surface of a bone from a file."""
 
@@ -95,14 +99,18 @@ class SurfaceAnatomy(Placed):
 
     source: ClassVar[str] = "from a surface"
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of a surface file. Without it, the unit is guessed and shown."""
+    """Millimetres per unit of a surface file. Without this key, the unit is guessed, and a note of
+    the run shows the guess.
+    """
 
 
 class Image(Part):
     """Image volume in which the voxels above a threshold are bone."""
 
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge for an image that does not state one, such as TIFF or PNG slices."""
+    """Edge of a voxel, for an image that does not contain the voxel size, such as TIFF or PNG
+    slices.
+    """
     threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
     """Image value above which a voxel is bone."""
 
@@ -121,7 +129,8 @@ class Glenoid(Part):
 
 
 class GlenoidAnatomy(Glenoid, Drilled):
-    """A glenoid: concave face with a subchondral plate over a trabecular vault.
+    """A glenoid. It has a concave face with a subchondral plate, and trabecular bone below the
+    plate.
 
     The origin is at the centre of the face, with +z outward.
     """
@@ -129,11 +138,23 @@ class GlenoidAnatomy(Glenoid, Drilled):
     width_mm: float = Field(27.8, ge=20, le=34)
     """Largest width of the face, anterior to posterior."""
     height_mm: float = Field(37.5, ge=28, le=45)
-    """Height of the face, inferior to superior; at least 1.1 times its width."""
+    """Height of the face, inferior to superior. It must be at least 1.1 times the width of the
+    face.
+    """
     curvature_radius_mm: float = Field(35.0, ge=22, le=80)
-    """Radius of the sphere that shapes the concave face; more than half the height of the face."""
+    """Radius of the sphere that shapes the concave face. It must be more than half the height of
+    the face.
+    """
     subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
     """Mean thickness of the subchondral plate."""
+    subchondral_density_kg_m3: float = Field(1300.0, ge=200, le=2200)
+    """Apparent density of the subchondral plate."""
+    trabecular_density_below_plate_kg_m3: float = Field(450.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone at the plate; it changes to the density of the vault
+    over 5 mm.
+    """
+    trabecular_density_kg_m3: float = Field(300.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone in the vault."""
 
 
 class GlenoidSurface(Glenoid, SurfaceAnatomy):
@@ -150,8 +171,8 @@ class Block(Part):
     kind: Literal["block"] = "block"
     """A block, or the unchanged image in `file`."""
     density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density; 1800 to 2000 is cortical bone. For a surface from a file, density of its
-    shell.
+    """Apparent density. Cortical bone has 1800 to 2000 kg/m3. For a surface from a file, this is
+    the density of the cortical shell.
     """
 
 
@@ -165,14 +186,15 @@ class BlockAnatomy(Block, Drilled):
 class BlockSurface(Block, SurfaceAnatomy):
     """Bone from a surface, with uniform density in its shell.
 
-    The scene states its site.
+    The scene states the site on the surface.
     """
 
 
 class BlockImage(Block, ImageAnatomy):
     """Bone from an image, either at a site or as the whole unchanged image.
 
-    With `centre_mm`, the bone lies at that site. Without it, the top of the image is at z = 0.
+    With `centre_mm`, the bone lies at that site. Without `centre_mm`, the top of the image is at z
+    = 0.
     """
 
     @property
@@ -181,7 +203,7 @@ class BlockImage(Block, ImageAnatomy):
         return self.centre_mm is None
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys without effect; an unchanged image has no site."""
+        """Return the keys without effect. An unchanged image has no site."""
         whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
         placing = (
             "along",
@@ -195,21 +217,23 @@ class BlockImage(Block, ImageAnatomy):
 class Bone(Part):
     """Bone from a file, at a site on its surface.
 
-    Its interior follows from an image of its density, from the surface of its core, or from a shell
-    of uniform thickness.
+    The interior of the bone follows from an image of its density, from a surface around its
+    trabecular core, or from a shell of uniform thickness.
     """
 
     kind: Literal["bone"] = "bone"
     """The bone in `file` at a site on its surface."""
     density_file: FileName | None = Field(None, examples=["density.nrrd"])
-    """Image of the apparent density [kg/m3] in the frame of `file`. The layers follow from it."""
+    """Image of the apparent density [kg/m3] in the frame of `file`. The layers of the bone follow
+    from this density.
+    """
     cortical_above_kg_m3: Annotated[float, Needs("anatomy.density_file")] = Field(
         1000.0, ge=300, le=2000
     )
     """Lowest apparent density of cortical bone in a `density_file`."""
     articular_radius_mm: Annotated[float, Needs("anatomy.density_file")] = Field(0.0, ge=0, le=100)
-    """Distance from the site within which dense bone near the surface is the subchondral plate. 0
-    is for no joint.
+    """Distance from the site within which dense bone near the surface is the subchondral plate. Use
+    0 for a bone without a joint surface.
     """
     core_file: Annotated[FileName | None, Needs("anatomy.density_file", is_absent=True)] = Field(
         None, examples=["cancellous.stl"]
@@ -224,16 +248,17 @@ class Bone(Part):
 
 
 class BoneSurface(Bone, SurfaceAnatomy):
-    """A bone from a surface, such as `tissue import` writes from a CT image.
+    """A bone from a surface file, for example from the file that `tissue import` writes for a CT
+    image.
 
-    The origin is at the site on its surface, with +z outward.
+    The origin is at the site on the surface of the bone, with +z outward.
     """
 
 
 class BoneImage(Bone, ImageAnatomy):
     """A bone from an image.
 
-    The origin is at the site on its surface, with +z outward.
+    The origin is at the site on the surface of the bone, with +z outward.
     """
 
 
@@ -251,7 +276,7 @@ class Tooth(CutAnatomy):
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface files by layer, for the layers that have one."""
+        """Surface files, keyed by layer."""
         return {}
 
 
@@ -267,20 +292,24 @@ class MolarAnatomy(Tooth, Drilled):
     crown_length_mm: float = Field(10.5, ge=8.5, le=12.5)
     """Buccolingual size of the crown."""
     enamel_thickness_mm: float = Field(2.2, ge=1, le=3)
-    """Thickness of the enamel over the highest cusp; in the fossa it is 62 % of this value."""
+    """Thickness of the enamel over the highest cusp. In the fossa, the thickness is 62 % of this
+    value.
+    """
     pulp_roof_mm: float = Field(5.0, ge=3.5, le=6.5)
-    """Depth of the roof of the pulp chamber below the fossa."""
+    """Depth of the roof of the pulp chamber below the central fossa."""
     caries_depth_mm: float = Field(0.0, ge=0, le=6)
-    """Depth of a lesion below the fossa; 0 is a sound tooth."""
+    """Depth of a carious lesion below the central fossa. A sound tooth has 0."""
     caries_diameter_mm: Annotated[float, Needs("anatomy.caries_depth_mm")] = Field(3.0, gt=0, le=8)
-    """Width of the lesion."""
+    """Diameter of the lesion."""
 
 
 class ToothSite(Tooth):
     """Tooth from files, at the tool's entry site."""
 
     site: Literal["enamel", "caries"] = "enamel"
-    """Entry site of the tool: down the axis of a tooth from files, or straight over its lesion."""
+    """Entry site of the tool on a tooth from files. With `enamel` the tool enters along the axis of
+    the tooth, and with `caries` directly above the lesion.
+    """
 
 
 class MolarSurfaces(ToothSite, Drilled):
@@ -288,7 +317,9 @@ class MolarSurfaces(ToothSite, Drilled):
 
     source: ClassVar[str] = "from surfaces"
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of the surface files. Without it, the unit is guessed and shown."""
+    """Millimetres per unit of the surface files. Without this key, the unit is guessed, and a note
+    of the run shows the guess.
+    """
     enamel_file: FileName | None = Field(None, examples=["enamel.stl"])
     """Closed surface of the enamel, in the frame of the other layers."""
     dentin_file: FileName | None = Field(None, examples=["dentin.stl"])
@@ -296,15 +327,15 @@ class MolarSurfaces(ToothSite, Drilled):
     pulp_file: FileName | None = Field(None, examples=["pulp.stl"])
     """Closed surface of the pulp."""
     caries_file: FileName | None = Field(None, examples=["caries.stl"])
-    """Closed surface of a lesion."""
+    """Closed surface of a carious lesion."""
     ligament_file: FileName | None = Field(None, examples=["ligament.stl"])
     """Closed surface of the periodontal ligament."""
     socket_mm: float = Field(0.0, ge=0, le=10)
-    """Thickness of the bone added around the ligament of a tooth from surfaces."""
+    """Thickness of the bone that is added around the ligament of a tooth from surfaces."""
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface files by layer, for the layers that have one."""
+        """Surface files, keyed by layer."""
         files = {name: getattr(self, f"{name}_file") for name in LAYERS}
         return {name: file for name, file in files.items() if file is not None}
 
@@ -314,16 +345,18 @@ class MolarLabels(ToothSite):
 
     source: ClassVar[str] = "from labels"
     file: FileName = Field(examples=["labels.nii.gz"])
-    """Label volume of the layers."""
+    """Label volume, in which each layer of the tooth has a label."""
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge for a volume that does not state one, such as TIFF or PNG slices."""
+    """Edge of a voxel, for a label volume that does not contain the voxel size, such as TIFF or PNG
+    slices.
+    """
 
 
 class VertebraAnatomy(Drilled):
     """A lumbar vertebra.
 
-    The origin is behind its left pedicle, with +z outward along the pedicle's axis and +y up. The
-    structure `canal`, for `keep_clear.names`, lies at +x.
+    The origin is behind the left pedicle, with +z outward along the pedicle's axis and +y up. The
+    spinal canal lies at +x. It is the structure `canal` for `keep_clear.names`.
     """
 
     kind: Literal["vertebra"] = "vertebra"
@@ -339,17 +372,24 @@ class VertebraAnatomy(Drilled):
     canal_depth_mm: float = Field(18.6, ge=11, le=26)
     """Depth of the spinal canal, front to back."""
     pedicle_width_mm: float = Field(12.9, ge=5, le=22)
-    """Width of the pedicle; more than three times the thickness of its cortex."""
+    """Width of the pedicle. It must be more than three times the thickness of the pedicle's cortex.
+    """
     pedicle_height_mm: float = Field(14.8, ge=8, le=22)
     """Height of the pedicle."""
     pedicle_angle_deg: float = Field(17.7, ge=0, le=35)
-    """Angle of the pedicle's axis towards the midline, from back to front."""
+    """Angle by which the pedicle's axis turns towards the midline, from back to front."""
     pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
-    """Thickness of the cortex of pedicle and arch."""
+    """Thickness of the cortical bone of pedicle and arch."""
+    trabecular_density_kg_m3: float = Field(180.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone in the body."""
+    pedicle_density_kg_m3: float = Field(280.0, ge=50, le=1200)
+    """Apparent density of the trabecular bone in pedicle and arch."""
+    cortical_density_kg_m3: float = Field(1800.0, ge=200, le=2200)
+    """Apparent density of the cortex."""
 
 
 class WallAnatomy(Part):
-    """A stiff wall with its face at z = 0, against which a ball is pushed."""
+    """A stiff virtual wall. Its face is at z = 0, and a ball is pushed against the face."""
 
     reads: ClassVar[tuple[str, ...]] = ()
     kind: Literal["wall"] = "wall"

@@ -22,22 +22,25 @@ class Hardware(Part):
     """
 
     address: str = Field("", max_length=1000, examples=["ws://localhost:10001"])
-    """Device address or serial number, as the adapter takes it; empty for the default location."""
+    """Address or serial number of the device, in the form that its adapter requires. If the text is
+    empty, the default address is used.
+    """
     turn_deg: Vector = (0.0, 0.0, 0.0)
     """Rotation of the device's axes into the world's axes, about the world's x, then y, then z."""
     clutch_button: Button | None = Field(None, examples=[1])
-    """Number of the button that lets the device move without the tool while it is held. The first
-    button is 0. Default: no such button.
+    """Number of the clutch button. While the user holds this button, the device moves without the
+    tool. The first button is 0. Default: no clutch button.
     """
     force_button: Button | None = Field(None, examples=[0])
-    """Number of the button that must be held for any force (dead man's switch). The first button is
-    0. Default: no button has to be held.
+    """Number of the button that the user must hold to get any force (dead man's switch). The first
+    button is 0. Default: no button has to be held.
     """
     force_cap_N: float | None = Field(None, gt=0, le=100, examples=[3.0])
-    """Largest force on the hand. Default: the device's limit."""
+    """Largest force that the device exerts on the hand. Default: the force limit of the device."""
     ramp_ms: float = Field(500.0, ge=0, le=10_000)
-    """Time in which the force ramps up from zero. The ramp follows the start, the clutch, the force
-    button and a lost device.
+    """Time in which the force increases from zero to its full value. This happens after the start,
+    after the release of the clutch button, after the force button is pressed, and after a lost
+    device responds again.
     """
     watchdog_ms: float = Field(20.0, ge=2, le=1000)
     """Time without a new sample after which the force is zero."""
@@ -58,41 +61,47 @@ class Coupling(Part):
     """Coupling of a device to the tool."""
 
     stiffness_N_m: float | None = Field(None, ge=1, le=1e5, examples=[400.0])
-    """Stiffness at the device. Default: half the critical stiffness in that hand, at most the
-    device's published limit.
+    """Stiffness of the coupling spring, as felt at the device. Default: half of the critical
+    stiffness for the chosen hand, but at most the published limit of the device.
     """
     stiffness_Nm_rad: float | None = Field(None, ge=0.06, le=1000, examples=[0.3])
-    """Rotational stiffness at the device, for a device that plays torque. Default: half the
-    critical stiffness in that hand, at most the device's published limit.
+    """Rotational stiffness of the coupling, as felt at a device with torque output. Default: half
+    of the critical stiffness for the chosen hand, but at most the published limit of the device.
     """
     damping_N_s_m: float = Field(0.0, ge=0, le=1000)
-    """Damping at the device."""
+    """Damping coefficient of the coupling, as felt at the device."""
     force_scale: Annotated[float, Field(ge=1e-4, le=100)] | Literal["auto"] = Field(
         "auto", examples=[0.1]
     )
-    """Newtons at the device for each newton at the tool. `auto` chooses the scale at which people
-    best feel differences of stiffness, between the device's friction and its limit.
+    """Force at the device [N] for each newton at the tool. `auto` chooses the scale at which people
+    feel differences of stiffness best. With this scale, the forces lie between the friction and the
+    force limit of the device.
     """
     motion_scale: float = Field(1.0, ge=0.01, le=100)
-    """Metres at the tool for each metre at the device, from the start of the motion. Angles are not
-    scaled.
+    """Tool displacement [m] for each metre of device displacement, measured from the start of the
+    motion. Angles are not scaled.
     """
     delay_ms: int = Field(0, ge=0, le=200)
-    """Latency added before the device, in whole ticks."""
+    """Latency that is added to the force before the device receives the force, in whole ticks."""
     model_ms: int = Field(1, ge=1, le=100)
-    """Time for which one tissue response is held, in whole ticks; 10 is a model at 100 Hz."""
+    """Time between two evaluations of the tissue model, in whole ticks. A model at 100 Hz has 10.
+    """
     prediction_gain: float = Field(1.0, ge=0, le=2)
-    """Gain C in F + C (F_ahead - F): 0 plays the present force, 1 the predicted force."""
+    """Gain C in F + C (F_ahead - F), where F is the present force and F_ahead is the predicted
+    force. With 0 the device plays the present force, and with 1 it plays the predicted force.
+    """
     predictor_file: FileName = ""
-    """Trained predictor, as `tissue train` writes it; empty for the scene's own predictor."""
+    """File of a trained predictor that `tissue train` wrote. If the text is empty, the built-in
+    predictor of the scene is used.
+    """
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
-    """Distance around the scripted motion within which tissue is prepared for the tool. Default: 2
-    mm on an organ, otherwise none.
+    """Distance around the scripted motion within which the tissue is prepared for contact with the
+    tool. Default: 2 mm on an organ, and 0 on bone.
     """
 
 
 class Device(Part):
-    """A haptic device with which a hand moves the tool.
+    """A haptic device. A hand moves the tool through the device.
 
     Without this table, the motion moves the tool.
     """
@@ -100,19 +109,20 @@ class Device(Part):
     kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
     """Name of the device."""
     hand: Annotated[str, OneOf(HANDS)] = "expert"
-    """Hand that holds the device."""
+    """Skill group of the hand that holds the device."""
     renderer: Annotated[str, OneOf(RENDERERS)] = "proxy"
-    """Law that renders the tool's contact force at the device."""
+    """Rendering law that converts contact of the tool into a force at the device."""
     prediction: Annotated[str, OneOf(PREDICTORS, ("none",))] = "none"
-    """Predictor of the device's force ahead of latency and slow models."""
+    """Predictor that compensates the latency of the force and of slow tissue models."""
     perception: Annotated[str, OneOf(PERCEPTIONS, ("none",))] = "none"
-    """Perception model that scales the device's force: none, population, or observer:FILE. `tissue
-    calibrate` writes the file.
+    """Perception model that scales the force at the device. `population` uses the constants of the
+    population. `observer:FILE` uses the constants of one person, from a file that `tissue
+    calibrate` wrote.
     """
     coupling: Coupling = Coupling()
     """Coupling of the device to the tool."""
     hardware: Hardware = Hardware()
-    """Address and axes of a real device, and limits that protect the hand."""
+    """Address and axes of a real device, and limits of the force that protect the user."""
 
     def rules(self) -> Iterator[Rule]:
         """Yield the rules for keys that the device and the prediction do not use."""
@@ -145,14 +155,14 @@ class Device(Part):
 class Fidelity(Part):
     """Required fidelity of a run.
 
-    With `force_error`, the fastest setting on this machine that satisfies the requirements is used.
-    With `tick_ms` alone, the most accurate one is used.
+    With `force_error`, the program uses the fastest setting on this machine that satisfies the
+    requirements. With `tick_ms` alone, it uses the most accurate setting that is fast enough.
     """
 
     force_error: float | None = Field(None, gt=0, le=1, examples=[0.03])
     """Largest error of the force, as a fraction of the reference force without latency."""
     tick_ms: float | None = Field(None, gt=0, le=100, examples=[0.7])
-    """Time within which 99 % of the ticks must end."""
+    """Longest time of a tick. At least 99 % of the ticks must end within this time."""
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Fidelity":

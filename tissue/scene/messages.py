@@ -4,12 +4,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from meshes.base.errors import InputError
-from meshes.base.text_tables import nearest, shown, unknown_name
+from meshes.base.hints import closest, did_you_mean
+from meshes.base.text_tables import shown, unknown_name
 from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.scene import Scene
 
@@ -18,10 +19,11 @@ __all__ = ["choices_of", "error_of", "idle_keys"]
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 SEE = "see `tissue scenes NAME`"
 Table = Mapping[str, object]
+Key = tuple[str, ...]
 
 
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
-    """Return the error for a fault that pydantic found in the table of a model."""
+    """Return the error message for a fault that pydantic found in the table of a model."""
     path = _without_tags(fault["loc"], table, model)
     numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
     names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
@@ -65,7 +67,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
 def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> InputError:
     """Return the error for keys without effect.
 
-    It names all keys that have no effect for the first key's reason.
+    The error names all keys that have no effect for the same reason as the first key.
     """
     first = next(iter(refused.values()))[1]
     given = {
@@ -84,17 +86,90 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> InputError:
     """Return the error for a key that the chosen table does not have.
 
-    The remedy names another table that has the key, or the known keys.
+    It suggests keys of the same meaning, in this table, of another kind of it, or in another table.
     """
+    if _holders(names, table, model):
+        return _of_another_kind(names, names, table, model)
+    keys = dict(_keys(table, model, present=names[:-1]))
+    meant = _meant(names, keys)
+    if meant and not keys.get(meant[0], True):
+        return _of_another_kind(names, meant[0], table, model)
+    known = list(_model_at(names[:-1], table, model).model_fields)
+    if isinstance(_value_at(names, table), Mapping):
+        meant = [(*names[:-1], name) for name in closest(names[-1], known)]
     key = ".".join(map(shown, names))
-    word = names[-1]
-    part = ".".join(names[:-1])
-    others = _holders(names, table, model)
-    chosen = _model_at(names[:-1], table, model)
-    if not others:
-        known = list(chosen.model_fields)
-        got = f"{shown(word)}{nearest(word, known)}"
-        return InputError(key, f"be one of {', '.join(known)}", got, "rename or remove it")
+    if meant and meant[0][:-1] != names[:-1]:
+        wanted = "be a key of this scene"
+        suggested = did_you_mean([".".join(full) for full in meant])
+    else:
+        wanted = f"be one of {', '.join(known)}"
+        suggested = did_you_mean([full[-1] for full in meant])
+    return InputError(key, wanted, f"{shown(names[-1])}{suggested}", "rename or remove it")
+
+
+def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
+    """Return the keys that an unknown key most likely means, best first.
+
+    Keys of its own table come first. A key without a table may be one of any table.
+
+    Parameters
+    ----------
+    names
+        The unknown key.
+    keys
+        All keys, with True for keys of the chosen tables.
+    """
+    near = [full for full in keys if full[:-1] == names[:-1]]
+    far = [full for full in keys if full[:-1] != names[:-1]]
+    for pool in ([*near, *far],) if len(names) == 1 else (near, far):
+        by_name: dict[str, list[Key]] = {}
+        for full in pool:
+            by_name.setdefault(full[-1], []).append(full)
+        found = [full for name in closest(names[-1], by_name) for full in by_name[name]]
+        if found:
+            return [full for full in found if keys[full] == keys[found[0]]]
+    return []
+
+
+def _keys(
+    table: Table, model: type[BaseModel], inside: Key = (), *, present: Key = ()
+) -> Iterator[tuple[Key, bool]]:
+    """Yield the full names of keys with a value, and whether the chosen tables have them.
+
+    Keys of other kinds are those of the table `present`, and those of a motion, which any scene can
+    have.
+    """
+    for name, field in model.model_fields.items():
+        full = (*inside, name)
+        parts = _parts(field)
+        if not parts:
+            yield full, True
+            continue
+        chosen = _model_at((name,), table, model)
+        yield from _keys(_inner(table, name), chosen, full, present=present)
+        for part in parts:
+            if full == present or hasattr(part, "drive"):
+                new = part.model_fields.keys() - chosen.model_fields.keys()
+                yield from (((*full, key), False) for key in part.model_fields if key in new)
+
+
+def _of_another_kind(
+    names: tuple[str, ...], meant: tuple[str, ...], table: Table, model: type[BaseModel]
+) -> InputError:
+    """Return the error for a key that only other kinds of its table have.
+
+    Parameters
+    ----------
+    names
+        Key that the user wrote.
+    meant
+        Key that it means.
+    table, model
+        The table of the scene, and its class.
+    """
+    part = ".".join(meant[:-1])
+    others = _holders(meant, table, model)
+    chosen = _model_at(meant[:-1], table, model)
     kind = kinds_of(chosen)[0]
     where = f"a {kind}"
     remedy = f"set {part}.kind = {kinds_of(others[0])[0]}"
@@ -106,7 +181,12 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
         where = f"a {kind} {_source(chosen)}"
         is_plain = "procedural" in sources
         remedy = "leave its file out" if is_plain else f"use one {' or '.join(sources)}"
+    elif meant[-1] == getattr(others[0], "drive", "") and hasattr(chosen, "drive"):
+        remedy = f"set {part}.{chosen.drive}, which drives this scene, or {remedy}"
     got = shown(_value_at(names, table))
+    if names != meant:
+        got += did_you_mean([".".join(meant)])
+    key = ".".join(map(shown, names))
     return InputError(key, f"be left out for {where}", got, f"{remedy}, or remove it")
 
 
@@ -116,7 +196,7 @@ def _source(part: type[BaseModel]) -> str:
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys that a fault refuses because they have no effect in the scene."""
+    """Return the dotted keys that a fault refuses because the keys have no effect in the scene."""
     names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
     if fault["type"] == "idle_keys":
         return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
@@ -147,21 +227,23 @@ def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """Return a refused value as text, with its decimal point or quotes, which may be the fault."""
+    """Return a refused value as text; decimal point and quotes are shown because they may be the
+    fault.
+    """
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """Return the names that a field accepts; an empty list for any other field."""
+    """Return the names that a field accepts; empty for a field without names."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]
 
 
 def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
-    """Return the values that a field takes, in words."""
+    """Return a text about the values that a field accepts."""
     part = _alternatives(field.annotation)[0]
     bounds = _bounds([*field.metadata, *_limits(field.annotation)])
     if part in (int, float):
@@ -183,7 +265,9 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
         return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
     if (values := _values(field)) is not None:
         return f"a table of names and numbers {_bounds(values.metadata)}"
-    return f"a table with entries such as {', '.join([*_parts(field)[0].model_fields][:3])}"
+    entries = ", ".join([*_parts(field)[0].model_fields][:3])
+    takes_none = any(isinstance(each, BeforeValidator) for each in field.metadata)
+    return f"{'none or ' * takes_none}a table with entries such as {entries}"
 
 
 def _bounds(metadata: Iterable[object]) -> str:
@@ -203,7 +287,7 @@ def _bounds(metadata: Iterable[object]) -> str:
 
 
 def _remedy(field: FieldInfo) -> str:
-    """Return an instruction with a valid value: the field's example or default."""
+    """Return an instruction with a valid value: the example or the default of the field."""
     value = field.examples[0] if field.examples else field.default
     if value == "":
         return "put it in quotes"
@@ -219,7 +303,7 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
 
 
 FITTING = (str, int, float, list, tuple, Mapping)
-"""Types of values that a remedy can show."""
+"""Types of values that can be shown in a remedy."""
 
 
 def _toml(value: object) -> str:
@@ -239,7 +323,7 @@ def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> F
 
 
 def _values(field: FieldInfo) -> FieldInfo | None:
-    """Return the field for the values of a table by name; None for any other field."""
+    """Return the field for the values of a mapping; None for a field that is not a mapping."""
     part = _alternatives(field.annotation)[0]
     return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
@@ -256,12 +340,12 @@ def _model_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> t
 
 
 def _by_kind(field: FieldInfo) -> ByKind | None:
-    """Return the mark of a union of tables; None for any other field."""
+    """Return the `ByKind` mark of a union of tables; None for other fields."""
     return next((each for each in field.metadata if isinstance(each, ByKind)), None)
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:
-    """Return the models that a field may hold; an empty list for a plain value."""
+    """Return the models that a field may contain; empty for a plain value."""
     mark = _by_kind(field)
     if mark is not None:
         return list(mark.parts())
@@ -287,7 +371,7 @@ def _alternatives(annotation: object) -> list[object]:
 
 
 def _limits(annotation: object) -> list[object]:
-    """Return the limits that apply to one of several types only."""
+    """Return the limits that apply to only one of several types."""
     return [limit for each in get_args(annotation) for limit in getattr(each, "__metadata__", ())]
 
 
@@ -305,9 +389,10 @@ def _value_at(names: tuple[str, ...], table: Table) -> object:
 def _without_tags(
     location: tuple[int | str, ...], table: Table, model: type[BaseModel]
 ) -> list[int | str]:
-    """Return a fault's location without the steps that pydantic adds.
+    """Return the location of a fault without the steps that pydantic adds.
 
-    These steps are a part's class, or the type of several that a value is not.
+    Such a step is the class of a part, or, for a value of several types, a type that it does not
+    have.
     """
     path = list(location)
     inner: type[BaseModel] | None = model

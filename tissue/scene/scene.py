@@ -1,8 +1,8 @@
 """Scenes: frozen, validated descriptions of a simulation.
 
-A scene is a TOML file. Every quantity carries its unit in its name. Anything unknown, missing, out
-of range or not finite is refused. The message names the key, the value, the requirement and a
-remedy.
+A scene is a TOML file. Every quantity carries its unit in its name. A scene is refused if a key is
+unknown or missing, or if a value is out of range or not finite. The message names the key, the
+value, the requirement and a remedy.
 """
 
 import math
@@ -11,7 +11,7 @@ from functools import partial
 from html import escape
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, model_validator
 
 from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
@@ -46,14 +46,15 @@ Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 class KeepClear(Part):
     """Structures that the tool must not touch.
 
-    Their distance is in the trace. A breach is an event.
+    The trace contains the distance of the tool from each structure. If the tool enters a structure,
+    the run records an event (breach).
     """
 
     names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
     """Names of structures of the anatomy, such as a vertebra's canal."""
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
-    """Closed surface of each other structure, by name. It is in the frame and unit of
-    `anatomy.file`, or in the site's frame in mm.
+    """Closed surface of each additional structure, by the name of the structure. The surface is in
+    the frame and unit of `anatomy.file`. Without such a file, it is in the site's frame in mm.
     """
 
     @model_validator(mode="after")
@@ -72,7 +73,7 @@ class KeepClear(Part):
 
 
 class Voxels(Part):
-    """Voxels of the bone, and their removal."""
+    """Voxels of the bone, and the method by which a tool removes them."""
 
     spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
     """Edge of a voxel."""
@@ -81,19 +82,17 @@ class Voxels(Part):
     whole voxel once its centre is inside.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Margin of bone kept around the reach of the tool."""
+    """Thickness of the bone that is kept around the region that the tool can reach."""
 
 
 class Cutting(Part):
     """Changes to the cited cutting coefficients of bone.
 
-    Coefficients that are left out keep the cited value.
+    Coefficients that are left out keep the built-in value from the cited source.
     """
 
     material: Annotated[str, OneOf(CUTTING_MATERIALS)] = "bone"
-    """Material whose cited coefficients bone uses. The layers of a tooth keep their own
-    coefficients.
-    """
+    """Material whose coefficients bone uses. The layers of a tooth keep their own coefficients."""
 
     tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
     """Chip force along the cutting speed, per area of the chip's section."""
@@ -108,13 +107,14 @@ class Cutting(Part):
     axial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[0.0])
     """Edge force along the edge, per length of the edge."""
     density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
-    """Exponent of the ratio of density to reference density, which scales all coefficients."""
+    """Exponent of the ratio of density to reference density. This power scales all coefficients."""
     size_exponent: float | None = Field(None, ge=0, lt=1, examples=[0.5])
-    """Exponent m of the size effect: chip coefficients grow as (chip thickness) ** -m. 0 has none.
+    """Exponent m of the size effect: chip coefficients are proportional to (chip thickness) ** -m.
+    With 0 there is no size effect.
     """
     minimum_chip_um: float | None = Field(None, ge=0, le=50, examples=[1.0])
-    """Minimum chip thickness, below which the force is proportional to the chip thickness. 0 is the
-    linear law, whose edge force is present at any feed.
+    """Minimum chip thickness. Below this thickness, the force is proportional to the chip
+    thickness. With 0 the law is linear, and the full edge force acts at any feed.
     """
 
 
@@ -122,38 +122,51 @@ class Output(Part):
     """Processing of the model's force before it is commanded to a device."""
 
     low_pass_ms: float = Field(1.0, ge=0, le=1000)
-    """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 leaves the force unchanged."""
+    """Time constant a of the low-pass filter y += (1 - exp(-T/a)) (u - y), where T is the tick, u
+    the input and y the output. With 0 the force is unchanged.
+    """
     vibration_share: float = Field(0.0, ge=0, le=1)
-    """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most. A device
-    plays it too.
+    """Amplitude of the vibration from the teeth of the tool, divided by the average force. The
+    frequency is at most 250 Hz. A device plays this vibration too.
     """
     cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
-    """Amplitude of the transient that a device plays at events; 0 plays no transient. The events
-    are first contact, another layer and a puncture.
+    """Amplitude of the transient that a device plays at events. The events are first contact,
+    contact with another layer, and a puncture. With 0 no transient is played.
     """
 
 
 class Stress(Part):
     """Displacement and stress of a tooth by particle finite elements.
 
-    A scene without this table computes neither.
+    Without this table, displacement and stress are not computed.
     """
 
     cell_mm: float = Field(0.5, ge=0.2, le=1.5)
-    """Edge of a cell. Half of it, the spacing of the particles, must be a whole multiple of
+    """Edge of a cell (finite element). Half of this edge must be a whole multiple of
     voxels.spacing_mm.
     """
     interval_ms: float = Field(100.0, ge=10, le=10_000)
-    """Time between two solves. The stress belongs to a state at most this old."""
+    """Time between two solves. The stress shown at any time belongs to a state that is at most this
+    old.
+    """
+
+
+def _without_stress(value: object) -> object:
+    """Return None for the text that leaves a table out."""
+    return None if value == "none" else value
+
+
+OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
+"""Mark of a table that the text none leaves out, such as ``--set stress=none``."""
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
-    """Return the tables of all anatomies that are known so far."""
+    """Return the table classes of all known anatomies."""
     return tuple(part for kind in ANATOMIES.known for part in ANATOMIES[kind].parameters)
 
 
 def motion_parts() -> tuple[type[Part], ...]:
-    """Return the tables of all motions that are known so far."""
+    """Return the table classes of all known motions."""
     return tuple(MOTIONS[kind].parameters for kind in MOTIONS.known)
 
 
@@ -170,22 +183,24 @@ AnyMotion = Annotated[
 
 
 class Scene(Part):
-    """Complete description of one simulation; equal scenes give equal traces."""
+    """Complete description of one simulation. Equal scenes give equal traces."""
 
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", examples=["glenoid-2"])
-    """Name of the scene and of the folder under runs/; lower-case letters, digits, - and _."""
+    """Name of the scene, and of its folder in runs/. The name may contain lower-case letters,
+    digits, - and _.
+    """
     description: str = ""
     """Description of the simulation in one line."""
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. A given time that covers the whole
-    motion is extended for the delay of the hand.
+    """Simulated time. Default: the duration of the motion. If this time covers the whole motion and
+    a simulated hand moves the tool, the run is extended by the delay of the hand.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""
     voxels: Voxels = Voxels()
-    """Voxels of the bone, and their removal."""
+    """Voxels of the bone, and the method by which a tool removes them."""
     tool: AnyTool
     """Tool that acts on the anatomy."""
     motion: AnyMotion
@@ -193,56 +208,59 @@ class Scene(Part):
     keep_clear: KeepClear | None = None
     """Structures that the tool must not touch."""
     cutting: Cutting = Cutting()
-    """Changes to the cutting coefficients."""
+    """Changes to the built-in cutting coefficients."""
     output: Output = Output()
-    """Processing of the force."""
+    """Processing of the force before a device plays it."""
     device: Device | None = None
-    """Device with which a hand moves the tool. Without it, the motion moves the tool."""
-    stress: Stress | None = None
-    """Cell size and interval for the displacement and stress of a tooth."""
+    """Haptic device through which a hand moves the tool. Without this table, the scripted motion
+    moves the tool.
+    """
+    stress: Annotated[Stress | None, OR_NONE] = None
+    """Cell size and interval for the displacement and stress of a tooth. `stress = "none"` computes
+    neither.
+    """
     heat: bool = False
-    """Computation of the temperature of bone, or of a tooth and its pulp."""
+    """Computation of the temperature of bone, or of a tooth with its pulp."""
     organ: Organ = Organ()
     """Material of a soft organ, and the method of its solution."""
     materials: FileName = Field("", examples=["fitted.toml"])
-    """TOML file of constants that replace the cited ones, such as `tissue fit` writes. Empty uses
-    the cited ones.
+    """TOML file with constants, for example written by `tissue fit`. They replace the built-in
+    constants. If the text is empty, the built-in constants are used.
     """
 
     fidelity: Fidelity | None = None
-    """Required fidelity of the run. Its settings are then chosen from measurements on this machine.
+    """Required accuracy or speed of the run. The program then chooses the settings of the run from
+    measurements on this machine.
     """
 
     @property
     def bone(self) -> CutAnatomy:
-        """Anatomy of a scene in which a tool cuts."""
+        """Anatomy of the scene, if a tool cuts it."""
         assert isinstance(self.anatomy, CutAnatomy), self.anatomy.kind
         return self.anatomy
 
     @property
     def held(self) -> Device:
-        """Device of a scene that has one."""
+        """Device of a scene with a device."""
         assert self.device is not None, "the scene has no device"
         return self.device
 
     @property
     def motion_scale(self) -> float:
-        """Metres at the tool for each metre at the device; 1 without a device."""
+        """Tool displacement [m] for each metre of device displacement; 1 without a device."""
         return 1.0 if self.device is None else self.device.coupling.motion_scale
 
     @property
     def predictor_file(self) -> str:
-        """File of a trained predictor; empty for the scene's own predictor."""
+        """File of a trained predictor; empty for the predictor that is shipped for the scene."""
         return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
-        """Constants of the scene: the cited ones, where its file does not replace them.
+        """Constants of the scene. They are the built-in constants, unless the scene's file of
+        constants replaces them.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be used.
+        Raises ------ InputError If the file cannot be used.
         """
         return Materials.read(self.materials) if self.materials else Materials.cited
 
@@ -258,7 +276,7 @@ class Scene(Part):
             raise InputError(
                 "tool.kind", f"be one of {names} for a {kind}", got, "choose one of these"
             )
-        # The wall's model is one spring under the lowest point of a ball.
+        # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
                 "tool.kind", "be sphere-probe for a wall", self.tool.kind, "use a ball"
@@ -280,7 +298,8 @@ class Scene(Part):
                     "anatomy.guide_hole_depth_mm"
                 ),
             )
-        # Fewer than four voxels across show no shape of a tool. The suggestion has twenty.
+        # Fewer than four voxels across a tool do not show its shape. The suggestion has twenty
+        # voxels.
         if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
                 "voxels.spacing_mm",
@@ -294,7 +313,8 @@ class Scene(Part):
     def _stress_fits(self, stress: Stress) -> None:
         spacing = self.voxels.spacing_mm
         ratio = 0.5 * stress.cell_mm / spacing
-        # 0.1 and 0.75 mm are half of the smallest and largest cell; 1e-6 is for rounding.
+        # 0.1 and 0.75 mm are half of the smallest and of the largest cell. 1e-6 allows for
+        # rounding.
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
             least = math.ceil(0.1 / spacing - 1e-6)
             most = math.floor(0.75 / spacing + 1e-6)
@@ -308,11 +328,11 @@ class Scene(Part):
 
     @classmethod
     def read_back(cls, text: str) -> "Scene":
-        """Read a scene from the JSON that this program wrote, including keys without effect."""
+        """Read a scene from JSON that this program wrote; keys without effect are accepted."""
         return cls.model_validate_json(text, context=READ_BACK)
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys that another table leaves without effect."""
+        """Yield the rules on keys that have no effect because of another table."""
         yield from self._anatomy_rules()
         yield from self._tool_rules()
         yield from self._device_rules()
@@ -404,7 +424,7 @@ class Scene(Part):
         return tomli_w.dumps(self.effective_table())
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook with the stated keys, and all keys folded below."""
+        """Return HTML for a notebook: the keys that were set, and all keys in a folded section."""
         import tomli_w
 
         stated = self.model_dump(

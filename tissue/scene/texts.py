@@ -1,7 +1,7 @@
 """Texts of scenes for editors and reports.
 
-They include the folders of a scene's files, the names of parts known only to this process, the site
-in a scene's file, and the JSON schema.
+The functions return the folders of the files of a scene, the names of parts that only this process
+knows, and the JSON schema. They also read and write the site in a scene's file.
 """
 
 import json
@@ -42,7 +42,7 @@ def _texts_of(scene: Scene) -> list[str]:
 def folders_of(scene: Scene) -> list[str]:
     """Return the absolute folders of the files that a scene names, longest first.
 
-    Each ends with its separator. Root folders are left out.
+    Each folder ends with the path separator. Root folders are left out.
     """
     found = set()
     for text in _texts_of(scene):
@@ -68,7 +68,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
-    """Return kind and name of the parts that scenes name and no installed package offers.
+    """Return kind and name of the parts that scenes use and that no installed package offers.
 
     Built-in parts are left out as well.
     """
@@ -96,12 +96,9 @@ _ANATOMY = re.compile(r"^\s*\[\s*anatomy\s*\]\s*(#.*)?$")
 
 
 def anatomy_of(scene: Path) -> dict[str, object]:
-    """Return the table ``anatomy`` of a scene's file without changes.
+    """Return the unchanged table ``anatomy`` of a scene's file.
 
-    Raises
-    ------
-    InputError
-        If the file is no TOML or has no such table.
+    Raises ------ InputError If the file is no TOML or has no such table.
     """
     require_regular(scene)
     try:
@@ -202,13 +199,14 @@ STATED = {
     "format": {"description": "Version of this file's format.", "minimum": 1, "type": "integer"},
     "tissue": {"description": "Version of tissue that wrote this file.", "type": "string"},
 }
-"""Entries of a scene's file in addition to those of `Scene`."""
+"""Entries of a scene's file in addition to the fields of `Scene`."""
 
 
 def schema_text() -> str:
     """Return the JSON schema of a scene's file.
 
-    It contains keys with descriptions, units in their names, ranges and choices.
+    It contains all keys with their descriptions, ranges and choices. The name of a key contains the
+    unit.
     """
     for group in OFFERED:
         ask_packages(group)

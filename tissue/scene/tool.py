@@ -1,11 +1,11 @@
 """Tools and motions of a scene.
 
-Cutters and probes have the keys that their registries in `tissue.scene.names` list.
+The registries in `tissue.scene.names` list the keys of each cutter and probe.
 """
 
 import math
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Strict, create_model, model_validator
 
@@ -30,7 +30,7 @@ __all__ = [
 CUTTER_KEYS: dict[str, Any] = {
     "length_mm": (
         float,
-        Field(10.0, gt=0, le=200, description="Length; thickness of a flat reamer."),
+        Field(10.0, gt=0, le=200, description="Length, or thickness of a flat reamer."),
     ),
     "point_angle_deg": (float, Field(118.0, ge=30, lt=180, description="Included point angle.")),
     "web_mm": (
@@ -41,26 +41,35 @@ CUTTER_KEYS: dict[str, Any] = {
             le=20,
             examples=[0.5],
             description=(
-                "Thickness of a drill's web, which makes its chisel edge. Default: 18 % of the "
-                "diameter. 0 is a drill whose lips reach the axis and have one rake."
+                "Thickness of the web of a drill. The web forms the chisel edge. Default: 18 % of "
+                "the diameter. With 0, the lips of the drill reach the axis and have a constant "
+                "rake."
             ),
         ),
     ),
-    "helix_deg": (float, Field(30.0, ge=0, le=60, description="Helix angle of a drill's flutes.")),
+    "helix_deg": (
+        float,
+        Field(30.0, ge=0, le=60, description="Helix angle of the flutes of a drill."),
+    ),
     "peg_diameter_mm": (
         Annotated[float, Needs("tool.peg_length_mm")],
-        Field(0.0, ge=0, le=20, description="Diameter of a reamer's guide peg; 0 has no peg."),
+        Field(
+            0.0,
+            ge=0,
+            le=20,
+            description="Diameter of the guide peg of a reamer. With 0 there is no peg.",
+        ),
     ),
     "peg_length_mm": (
         Annotated[float, Needs("tool.peg_diameter_mm")],
-        Field(0.0, ge=0, le=50, description="Length of the peg beyond the tip."),
+        Field(0.0, ge=0, le=50, description="Length of the guide peg beyond the tip."),
     ),
 }
 """Keys that define the shape of some cutters, in addition to the diameter."""
 PROBE_KEYS: dict[str, Any] = {
     "diameter_mm": (
         float,
-        Field(20.0, ge=0.5, le=100, description="Diameter of the ball or cylinder."),
+        Field(20.0, ge=0.5, le=100, description="Diameter of the ball or of the cylinder."),
     ),
     "length_mm": (float, Field(40.0, gt=0, le=200, description="Length of the cylinder.")),
     "file": (
@@ -68,52 +77,62 @@ PROBE_KEYS: dict[str, Any] = {
         Field(
             examples=["finger.stl"],
             description=(
-                "Closed surface of the probe; the file's origin is the tip, z points to the shank."
+                "File of the closed surface of the probe. The origin of the file is the tip, and z "
+                "points to the shank."
             ),
         ),
     ),
-    "scale_mm": (float, Field(1.0, gt=0, le=1e5, description="Millimetres per unit of that file.")),
+    "scale_mm": (
+        float,
+        Field(1.0, gt=0, le=1e5, description="Millimetres per unit of the probe's file."),
+    ),
 }
 """Keys that define the shape of some probes."""
 USUAL_PROBE_MM = 20.0
-"""Diameter for mesh refinement around a probe without a diameter [mm]; that of a fingertip."""
+"""Diameter for mesh refinement around a probe without a diameter [mm]. It is the diameter of a
+fingertip.
+"""
 
 
 class Shaped(Part):
-    """Tool whose class is created from its registry entry."""
+    """Base of tool classes that are created from registry entries."""
 
     kind: str
     """Shape of the tool."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the entries, because a class created at run time is in no module."""
+        """Pickle the entries of the table, because a class that is created at run time is in no
+        module.
+        """
         return tool_of, (self.model_dump(exclude_unset=True),)
 
 
 class Tool(Shaped):
-    """A rotating cutter: a surface of revolution with flutes."""
+    """A rotating cutter with flutes. Its envelope is a surface of revolution."""
 
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
     """Largest diameter."""
     flutes: Annotated[int, Needs("tool.spin_rpm")] = Field(4, ge=1, le=200)
     """Number of cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin, clockwise as seen from the shank, as in common burs, drills and reamers. A negative
-    spin is counter-clockwise. A tool that does not turn (0) cuts nothing; a hand on a device feels
-    the bone with it.
+    """Spin, clockwise as seen from the shank, as for common burs, drills and reamers. A negative
+    spin is counter-clockwise. A tool with a spin of 0 cuts nothing. With a device, the user can
+    feel the bone through this tool.
     """
     shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(
         None, gt=0, le=10, examples=[0.2]
     )
-    """Distance between the cutter's elements. Default: the distance that gives 6000 elements."""
+    """Distance between the elements of the cutter (small pieces of its surface). Default: the
+    distance that gives 6000 elements.
+    """
 
     @property
     def peg_mm(self) -> tuple[float, float]:
-        """Diameter and length of the guide peg [mm]; zeros without one."""
+        """Diameter and length of the guide peg [mm]; zeros without a peg."""
         return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
 
     def without_peg(self) -> "Tool":
-        """Return the cutter without its peg, with the default spacing of its elements."""
+        """Return the cutter without its peg, with the default spacing of cutting elements."""
         pegs: dict[str, Any] = {
             name: 0.0
             for name in ("peg_diameter_mm", "peg_length_mm")
@@ -123,7 +142,7 @@ class Tool(Shaped):
 
     @model_validator(mode="after")
     def _spins_and_fits(self) -> "Tool":
-        # So slow a tool would make chips thicker than itself at any feed.
+        # At such a low spin, chips would be thicker than the tool at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
                 "tool.spin_rpm",
@@ -151,7 +170,9 @@ class Tool(Shaped):
 
 
 class Probe(Shaped):
-    """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface."""
+    """A smooth tool that presses and does not cut. Its shape is a ball, the flat end of a cylinder,
+    or any closed surface.
+    """
 
     @property
     def file_name(self) -> str:
@@ -183,21 +204,21 @@ def _shaped(base: type[Shaped], kind: str, keys: tuple[str, ...]) -> type[Shaped
 
 
 def tool_parts() -> "tuple[type[Part], ...]":
-    """Return the classes of all tools that are known so far."""
+    """Return the classes of all known tools."""
     cutters = [_shaped(Tool, kind, CUTTERS[kind].keys) for kind in CUTTERS.known]
     probes = [_shaped(Probe, kind, PROBES[kind].keys) for kind in PROBES.known]
     return (*cutters, *probes, Needle, Blade)
 
 
 def probe_part(**entries: Any) -> Probe:
-    """Return the probe that entries with a kind describe."""
+    """Return a probe from its entries and kind."""
     made = tool_of(entries)
     assert isinstance(made, Probe)
     return made
 
 
 def tool_of(entries: dict[str, Any]) -> Shaped:
-    """Return the cutter or probe that entries with a kind describe."""
+    """Return a cutter or probe from its entries and kind."""
     kind = entries["kind"]
     if kind in CUTTERS:
         return _shaped(Tool, kind, CUTTERS[kind].keys)(**entries)
@@ -207,19 +228,21 @@ def tool_of(entries: dict[str, Any]) -> Shaped:
 class Needle(Part):
     """A needle that pierces tissue.
 
-    Its friction and cutting force are constants of the tissue.
+    The friction and the cutting force of the needle are constants of the tissue.
     """
 
     kind: Annotated[str, OneOf(NEEDLES)] = "needle"
     """A needle."""
     diameter_mm: float = Field(1.27, ge=0.2, le=5)
-    """Outer diameter, 1.27 mm for 18 gauge. It scales only the width of the crack."""
+    """Outer diameter. An 18-gauge needle has 1.27 mm. The diameter affects only the width of the
+    crack in the tissue.
+    """
 
 
 class Blade(Part):
     """A thin plate with a straight cutting edge, which cuts soft tissue.
 
-    Its plane is the plane of the tool's x axis and its axis. The edge begins at the tip.
+    The tool's x axis and the tool's axis lie in the plane of the blade. The edge begins at the tip.
     """
 
     kind: Literal["blade"] = "blade"
@@ -227,9 +250,11 @@ class Blade(Part):
     width_mm: float = Field(6.0, ge=1, le=40)
     """Width of the blade, along the tool's x axis."""
     thickness_mm: float = Field(0.4, ge=0.05, le=2)
-    """Thickness of the blade, which must be less than its width."""
+    """Thickness of the blade. It must be less than the width of the blade."""
     edge_deg: float = Field(45.0, ge=5, le=90)
-    """Angle between edge and axis: 90 for a chisel, less for a pointed blade."""
+    """Angle between the cutting edge and the tool's axis. A chisel has 90, and a pointed blade has
+    less.
+    """
 
     @model_validator(mode="after")
     def _is_thin(self) -> "Blade":
@@ -251,15 +276,17 @@ class Motion(Part):
 
     @model_validator(mode="after")
     def _axis_has_length(self) -> "Motion":
-        # A vector of rounding errors has no direction.
+        # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
             raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
         return self
 
 
 class PathMotion(Motion):
-    """Motion of the tip along straight lines at a given feed; it then stays at the end."""
+    """Motion of the tip along straight lines at a given feed. The tip then stays at the end."""
 
+    drive: ClassVar[str] = "feed_mm_s"
+    """Key that sets how fast the tool moves."""
     kind: Literal["path"] = "path"
     """Motion along a given path."""
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
@@ -273,9 +300,10 @@ class PathMotion(Motion):
 class ThrustMotion(Motion):
     """Motion of the tool along its axis under a given thrust.
 
-    The feed follows from the balance with the cutting force.
+    The feed follows from the balance of thrust and cutting force.
     """
 
+    drive: ClassVar[str] = "thrust_N"
     kind: Literal["thrust"] = "thrust"
     """Motion under a given thrust."""
     start_mm: Vector = (0.0, 0.0, 0.5)
@@ -285,18 +313,20 @@ class ThrustMotion(Motion):
     mass_kg: float = Field(0.5, gt=0, le=20)
     """Mass that moves with the tool."""
     max_feed_mm_s: float = Field(5.0, gt=0, le=200)
-    """Largest feed, which the hand allows in free space."""
+    """Largest feed. The tool moves at this feed in free space."""
     depth_mm: float = Field(2.0, gt=0, le=100)
-    """Travel from the face (z = 0 of the site) at which the feed stops."""
+    """Travel of the tip from the face (z = 0 of the site) at which the feed stops."""
 
 
 class ReplayMotion(Part):
-    """Motion of recorded poses, from a table or a recording.
+    """Motion through recorded poses, from a table or a recording.
 
-    A table has the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw.
+    A table has the pose columns of ``trace.csv``, from time_s and tool_x_mm to tool_qw.
     """
 
     kind: Literal["replay"] = "replay"
     """Recorded motion."""
     file: FileName = Field(examples=["runs/glenoid/trace.csv"])
-    """CSV table of poses, such as a run's trace, or an HDF5 recording of volumetric_drilling."""
+    """CSV table of poses, such as the trace of a run, or an HDF5 recording of the simulator
+    volumetric_drilling.
+    """

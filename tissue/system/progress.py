@@ -10,7 +10,7 @@ from typing import Any
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import visible
 
-__all__ = ["Bar", "in_notebook", "progress", "reporting"]
+__all__ = ["Bar", "Remaining", "duration_text", "in_notebook", "progress", "reporting"]
 
 
 Bar = Progress | bool | None
@@ -20,6 +20,13 @@ The default None shows a bar in a notebook only.
 """
 EVERY_S = 0.2
 """Time between two updates of a notebook's bar [s]: each is a message to the browser."""
+TRUSTED = 0.03
+"""Share of the work from which the remaining time is shown.
+
+Before it, the first steps dominate, which also load the code.
+"""
+SHORT_S = 10.0
+"""Remaining time below which it is not shown [s]."""
 QUIET_S = 30.0
 """Time between two lines of progress without a terminal for a bar [s]: a log stays short."""
 
@@ -60,6 +67,7 @@ def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
     Function that is called with the present work and its completed share.
     """
     printed_s = perf_counter()
+    remaining = Remaining()
 
     def print_sometimes(doing: str, share: float) -> None:
         nonlocal printed_s
@@ -68,7 +76,39 @@ def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
             print(f"{visible(doing)}, {100.0 * share:.0f} %", file=sys.stderr, flush=True)
 
     with _terminal_bar(print_sometimes) as report:
-        yield report
+        yield lambda doing, share: report(doing + remaining.text(share), share)
+
+
+class Remaining:
+    """Remaining time of a command, from its pace so far."""
+
+    def __init__(self) -> None:
+        self._begun = 1.0
+        self._begun_s = 0.0
+
+    def text(self, share: float) -> str:
+        """Return the remaining time as text for a completed share, empty if it is not known.
+
+        The pace counts from the first report, since a continued command does not begin at zero.
+        """
+        now_s = perf_counter()
+        if share < self._begun:
+            self._begun = share
+            self._begun_s = now_s
+        done = share - self._begun
+        if not TRUSTED * (1.0 - self._begun) < done < 1.0 - self._begun:
+            return ""
+        seconds = (now_s - self._begun_s) * (1.0 - share) / done
+        return f", {duration_text(seconds)} left" if seconds > SHORT_S else ""
+
+
+def duration_text(seconds: float) -> str:
+    """Return a time in words, such as ``25 min``."""
+    minutes = seconds / 60.0
+    if minutes < 1.0:
+        return "less than 1 min"
+    # From 100 min, hours with one decimal are easier to read.
+    return f"{minutes:.0f} min" if minutes < 100.0 else f"{minutes / 60.0:.1f} h"
 
 
 @contextmanager

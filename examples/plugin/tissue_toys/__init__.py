@@ -1,4 +1,4 @@
-"""Parts of one's own for tissue, one a file; `pyproject.toml` names them as entry points."""
+"""Example parts for tissue, one part in each file; `pyproject.toml` names them as entry points."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A tissue: what a scene states of it, its model, and what builds a run's parts of them."""
+"""A tissue: its scene keys, its model, and the function that builds the parts of a run."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -14,18 +14,22 @@ from tissue.simulation.builders.parts import Parts
 
 
 class Cushion(Part):
-    """A cushion with its face at z = 0, which hardens as it is pressed."""
+    """Cushion with its face at z = 0. Its stiffness increases with the depth."""
 
     kind: Literal["cushion"] = "cushion"
     """A cushion."""
     stiffness_N_m: float = Field(100.0, ge=1, le=1e4)
-    """Stiffness at its face."""
+    """Stiffness at the face."""
     hardening_mm: float = Field(10.0, ge=0.1, le=1000)
-    """Depth at which it is twice as stiff."""
+    """Depth at which the ratio of force to depth is twice the stiffness at the face."""
 
 
 class CushionModel(WallModel):
-    """F = k d (1 + d / d0) over the plane z = 0, of a wall whose force is a line."""
+    """Cushion with the force F = k d (1 + d / d0) at a depth d below the plane z = 0.
+
+    The base class is a wall with a linear force. k is the stiffness at the face, and d0 is the
+    hardening depth.
+    """
 
     layer_names = ("cushion",)
 
@@ -34,7 +38,7 @@ class CushionModel(WallModel):
         self.hardening_m = 1e-3 * cushion.hardening_mm
 
     def respond(self, motion: ToolMotion) -> Response:
-        """The wall's answer, its force and slope made greater with the depth."""
+        """Return the response of a linear wall, with force and stiffness increased with depth."""
         response = super().respond(motion)
         depth_m = 1e-3 * response.measures[0]
         response.wrench *= 1.0 + depth_m / self.hardening_m
@@ -47,7 +51,7 @@ class CushionModel(WallModel):
 def largest_force_N(scene: Any) -> float:
     """Return the force at the deepest point of the scripted motion [N].
 
-    The scale of forces at a device is chosen from it.
+    The force scale of a device is chosen from this force.
     """
     depth_m = max(-1e-3 * min(point[2] for point in scene.motion.points_mm), 0.0)
     cushion = scene.anatomy
@@ -55,7 +59,7 @@ def largest_force_N(scene: Any) -> float:
 
 
 def draw(run: Any, path: Path) -> None:
-    """Draw an additional picture for a run: force over depth."""
+    """Draw an additional picture for a run: the force as a function of depth."""
     from tissue.show.figures.figure import figure, save
 
     chart = figure(5.0, 3.5)
@@ -71,7 +75,7 @@ def draw(run: Any, path: Path) -> None:
     "cushion", Cushion, tool=Probe, force_N=largest_force_N, pictures={"cushion.png": draw}
 )
 def build(scene: Any, motion: Motion, **settings: Any) -> Parts:
-    """The parts of a run in which a ball presses it."""
+    """Return the parts of a run in which a ball presses the cushion."""
     model = CushionModel(scene.anatomy, radius_m=0.5e-3 * scene.tool.diameter_mm)
     stated = (
         f"{scene.anatomy.stiffness_N_m:g} N/m at its face, twice that "

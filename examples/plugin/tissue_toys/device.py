@@ -1,4 +1,4 @@
-"""A device: a pen on a spring, computed. One with hardware behind it has the same methods."""
+"""A simulated device: a pen on a spring. A class for real hardware has the same methods."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +16,23 @@ PEN = DeviceParameters(
     workspace_height_m=0.2,
     workspace_depth_m=0.2,
 )
-"""Numbers of the pen, by which its loop is judged; made up for the example."""
+"""Constants of the pen for the stability check of its loop, invented for this example."""
 SPRING_N_M = 80.0
 DAMPER_N_S_M = 4.0
-"""Stiffness and damping that pull the device down, towards a point that sinks."""
+"""Stiffness and damping of the spring that pulls the pen towards a sinking point."""
 SINK_M_S = 0.05
 DEPTH_M = 0.03
-"""Speed at which that point sinks, and the depth at which it stops."""
+"""Speed at which the point sinks, and the depth at which the point stops."""
 
 
 @register.device("toy-pen", PEN)
 class ToyPen(ComputedDevice):
-    """Mass on a spring whose other end sinks. The commanded force pushes it back.
+    """Mass on a spring whose other end sinks. The commanded force pushes the mass back.
 
     Parameters
     ----------
     start_m
-        Where the tool starts in the scene [m].
+        Position of the tool at the start of the scene [m].
     """
 
     def __init__(self, start_m: tuple[float, float, float]) -> None:

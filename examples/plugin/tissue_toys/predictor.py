@@ -1,4 +1,4 @@
-"""A predictor: two methods are enough."""
+"""A predictor, which needs only the methods `observe` and `predict`."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,14 +7,15 @@ from tissue import register
 
 Floats = NDArray[np.float64]
 FADE = 0.9
-"""Share of the force's slope that is kept a tick later."""
+"""Ratio of the slope of the force in a tick to the slope in the tick before."""
 
 
 @register.predictor("damped-line", colour="#8C564B", marker="X")
 class DampedLine:
     """Predictor that continues the force along a fading slope.
 
-    After n ticks the force is F + s (1 - r^n) / (1 - r).
+    After n ticks the force is F + s (1 - r^n) / (1 - r). F is the last force, s is the slope per
+    tick, and r is `FADE`.
     """
 
     def __init__(self) -> None:
@@ -22,7 +23,7 @@ class DampedLine:
         self.slope_N = np.zeros(3)
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
-        """Take in the force of a tick; None where the tissue did not answer in it."""
+        """Observe the force of a tick. It is None if the tissue model has no force in this tick."""
         if force_N is not None:
             self.slope_N = FADE * self.slope_N + (1.0 - FADE) * (force_N - self.force_N)
             self.force_N = force_N

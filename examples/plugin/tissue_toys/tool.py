@@ -13,7 +13,7 @@ def step_drill(diameter_m: float, length_m: float) -> Profile:
     A scene gives diameter and length in mm.
     """
     wide = 0.5 * diameter_m
-    # radii: half of the diameter, and half of half of it
+    # radii: half and a quarter of the diameter
     narrow = 0.25 * diameter_m
     step = length_m / 3.0
     corners = [

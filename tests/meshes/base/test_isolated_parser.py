@@ -91,7 +91,7 @@ def test_a_parser_that_fails_is_refused(parse, parser, reason):
     assert str(refused.value).startswith(
         f"file must be a readable ABC surface, got bone.abc ({reason}"
     )
-    assert str(refused.value).endswith("): export it again")
+    assert str(refused.value).endswith("). Export it again")
 
 
 def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):

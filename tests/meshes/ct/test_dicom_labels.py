@@ -206,7 +206,7 @@ def test_rounded_heights_of_outlines_are_one_plane(tmp_path, start_mm, apart_mm)
 
 def test_outlines_need_their_ct(tmp_path):
     path = write_structures(tmp_path / "rs.dcm", outlines())
-    with pytest.raises(InputError, match="give the CT that they were drawn on too"):
+    with pytest.raises(InputError, match="Give the CT that they were drawn on too"):
         read_labels(path)
 
 

@@ -47,7 +47,7 @@ from tissue.scene.load import scene_names
             (
                 "command must be one of run, import, scenes, view, report, fit, sweep, compare, "
                 "stability, devices, serve, calibrate, assess, train, chart, study, schema, got ruin "
-                "(did you mean run?): see `tissue --help`"
+                "(did you mean run?). See `tissue --help`"
             ),
         ),
         (
@@ -105,7 +105,7 @@ from tissue.scene.load import scene_names
             ("calibrate", "--observer", "simulated:x"),
             "observer must be simulated:SEED or simulated:GROUP:SEED with novice, "
             "intermediate, expert, got "
-            "simulated:x: use simulated:1",
+            "simulated:x. Use simulated:1",
         ),
         (
             ("view", "runs"),

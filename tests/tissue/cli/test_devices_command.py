@@ -51,7 +51,7 @@ def test_without_devices_each_kind_has_a_sentence(command, alone):
         "recorded",
     ]
     assert "pip install forcedimension-core" in out and "pip install pyOpenHaptics" in out
-    assert all(": " in line and ", got " in line for line in lines[1:])
+    assert all(". " in line and ", got " in line for line in lines[1:])
 
 
 def test_found_devices_come_first_with_their_limits(command, alone, monkeypatch):
@@ -183,11 +183,11 @@ def test_the_push_is_made_only_after_the_word_is_typed(
         ),
         (
             ("--test", "recorded"),
-            "hardware.address must be a file of poses with device = recorded, got nothing",
+            "--address must be a file of poses with device = recorded, got nothing",
         ),
         (
             ("--test", "network", "--address", "x"),
-            "hardware.address must be udp://HOST:PORT or ws://HOST:PORT",
+            "--address must be udp://HOST:PORT or ws://HOST:PORT",
         ),
         (
             ("--test", "network", "--out", "no/such/x.toml"),

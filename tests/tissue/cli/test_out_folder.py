@@ -64,7 +64,7 @@ def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
         "meshes.base.whole_file.os.access", lambda path, mode: Path(path) != here / "shut"
     )
     assert refused("run", "milling", "--out", "shut/run") == (
-        f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
+        f"out must be writable, got permission denied at {here / 'shut'}. Choose another --out"
     )
     monkeypatch.setattr("meshes.base.whole_file.os.access", lambda path, mode: True)
 
@@ -73,7 +73,7 @@ def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
 
     monkeypatch.setattr(Path, "mkdir", read_only)
     assert refused("run", "milling", *COARSE, "--out", "shut/run") == (
-        f"out must be writable, got read-only file system at {here / 'shut' / 'run'}: choose "
+        f"out must be writable, got read-only file system at {here / 'shut' / 'run'}. Choose "
         "another --out"
     )
 

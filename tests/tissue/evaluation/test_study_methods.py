@@ -6,7 +6,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue import register
 from tissue.evaluation.study import duration
-from tissue.evaluation.study.duration import Remaining, cost, duration_text, expected_s
+from tissue.evaluation.study.duration import cost, expected_s
 from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey, method_settings
 from tissue.evaluation.study.registration import plan_text
 from tissue.evaluation.study.section import COLOURS, colours_of
@@ -89,16 +89,3 @@ def test_the_expected_time_grows_with_trials_and_falls_with_workers():
     pair = [TrialKey("T2", "intermediate", 0), TrialKey("T2", "intermediate", 0, "pace-slow")]
     usual, varied = (cost(plan, [key]) for key in pair)
     assert varied / usual == pytest.approx(2.0 / len(METHODS))
-
-
-def test_the_remaining_time_follows_the_pace(monkeypatch):
-    now_s = [0.0]
-    monkeypatch.setattr(duration, "perf_counter", lambda: now_s[0])
-    plan = Plan(trials=100, tasks=("T2",), sensitivity=False)
-    keys = list(plan.all_trials())
-    remaining = Remaining(plan, keys)
-    assert remaining.text(keys) == ""
-    now_s[0] = 600.0
-    assert remaining.text(keys[100:]) == "20 min left"
-    assert duration_text(20.0) == "less than 1 min"
-    assert duration_text(7200.0) == "2.0 h"

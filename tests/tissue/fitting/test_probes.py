@@ -134,8 +134,8 @@ def test_a_ball_that_is_pressed_too_deep_is_refused():
 @pytest.mark.parametrize("name", ["organ.exponent", "other.exponential_rate", "modulus_kPa.x"])
 def test_a_free_name_that_is_no_constant_of_the_table_is_refused(name):
     table = ProbeTable(Path("presses.csv"), DEPTHS_M, np.ones((3, len(DEPTHS_M))))
-    known = r"choose among soft\.liver\.modulus_kPa, organ\.exponential_rate$"
-    with pytest.raises(InputError, match=f"got {name}: {known}"):
+    known = r"Choose among soft\.liver\.modulus_kPa, organ\.exponential_rate$"
+    with pytest.raises(InputError, match=f"got {name}. {known}"):
         fit_probes(slab(law="exponential", exponential_rate=3.0), table, free=[name])
 
 

@@ -30,7 +30,7 @@ def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one
         sentence.startswith("coupling.stiffness_N_m must be below 20")
         and "got 3000 (margin -4" in sentence
     )
-    nearest = float(sentence.split(": use ")[1].split(",")[0])
+    nearest = float(sentence.split(". Use ")[1].split(",")[0])
     assert run_of("wall", coupling__stiffness_N_m=nearest, duration_s=0.01).trace["margin"][0] > 0.0
 
 

@@ -4,13 +4,16 @@ import csv
 from types import SimpleNamespace
 
 import numpy as np
+import pandas
 import pytest
 from matplotlib import pyplot
+from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
 
 import tissue
 from tissue import InputError
-from tissue.objects.comparison import _notes
-from tissue.objects.plots import overlay
+from tissue.objects.comparison import _notes, _stated
+from tissue.objects.overlay import Curve, _band_ends, chosen_over, overlay
 from tissue.simulation.trace import Table, TraceLayout
 
 
@@ -77,20 +80,106 @@ def test_over_depth_the_pace_does_not_count():
     A force proportional to depth is run at two paces, and a third one is 1.5 times as large.
     """
     slow, fast, hard = (
-        pressing(3.0, speed_mm_s=4.0),
-        pressing(3.0, speed_mm_s=6.0),
-        pressing(4.5, speed_mm_s=4.0),
+        Curve("slow", pressing(3.0, speed_mm_s=4.0)),
+        Curve("fast", pressing(3.0, speed_mm_s=6.0)),
+        Curve("hard", pressing(4.5, speed_mm_s=4.0)),
     )
-    apart = [
-        line.get_xydata()
-        for line in overlay({"slow": slow, "fast": fast, "hard": hard}, over="depth")[2].lines
-    ]
-    assert apart[0][:, 1].max() < 0.03  # a tick of the depth between the first rows in contact
-    place, gap = apart[1].T
+    assert chosen_over([slow, fast]) == "depth"
+    # a tick of the depth between the first rows in contact
+    assert overlay([slow, fast])[-1].lines[0].get_ydata().max() < 0.03
+    place, gap = overlay([slow, hard])[-1].lines[0].get_xydata().T
     assert gap[-1] == pytest.approx(1.5 * place[-1], rel=0.02) and place[-1] > 1.0
-    assert overlay({"slow": slow, "fast": fast})[2].lines[0].get_ydata().max() > 1.0
+    assert overlay([slow, fast], over="time")[-1].lines[0].get_ydata().max() > 1.0
+    # thrust alone: no force across the tool, no torque, and no difference of three runs
+    assert len(overlay([slow, fast, hard])) == 1
+    above = Curve("above", pressing(3.0, speed_mm_s=0.1))
+    assert chosen_over([above]) == "time"
     with pytest.raises(InputError, match="above without contact"):
-        overlay({"above": pressing(3.0, speed_mm_s=0.1)}, over="depth")
+        overlay([above], over="depth")
+
+
+def test_a_tool_that_slides_is_drawn_over_time():
+    trace = pressing(3.0, speed_mm_s=4.0)
+    trace.rows[:, trace.columns.index("tool_x_mm")] = 10.0 * trace["time_s"]
+    assert chosen_over([Curve("slides", trace)]) == "time"
+
+
+def test_band_ends_are_quantiles_in_the_frame_of_the_tool():
+    """The ends of a rotated tool are those of its components, not of the world's."""
+    rng = np.random.default_rng(3)
+    force, torque = rng.normal((1.0, -2.0, 3.0), size=(2, 400, 1, 3))
+    sizes = [np.linalg.norm(each, axis=2, keepdims=True) for each in (force, torque)]
+    loads = np.concatenate([force, sizes[0], torque, sizes[1]], axis=2)
+    band = SimpleNamespace(quantiles=np.quantile(loads, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0))
+    turn = Rotation.from_euler("xz", [90.0, 90.0], degrees=True)
+    low, high = _band_ends(band, turn.as_matrix()[None], slice(None), about_axis=True)
+    local = turn.inv().apply(force[:, 0])
+    expected = [local[:, 2], local[:, 0], local[:, 1], turn.inv().apply(torque[:, 0])[:, 2]]
+    np.testing.assert_allclose(low[0], np.quantile(expected, 0.05, axis=1))
+    np.testing.assert_allclose(high[0], np.quantile(expected, 0.95, axis=1))
+    oblique = Rotation.from_euler("x", 20.0, degrees=True).as_matrix()[None]
+    assert _band_ends(band, oblique, slice(None), about_axis=True) == (None, None)
+
+
+def test_a_band_of_other_depths_is_drawn_over_time_alone():
+    trace = pressing(3.0, speed_mm_s=4.0)
+    quantiles = np.zeros((5, len(trace.rows), 8))
+    band = SimpleNamespace(quantiles=quantiles)
+    assert chosen_over([Curve("path", trace, band)]) == "depth"
+    curve = Curve("held", trace, band, is_path_given=False)
+    assert chosen_over([curve]) == "time"
+    assert legend(overlay([curve])) == ["held"]
+    assert legend(overlay([curve], over="depth")) == ["held (band not drawn)"]
+
+
+def legend(panels):
+    """Return the texts of the legend of a figure."""
+    return [text.get_text() for text in panels[0].figure.legends[0].get_texts()]
+
+
+def test_the_legend_states_what_differs(run, other):
+    found = tissue.compare(run, other)
+    assert legend(found.plot()) == [
+        "spacing 0.4 mm, feed 5 mm/s",
+        "spacing 0.5 mm, feed 9 mm/s",
+    ]
+    assert legend(tissue.compare(run, other, names=("a", "b")).plot()) == ["a", "b"]
+
+
+def test_keys_are_stated_in_words():
+    keys = ("device.kind", "tool.spin_rpm", "anatomy.length_mm", "tool.length_mm")
+    values = ("omni", 800.0, 2.0, None)
+    stated = [_stated(key, value, keys) for key, value in zip(keys, values, strict=True)]
+    assert stated == ["device omni", "spin 800 rpm", "anatomy length 2 mm", "no tool length"]
+
+
+def test_figures_that_are_equal_are_named_in_one_line(run, back):
+    found = tissue.compare(run, back)
+    assert found.texts()[1] == []
+    assert found.lines()[1].startswith("the same in all runs: simulated_s, peak_force_N")
+
+
+def test_the_traces_of_all_runs_are_one_table(run, other, tmp_path):
+    found = tissue.compare(run, other, names=("a", "b"))
+    written = found.save(tmp_path / "out", formats=("svg", "pdf", "mat", "parquet"))
+    assert [path.name for path in written] == [
+        "compare.csv",
+        "compare.svg",
+        "compare.pdf",
+        "traces.mat",
+        "traces.parquet",
+    ]
+    table = pandas.read_parquet(written[-1])
+    assert table["run"].unique().tolist() == ["a", "b"]
+    for name, one in (("a", run), ("b", other)):
+        mine = table[table["run"] == name]
+        assert set(mine["motion_feed_mm_s"]) == {one.scene.motion.feed_mm_s}
+        np.testing.assert_array_equal(mine["model_force_z_N"], one.trace["model_force_z_N"])
+        assert mine["layer"].tolist() == one.trace["layer"].tolist()
+    held = loadmat(written[-2])["trace"][0, 0]
+    np.testing.assert_array_equal(held["time_s"].ravel(), table["time_s"])
+    with pytest.raises(InputError, match="format must be one of png, svg, pdf, parquet"):
+        found.save(tmp_path / "other", formats=("xlsx",))
 
 
 def test_files_are_written_once(run, other, tmp_path):

@@ -18,6 +18,13 @@ def test_a_function_sees_every_row_of_the_trace():
         np.testing.assert_array_equal([row[column] for _, row in seen], run.trace[column])
 
 
+def test_a_row_names_the_layer_as_the_trace_does():
+    seen = []
+    scene = load_scene("milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.2})
+    run = simulate(scene, on_tick=lambda index, row: seen.append(row["layer"]))
+    assert seen == run.trace["layer"].tolist() and set(seen) == {"none", "cortical"}
+
+
 def test_false_ends_the_run_after_its_tick():
     run = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: index < 19)
     assert len(run.trace["time_s"]) == 20

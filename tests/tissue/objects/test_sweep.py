@@ -7,7 +7,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib import pyplot
 
 import tissue
 from tissue import InputError
@@ -130,6 +132,48 @@ def test_runs_of_other_scenes_are_not_replaced(pressed, out):
     found = tissue.sweep(pressed, {"seed": [2, 3]}, out=out)
     assert "seed=3" in found.failures
     assert (foreign / "trace.csv").read_text() == "mine"
+
+
+def test_formats_of_pictures_and_of_the_traces(pressed, out):
+    found = tissue.sweep(pressed, {"seed": [1, 2]}, out=out, formats=("svg", "npz"))
+    assert {path.name for path in out.iterdir() if path.is_file()} >= {
+        "sweep.csv",
+        "compare.svg",
+        "traces.npz",
+    }
+    assert not (out / "compare.png").exists()
+    with np.load(out / "traces.npz") as table:
+        assert table["run"].tolist() == [each.name for each in found.runs for _ in range(50)]
+        assert set(table["seed"]) == {1.0, 2.0}
+    with pytest.raises(InputError, match=r"format must be one of png, .*, got docx"):
+        tissue.sweep(pressed, {"seed": [1, 2]}, out=out / "other", formats=("docx",))
+    assert not (out / "other").exists()
+
+
+def test_the_machine_is_no_figure_of_a_sweep(pressed, out):
+    figures = {"peak_force_N": 60.447, "mean_force_N": 3.0, "tick_median_us": 90.0}
+    others = {"peak_force_N": 60.447 * (1.0 + 1e-12), "mean_force_N": 3.3, "tick_median_us": 95.0}
+    runs = [SweptRun("a", {"seed": 1}, out), SweptRun("b", {"seed": 2}, out)]
+    for each, found in zip(runs, (figures, others), strict=True):
+        each.__dict__["figures"] = found
+    (panel,) = module.Sweep(["seed"], runs).plot()
+    assert panel.get_ylim()[0] == 0.0 and panel.get_title(loc="left") == "mean force / N"
+    pyplot.close(panel.figure)
+
+
+@pytest.mark.slow
+def test_a_band_of_each_run(scene, out):
+    """Runs without the requested band are run again; runs with it are kept."""
+    changes = {"motion.feed_mm_s": [3.0, 9.0]}
+    tissue.sweep(scene, changes, out=out)
+    found = tissue.sweep(scene, changes, out=out, band=16)
+    assert not found.failures
+    assert [each.open().summary["band"]["samples"] for each in found.runs] == [16, 16]
+    before = [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs]
+    tissue.sweep(scene, changes, out=out, band=16)
+    assert [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs] == before
+    with pytest.raises(InputError, match=r"band must be in \[16, 65536\]"):
+        tissue.sweep(scene, changes, out=out, band=3)
 
 
 def test_a_stop_keeps_what_is_finished(pressed, out, monkeypatch):

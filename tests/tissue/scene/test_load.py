@@ -211,3 +211,13 @@ def test_a_key_given_twice_on_the_command_line_is_refused():
     assert parse_overrides(["a=1", "b=x"]) == {"a": 1, "b": "x"}
     with pytest.raises(InputError, match=r"^--set must name a key once, got a twice"):
         parse_overrides(["a=1", "a=2"])
+
+
+def test_the_text_none_leaves_stress_out(tmp_path):
+    assert load_scene("molar", {"stress": "none"}) == load_scene("molar", {"stress": None})
+    file = tmp_path / "molar.toml"
+    text = scene_text("molar")
+    file.write_text(f'stress = "none"\n{text[: text.index("[stress]")]}')
+    assert load_scene(file).stress is None
+    with pytest.raises(InputError, match=r"stress must be none or a table with .*, got off"):
+        load_scene("molar", {"stress": "off"})

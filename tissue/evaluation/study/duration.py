@@ -1,4 +1,4 @@
-"""Estimate of the time that the trials of a study take, before and while they run."""
+"""Estimate of the time that the trials of a study take."""
 
 import os
 from collections.abc import Callable, Collection, Iterable
@@ -9,8 +9,9 @@ from tissue.evaluation.study.plan import REFERENCE, Plan, TrialKey
 from tissue.evaluation.study.trial import methods_of_trial
 from tissue.scene.load import changed, load_scene
 from tissue.simulation.simulate import simulate
+from tissue.system.progress import duration_text
 
-__all__ = ["COSTS", "Remaining", "duration_text", "expected_s", "expected_text", "probe_s"]
+__all__ = ["COSTS", "cost", "expected_s", "expected_text", "probe_s"]
 
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
 """Processor time of one method of a trial over that of `probe_s`, by task.
@@ -26,11 +27,6 @@ It is 3.7, 4.8 and 2.6 for T1, T2 and T3, and 3.2 for their sums.
 """
 PROBE_S = 0.5
 """Simulated time of the probe [s]."""
-TRUSTED = 0.03
-"""Share of the work from which the measured pace replaces the estimate.
-
-Below, the first trials of each worker dominate. They also load the code.
-"""
 
 
 def probe_s(clock: Callable[[], float] = perf_counter) -> float:
@@ -71,29 +67,6 @@ def expected_s(
     return probed_s * cost(plan, keys) / min(workers, cores)
 
 
-class Remaining:
-    """Remaining time of a run of trials, from the pace so far.
-
-    Parameters
-    ----------
-    plan, keys
-        Plan, and its trials that are to be run.
-    """
-
-    def __init__(self, plan: Plan, keys: Iterable[TrialKey]) -> None:
-        self._plan = plan
-        self._total = cost(plan, keys)
-        self._begun_s = perf_counter()
-
-    def text(self, waiting: Iterable[TrialKey]) -> str:
-        """Return the remaining time as text for the trials that wait, empty if it is not known."""
-        left = cost(self._plan, waiting)
-        done = self._total - left
-        if not done > TRUSTED * self._total:
-            return ""
-        return f"{duration_text((perf_counter() - self._begun_s) * left / done)} left"
-
-
 def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> str:
     """Return the expected time of trials on this machine as a sentence."""
     cores = os.cpu_count() or 1
@@ -102,12 +75,3 @@ def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> st
         f"{counted(len(keys), 'trial')} will take about {duration_text(seconds)} on "
         f"{counted(workers, 'worker')}, judged by a short simulation"
     )
-
-
-def duration_text(seconds: float) -> str:
-    """Return a time in words, such as ``25 min``."""
-    minutes = seconds / 60.0
-    if minutes < 1.0:
-        return "less than 1 min"
-    # From 100 min, hours with one decimal are easier to read.
-    return f"{minutes:.0f} min" if minutes < 100.0 else f"{minutes / 60.0:.1f} h"

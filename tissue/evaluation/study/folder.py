@@ -22,7 +22,7 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, package_version, require_version, whole_file
 from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.duration import Remaining, expected_text
+from tissue.evaluation.study.duration import cost, expected_text
 from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
 from tissue.evaluation.study.registration import (
     PLAN_FILE,
@@ -410,10 +410,10 @@ def _run_trials(
         folder.write(trial)
         waiting.pop(trial.key, None)
 
-    remaining = Remaining(plan, waiting)
+    whole = cost(plan, keys)
 
     def report_share(doing: str) -> None:
-        report(doing, 1.0 - len(waiting) / len(keys))
+        report(doing, 1.0 - cost(plan, waiting) / whole)
 
     while waiting:
         before = len(waiting)
@@ -427,10 +427,7 @@ def _run_trials(
                 for trials in _results(pool, plan, wanted, running, most, report_share):
                     for trial in trials:
                         keep(trial)
-                    left = remaining.text(waiting)
-                    report_share(
-                        f"trial {len(keys) - len(waiting)} of {len(keys)}{', ' * bool(left)}{left}"
-                    )
+                    report_share(f"trial {len(keys) - len(waiting)} of {len(keys)}")
         except LOST as error:
             if not connected:
                 raise InputError(

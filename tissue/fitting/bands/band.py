@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
@@ -147,7 +147,9 @@ def require_band(
     for name, has_none in without_effect.items():
         if has_none:
             how = "every sample is run" if is_rerun else "the geometry is recorded once"
-            raise InputError(name, "be left out where it has no effect", "it", f"{how}; remove it")
+            raise InputError(
+                name, "be left out where it has no effect", PRESENT, f"{how}; remove it"
+            )
 
 
 def band_of(
@@ -276,7 +278,7 @@ def _rerun(
         raise InputError(
             "each_run",
             "be left out where the density of an image varies within its law's band",
-            "it",
+            PRESENT,
             "reweigh the loads: a file of materials cannot hold that density",
         )
     ranges = ranges_of(scene, run.trace.layer_names)

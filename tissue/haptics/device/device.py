@@ -28,7 +28,7 @@ __all__ = [
 
 
 class Sample(NamedTuple):
-    """Sample of a device at a time: pose and its rate of change, in the world frame."""
+    """Sample of a device: time, pose and velocities, in the world frame."""
 
     time_s: float
     position_m: Triple
@@ -40,26 +40,27 @@ class Sample(NamedTuple):
 class DeviceError(InputError):
     """Error of a device that violates the interface.
 
-    The message is one sentence with the call, the observed behaviour and what to check.
+    The message is one sentence. It has the call, the observed behaviour and the remedy.
     """
 
 
 class Device(Protocol):
     """Haptic device: position in, force out.
 
-    A loop needs only these two methods. It holds a device by
-    `tissue.haptics.device.safe_device.SafeDevice`. A device that is a context manager is entered
-    before its first read and left after its last command, which is zero. Pass such a device to a
-    run without a ``with`` of your own, which would open it twice, or use ``with SafeDevice(device)
-    as held``. A device may have a method ``close()``, which removes all force by other means. It
-    may be called from another thread and is used if ``command`` fails.
+    A loop needs only these two methods. It uses a device through
+    `tissue.haptics.device.safe_device.SafeDevice`. A device may be a context manager. It is then
+    entered before its first read, and left after its last command, which is zero. Pass such a
+    device to a run without a ``with`` statement of your own, which would open the device twice, or
+    use ``with SafeDevice(device) as held``. A device may have a method ``close()`` that removes all
+    force by other means than ``command``. This method is called if ``command`` fails, and may be
+    called from another thread.
     """
 
     def read(self, time_s: float) -> Sample | None:
         """Return the newest sample at a time; None without a sample."""
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque, on the hand and in the world frame, until the next command."""
+        """Play a force and a torque on the hand, in the world frame, until the next command."""
 
 
 @runtime_checkable
@@ -78,14 +79,14 @@ class KnowsTruth(Protocol):
     def hand_force_N(self) -> Triple:
         """Force with which the device pushes the hand [N].
 
-        It is the mean over the tick before the last sample.
+        The force is the mean over the tick before the last sample.
         """
         ...
 
 
 @runtime_checkable
 class StatesPlayed(Protocol):
-    """Device that may play less than the command, and reports the played force."""
+    """Device that may play less than the commanded force, and reports the played force."""
 
     @property
     def played(self) -> tuple[Array, Array]:
@@ -98,7 +99,7 @@ class StatesPlayed(Protocol):
 
 
 class ComputedDevice:
-    """Base of computed devices: they answer at once, and end with zero force."""
+    """Base class of computed devices. They answer at once, and their last force is zero."""
 
     in_process = True
     """True if read and command only compute, so that they cannot block."""
@@ -110,7 +111,7 @@ class ComputedDevice:
         self.command(np.zeros(3), np.zeros(3))
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Ignore a force and a torque, for a device without motors."""
+        """Ignore a force and a torque, because the device has no motors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,17 +132,17 @@ class DeviceParameters:
         Samples and force updates per second. The loop reads a faster device once a tick. For a
         slower device, each force is held until its next sample.
     transport_delay_s
-        Time from a sample to the force that answers it, in addition to the zero-order hold [s].
+        Time from a sample to the force computed from it, in addition to the zero-order hold [s].
     amplifier_Hz
         Bandwidth of the amplifiers; infinite for no lag.
     inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad
         Apparent inertia [kg m2], viscous friction [N m s/rad], Coulomb friction [N m] and encoder
         resolution [rad] of the rotation.
     torque_limit_Nm, torque_slew_Nm_ms
-        Largest torque [N m] and its largest change [N m/ms]. A torque limit of 0 defines a device
-        with three degrees of freedom, whose rotation follows the hand freely.
+        Largest torque [N m] and largest change of the torque [N m/ms]. A torque limit of 0 defines
+        a device with three degrees of freedom, whose rotation follows the hand freely.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
-        Limits of the vendor's software; reported, not enforced.
+        Limits in the vendor's software. They are reported and not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m
         Box in which the tip can be moved [m].
     """
@@ -169,7 +170,7 @@ class DeviceParameters:
     workspace_depth_m: float = inf
 
     def __post_init__(self) -> None:
-        # The bounds refuse values in a wrong unit.
+        # The bounds reject values in a wrong unit.
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
             require_positive(name, getattr(self, name), "see devices.toml for what is usual")
         for name, low, high in (
@@ -198,9 +199,9 @@ class DeviceParameters:
         filter_s: float = 0.0,
         model_ticks: int = 1,
     ) -> WallLoop:
-        """Return the loop used to judge the stability of a wall on this device.
+        """Return the loop used to check the stability of a virtual wall on this device.
 
-        The loop contains no friction, encoders and hand.
+        The loop contains no friction, no encoders and no hand.
         """
         return WallLoop(
             mass_kg=self.mass_kg,
@@ -226,7 +227,7 @@ class DeviceParameters:
         filter_s: float = 0.0,
         model_ticks: int = 1,
     ) -> WallLoop:
-        """Return the loop used to judge the stability of a rotation, in rotational units."""
+        """Return the loop used to check the stability of a rotation, in rotational units."""
         loop = self.loop(stiffness_Nm_rad, filter_s=filter_s, model_ticks=model_ticks)
         return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
 
@@ -234,7 +235,7 @@ class DeviceParameters:
 def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
     """Return the parameters of a device by its name in `DEVICES`.
 
-    The scene's own constants replace cited ones.
+    Constants of the scene replace those of the built-in sources.
 
     Raises
     ------
@@ -245,22 +246,22 @@ def device_parameters(name: str, constants: Materials = Materials.cited) -> Devi
 
 
 FURTHER = 3.0
-"""Reach of an arm relative to the diagonal of its stated workspace.
+"""Ratio of an arm's reach to the diagonal of its published workspace.
 
-The Touch has a stated workspace of 160 x 120 x 70 mm, and its arm moves in 431 x 348 x 165 mm.
-Positions in millimetres exceed this reach after 0.6 mm.
+The Touch has a published workspace of 160 x 120 x 70 mm, but its arm moves in 431 x 348 x 165 mm.
+Positions that are wrongly given in millimetres exceed this reach after a motion of 0.6 mm.
 """
 UNSTATED_M = 3.0
-"""Reach of a device without a stated workspace [m]: more than an arm's length in any direction."""
+"""Reach of a device without a published workspace [m]: more than the length of an arm."""
 MOST_WRONG = 20
-"""Number of consecutive samples beyond the reach that counts as an error of the device.
+"""Number of consecutive samples beyond the reach that is treated as an error of the device.
 
-A single wild sample is a fault that passes, and the guard of the samples handles it.
+A single wrong sample is a temporary fault, which the sample guard handles.
 """
 
 
 class Reach:
-    """Check that a device stays within the reach of its arm.
+    """Check that the positions of a device stay within the reach of its arm.
 
     Parameters
     ----------
@@ -286,16 +287,16 @@ class Reach:
         self._wrong = 0
 
     def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
-        """Check a position [m], and refuse a device that stays beyond its reach.
+        """Check a position [m], and raise an error if the device stays beyond its reach.
 
-        ``samples`` is the number of consecutive positions beyond the reach at which it is refused.
+        ``samples`` is the number of consecutive positions beyond the reach that raises the error.
 
         Raises
         ------
         DeviceError
             If the device is out of its reach.
         """
-        # The guard of the samples reports a position that is not finite.
+        # The sample guard reports a position that is not finite.
         if not isfinite(sum(position_m)):
             return
         first = self._first = self._first or position_m
@@ -315,5 +316,5 @@ class Reach:
 
 
 def reach_of(device: object, limits: DeviceParameters) -> Reach | None:
-    """Return the reach of a device; None if it bounds its positions itself or has no arm."""
+    """Return the reach of a device; None if the device bounds its positions or has no arm."""
     return None if getattr(device, "bounds_itself", False) else Reach(limits)

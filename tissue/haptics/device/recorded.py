@@ -30,8 +30,8 @@ __all__ = ["Fault", "FaultKind", "FaultyDevice", "MouseDevice", "RecordedDevice"
 class RecordedDevice(ComputedDevice):
     """Device that replays a table of poses at 1 kHz and ignores commanded forces.
 
-    Between the given times, positions are interpolated linearly, and orientations on the shortest
-    arc.
+    Between the given times, positions are interpolated linearly, and orientations along the
+    shortest rotation.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class RecordedDevice(ComputedDevice):
         ]
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the last recorded sample that is not after a time; None outside the recording."""
-        # 1e-9 s: the first and last time may be rounded.
+        """Return the last recorded sample at or before a time; None outside the recording."""
+        # 1e-9 s allows for rounding of the first and the last time.
         if not self._first - 1e-9 <= time_s <= self._last + 1e-9:
             return None
-        # 1e-6: a time of a whole tick may be rounded down.
+        # 1e-6 of a tick: the time of a whole tick may be rounded down.
         tick = int((time_s - self._first) / TICK_S + 1e-6)
         return self._samples[min(tick, len(self._samples) - 1)]
 
@@ -77,17 +77,17 @@ class RecordedDevice(ComputedDevice):
 RESPONSE_S = 0.03
 """Time constant of the response of a mouse to a push [s].
 
-It is about the time between two frames of a window (1/30 s): a shorter one would show the pushes as
-jerks.
+It is about the time between two frames of a window (1/30 s). With a shorter time constant, each
+push would be visible as a jerk.
 """
 
 
 class MouseDevice(ComputedDevice):
     """Device driven by positions from a window, smoothed to a continuous motion.
 
-    The window pushes positions at its own rate. Between two pushes, the pose follows the last one
+    The window pushes positions at its own rate. Between two pushes, the pose follows the last push
     as a critically damped second-order system. The step is exact for a constant target. Position,
-    orientation and their speeds are therefore continuous at any rate of the window.
+    orientation and velocities are therefore continuous at any rate of the window.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class MouseDevice(ComputedDevice):
     """
 
     bounds_itself = True
-    """No reach is applied, because the pointer of a mouse is not bounded by an arm."""
+    """True, so that no reach is checked: the pointer of a mouse is not bounded by an arm."""
 
     def __init__(self, position_m: Triple = NOTHING) -> None:
         self._target = position_m
@@ -106,7 +106,7 @@ class MouseDevice(ComputedDevice):
     def push(self, position_m: Triple, quaternion: Quaternion = UPRIGHT) -> None:
         """Set the position [m] and orientation of the pointer.
 
-        A window's thread may call it.
+        The thread of a window may call this method.
         """
         self._target = position_m
         self._turned = quaternion
@@ -124,7 +124,7 @@ class MouseDevice(ComputedDevice):
         x, y, z = (at + more for at, more in zip(last.position_m, moved, strict=True))
         quaternion = last.quaternion
         spin = NOTHING
-        # A pointer that does not turn costs no quaternions.
+        # If the pointer does not turn, no quaternions are computed.
         if turned != quaternion or any(last.spin_rad_s):
             turn, spin = _followed(turn_between(quaternion, turned), last.spin_rad_s, step)
             quaternion = unit(product(exponential(turn), quaternion)) or turned
@@ -133,7 +133,7 @@ class MouseDevice(ComputedDevice):
 
 
 def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Triple, Triple]:
-    """Return the motion towards a target at an offset, and the speed, one step later."""
+    """Return motion and speed after one step towards a target at an offset."""
     fade = exp(-step_s / RESPONSE_S)
     rate = 1.0 / RESPONSE_S
     slope = [v - rate * away for away, v in zip(offset, speed, strict=True)]
@@ -145,9 +145,9 @@ def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Tr
 
 FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
 WILD_M = 1e9
-"""Position of a wild sample [m]: finite, but far beyond any device."""
+"""Position of a wild sample [m]: finite, but far beyond the reach of any device."""
 LATE_READS = 5
-"""Delay of a late sample [reads]: twice the age at which a guard refuses a sample."""
+"""Delay of a late sample [reads]: twice the age at which a sample guard rejects it."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class FaultyDevice:
 
     @property
     def in_process(self) -> bool:
-        """True if the device only computes."""
+        """True if the wrapped device only computes."""
         return bool(getattr(self._device, "in_process", False))
 
     def __enter__(self) -> Self:
@@ -186,7 +186,7 @@ class FaultyDevice:
         self._stack.close()
 
     def read(self, time_s: float) -> Sample | None:
-        """Return a sample, modified by the fault at this time."""
+        """Return the device's sample, changed by the fault at this time."""
         sample = self._device.read(time_s)
         self._past.append(sample)
         kind = next(

@@ -1,4 +1,4 @@
-"""Safe operation of a device in a loop: timed, slew-limited and always left without force."""
+"""Safe operation of a device in a loop: timed, slew-limited, and without force at the end."""
 
 import contextvars
 import signal
@@ -29,25 +29,25 @@ __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice", "run_held"]
 
 
 RAMP_S = 0.03
-"""Time in which the last force is ramped to zero on a device whose loop still runs [s].
+"""Time in which the last force is ramped to zero if the loop still runs [s].
 
-A sudden loss of force lets the hand jump. The ramp is shorter than `STALL_S`, so that every end
-removes the force within 50 ms.
+After a sudden loss of force the hand would jump. The ramp is shorter than `STALL_S`, so that at
+every kind of end the force is removed within 50 ms.
 """
 STALL_S = 0.05
-"""Longest time without a command before a force is removed [s].
+"""Longest time without a command before the force is removed [s].
 
-It is the time of the network protocol, after which a device removes its force by itself.
+It equals the time in the network protocol after which a device removes its force by itself.
 """
 GIVE_UP_S = 1.0
-"""Longest duration of a read or a command before the device counts as lost [s].
+"""Longest duration of a read or a command before the device is treated as lost [s].
 
-The force is removed long before, after `STALL_S`. This time only ends the wait of the user.
+The force is already removed after `STALL_S`. This longer time only ends the wait of the user.
 """
 OPENING_S = 10.0
 """Longest duration of opening a device, including search, connection and wake-up [s].
 
-The slowest built-in adapter waits 5 s.
+The slowest built-in adapter waits for 5 s.
 """
 ANSWER_S = 0.2
 """Longest duration of a zero command from a second thread, or of a close [s].
@@ -56,23 +56,24 @@ The waits for the lock, the command and the close take 0.6 s together, less than
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""Marker for no running call."""
+"""Value of the running call if no call is running."""
 
 
 class SafeDevice:
     """Wrapper of a device that guarantees zero force and torque as the last command.
 
     ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a normal
-    end and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception, it is zero at
-    once. If zero cannot be sent, the device is closed, if it has ``close``. An exception of the
-    device becomes a `DeviceError`.
+    end and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception, the force is
+    zero at once. If zero cannot be sent and the device has the method ``close``, the device is
+    closed. An exception of the device becomes a `DeviceError`.
 
-    A loop can receive ``held`` in place of the device. It finds the device entered, and leaves it
-    entered and without force. One block can therefore hold a device for many runs.
+    A loop can receive ``held`` in place of the device. The device is then already entered, and the
+    loop leaves it entered and without force. One ``with`` block can therefore hold a device for
+    many runs.
 
-    A device that is not ``in_process`` may block. A thread must then call `stop_if_stuck`
-    frequently. It sends zero if no command came for `STALL_S`. It gives the device up once a call
-    has lasted `GIVE_UP_S`, or opening it `OPENING_S`.
+    A device that is not ``in_process`` may block. Another thread must then call `stop_if_stuck`
+    frequently. This method sends zero if no command was given for `STALL_S`. It gives up the device
+    if a call lasts longer than `GIVE_UP_S`, or if opening the device lasts longer than `OPENING_S`.
 
     Parameters
     ----------
@@ -81,12 +82,12 @@ class SafeDevice:
     tick_s
         Time between two commands [s].
     limits
-        Largest slew of force and torque; without limits, they may change at once.
+        Largest slew rates of force and torque. Without limits, force and torque may change at once.
 
     Attributes
     ----------
     entered
-        True inside the block.
+        True inside the ``with`` block.
     released
         True if another thread has sent zero since the last timely read.
     slow_reads, slowest_read_s
@@ -142,7 +143,7 @@ class SafeDevice:
         return stated + [(self._time_s, what) for what in found]
 
     def __enter__(self) -> Self:
-        # A holder has entered the device, and leaves it.
+        # Another `SafeDevice` has entered the device and will leave it.
         held = self._holder is not None and self._holder.entered
         if isinstance(self.device, AbstractContextManager) and not held:
             with self._calling("__enter__"):
@@ -175,7 +176,7 @@ class SafeDevice:
             raise problem
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the device's newest sample; None if the read took so long that the sample is old.
+        """Return the device's newest sample; None if the read was too slow, so that it is old.
 
         Raises
         ------
@@ -198,11 +199,11 @@ class SafeDevice:
         if took > self._tick:
             self.slow_reads += 1
             self.slowest_read_s = max(self.slowest_read_s, took)
-        # 2.5 ticks: the age at which the guard of the samples refuses a sample.
+        # 2.5 ticks: the age at which the sample guard rejects a sample.
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Command a force [N] and a torque [N m] within the slew limits; return the played values.
+        """Command force [N] and torque [N m] within the slew limits; return the played values.
 
         Raises
         ------
@@ -215,7 +216,7 @@ class SafeDevice:
             if self._lost is not None:
                 raise self._lost
             self._command(force, torque)
-            # the device was given up during the command, and may have started to push again
+            # the device was given up during the command and may push again
             if self._lost is not None:
                 with suppress(Exception):
                     self.device.command(np.zeros(3), np.zeros(3))
@@ -227,9 +228,9 @@ class SafeDevice:
         self._stop = reason
 
     def stop_if_stuck(self) -> DeviceError | None:
-        """Monitor a device whose loop runs in another thread.
+        """Remove the force, or give up the device, if the loop in another thread is stuck.
 
-        Return the error once the device is given up.
+        Return the error if the device was given up.
         """
         now = perf_counter()
         if now - self._played > STALL_S:
@@ -252,7 +253,7 @@ class SafeDevice:
         self._played = inf
         self.released = True
         self._releases += 1
-        # The loop's thread may hold the lock in a command that hangs.
+        # The thread of the loop may hold the lock while its command hangs.
         if self._lock.acquire(timeout=ANSWER_S):
             try:
                 self._force.value = np.zeros(3)
@@ -274,14 +275,14 @@ class SafeDevice:
     def _command(self, force: Array, torque: Array) -> None:
         """Send one command and record its time."""
         if not self.in_process:
-            # Zero needs no release, so that its time is not watched.
+            # After a zero command no force has to be removed, so that its time is not monitored.
             self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
         with self._calling("command"):
             self.device.command(force, torque)
 
     @contextmanager
     def _calling(self, name: str) -> Iterator[None]:
-        """Time a call of the device, and convert its exception into one sentence."""
+        """Measure the time of a call, and convert its exception into a sentence."""
         self._call = (name, perf_counter())
         try:
             yield
@@ -321,7 +322,7 @@ class SafeDevice:
                     self._torque.value = np.zeros(3)
                     self._command(np.zeros(3), np.zeros(3))
             except KeyboardInterrupt:
-                continue  # a second Ctrl-C must not disturb the orderly end after the first
+                continue  # a second Ctrl-C must not interrupt the end after the first one
             except DeviceError as error:
                 problem = error
                 self._close()
@@ -329,7 +330,7 @@ class SafeDevice:
         return problem
 
     def _close(self) -> str:
-        """Close the device permanently, and return the outcome as half a sentence."""
+        """Close the device permanently, and return the outcome as part of a sentence."""
         close = getattr(self.device, "close", None)
         if self._closed:
             return ""
@@ -346,7 +347,7 @@ class SafeDevice:
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
         """Return an exception of the device as a DeviceError of one sentence."""
-        # Its message is a sentence for the user already.
+        # The message of this error is already a sentence for the user.
         if isinstance(error, InputError):
             return DeviceError(str(error))
         message = " ".join(str(error).split())
@@ -361,18 +362,18 @@ class SafeDevice:
 POLL_S = 0.01
 """Interval between two checks [s], a fifth of `STALL_S`.
 
-Each check costs the ticks some microseconds.
+A check takes some microseconds from the ticks.
 """
 
 
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
-    """Run ``work``, the loop of a device, so that the device is not left pushing.
+    """Run ``work``, the loop of a device, and ensure that no force remains at the end.
 
     A device that may block runs in a second thread, because a blocked call cannot be interrupted.
-    The calling thread sends zero if the loop stops, and gives up a device that does not answer. The
-    work is then abandoned. Ctrl-C and signals that ask the process to end, such as SIGTERM and the
-    SIGHUP of a closed terminal, end the loop after its tick. The signal handlers are restored
-    before this function returns.
+    The calling thread sends zero if the loop stops. It gives up a device that does not answer, and
+    does not wait for ``work`` any longer. Ctrl-C and signals that ask the process to end, such as
+    SIGTERM and the SIGHUP of a closed terminal, end the loop after its tick. The signal handlers
+    are restored before this function returns.
 
     Raises
     ------
@@ -419,7 +420,7 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
         thread.start()
         while not done.wait(POLL_S):
             lost = held.stop_if_stuck()
-            # A call that returns just now ends the work in order, with its own error.
+            # If the call returns within this time, the work ends normally with its own error.
             if lost is not None and not done.wait(STALL_S):
                 raise lost
     if raised:

@@ -1,6 +1,6 @@
 """Validation of device samples; without valid samples the force fades to zero.
 
-A sample is valid if a hand could have made it.
+A sample is valid if a human hand could have made the motion.
 """
 
 from dataclasses import dataclass, fields
@@ -30,42 +30,43 @@ from tissue.motion.quaternion import (
 __all__ = ["GuardLimits", "NewSamples", "Roughness", "SampleGuard", "guard_of"]
 
 MEMORY = 8.0
-"""Number of new samples over which roughness is averaged.
+"""Number of new samples over which the share of rough samples is averaged.
 
-Two rough samples in a row, from a jump or a blow, give the share 0.23. Six exceed `ROUGH`.
+Two rough samples in a row, caused by a jump or a blow, give a share of 0.23. Six rough samples give
+a share above `ROUGH`.
 """
 STALE = 0.25
-"""Weight of a sample that only repeats the last one.
+"""Weight of a sample that only repeats the last sample.
 
-With weight 0, a device at rest would never be valid again. With weight 1, noise of a device at
-250 Hz, which repeats each sample three times, would have the share 0.25 and not be found. With
-0.25 its share is 0.57.
+With weight 0, a device at rest would never become valid again. A device at 250 Hz repeats each
+sample three times. With weight 1, its noise would give a share of 0.25 and would not be detected.
+With weight 0.25 the share is 0.57.
 """
 ROUGH = 0.5
 SMOOTH = 0.05
-"""Share of rough samples above which a signal is noise, and below which it is valid again."""
+"""Shares of rough samples above which a signal is noise, and below which it is valid again."""
 SHORTEST_S = 2e-3
-"""Shortest span of three samples [s]: encoder steps and clock jitter disturb shorter ones."""
+"""Shortest span of three samples [s]; encoder steps and clock jitter disturb shorter spans."""
 
 Place = tuple[float, float, float, float, float]
 """Time [s] and up to four coordinates."""
 
 
 class Roughness:
-    """Detector of noise in a sequence of samples, from the implied acceleration.
+    """Detector of noise in a sequence of samples, based on the acceleration.
 
-    The middle one of three samples deviates from the straight line between its neighbours. For
-    steps of T at the acceleration a, the deviation is at most a T^2 / 2. A sample is rough if it
-    deviates more than the limit allows. The signal becomes noise when more than half of its last
-    samples (exponential mean over 8 samples) are rough. It is valid again when fewer than a
-    twentieth are rough. One jump, a lost sample, an encoder step or a blow is rough for two samples
-    at most. White noise is detected from a standard deviation of about a quarter of the limit times
-    (1 ms)^2 per axis.
+    The detector measures the deviation of the middle one of three samples from the straight line
+    between the other two. For time steps T and an acceleration a, the deviation is at most a T^2 /
+    2. A sample is rough if its deviation is larger than the limit allows. The signal becomes noise
+    when more than half of its last samples (exponential mean over 8 samples) are rough. It is valid
+    again when fewer than a twentieth are rough. A jump, a lost sample, an encoder step or a blow
+    makes at most two samples rough. White noise is detected if its standard deviation per axis is
+    larger than about a quarter of the limit times (1 ms)^2.
 
     Parameters
     ----------
     limit
-        Largest acceleration, in the unit of the samples over s^2.
+        Largest acceleration, in the unit of the samples per s^2.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class Roughness:
         self._middle: Place | None = None
 
     def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
-        """Process a sample with its time [s], and return whether the signal is noise."""
+        """Process a sample with its time [s], and return True if the signal is noise."""
         first = self._first
         middle = self._middle
         if (
@@ -104,7 +105,8 @@ class Roughness:
         start, ax, ay, az, aw = first
         between, bx, by, bz, bw = middle
         span = time_s - start
-        # Samples may have equal times: the middle one then counts as in the middle.
+        # Samples may have equal times. The middle sample is then treated as in the middle of the
+        # time.
         part = (between - start) / span if span > 0.0 else 0.5
         dx = bx - ax - part * (x - ax)
         dy = by - ay - part * (y - ay)
@@ -124,7 +126,7 @@ class Roughness:
             self.noisy = True
         elif self.share < SMOOTH:
             self.noisy = False
-            # Exactly zero, so that a quiet signal needs no more counting.
+            # Exactly zero, so that a quiet signal needs no further computation.
             if self.share < 1e-6:
                 self.share = 0.0
 
@@ -132,7 +134,7 @@ class Roughness:
 MOST_EVENTS = 200
 """Largest number of listed changes between valid and invalid samples.
 
-A device that flickers in every tick would fill memory and report.
+A device that changes in every tick would otherwise fill memory and report.
 """
 NO_TORQUE = np.zeros(3)
 SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
@@ -140,9 +142,9 @@ SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
 PLAIN = {float, int, np.float64}
 """Types of numbers that are accepted unchanged; bool is excluded."""
 HALF_TURN = 1e-3
-"""Tolerance around one for a quaternion component in a half-turn about its axis.
+"""Distance to 1 within which a quaternion component means a half-turn about its axis.
 
-It is a turn of 5 degrees: the first pose of a device that starts near its zero.
+It allows for a rotation of 5 degrees, because a device may start near its zero.
 """
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that "
@@ -157,17 +159,18 @@ class GuardLimits:
     Attributes
     ----------
     fastest_m_s, fastest_rad_s
-        Largest speed of a hand [m/s], [rad/s]. A sample is refused if its speed is larger, or if
+        Largest speed of a hand [m/s], [rad/s]. A sample is rejected if its speed is larger, or if
         its distance from the last valid sample requires a larger speed.
     oldest_s
-        Age above which a sample counts as missing, and largest time by which it may be dated ahead
-        [s].
+        Age above which a sample is treated as missing, and largest time by which its date may be in
+        the future [s].
     roughest_m_s2, roughest_rad_s2
         Largest acceleration of a handheld object [m/s^2], [rad/s^2]. Samples that repeatedly
-        require more are noise. A hand, a contact and a device's motors reach about 200 m/s^2, and a
-        blow 1000 m/s^2 for a tick or two.
+        require a larger acceleration are noise. A hand, a contact and a device's motors cause about
+        200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
     fade_s
-        Time in which a force fades to zero without valid samples, and returns after them [s].
+        Time in which a force fades to zero without valid samples, and returns with valid samples
+        [s].
     """
 
     fastest_m_s: float = 5.0
@@ -183,21 +186,20 @@ class GuardLimits:
 
 
 class SampleGuard:
-    """Validation of every sample, and limits of the resulting force.
+    """Validation of every sample, and limits for the force that is computed from it.
 
     Call `validate_sample` with the device's sample. Then call `limit_force` with the force for a
     valid sample, or with None after an invalid one. After an invalid sample, the last valid force
     fades linearly, to exactly zero after ``fade_s``. Valid samples bring the force back at the same
     rate. Forces are always bounded. An object of a wrong type or with a wrong number of entries is
-    a mistake in the device class, not a temporary fault. It raises an error.
+    not a temporary fault but a mistake in the device class, and raises an error.
 
     Parameters
     ----------
     limits
         Limits of valid samples.
     force_limit_N, torque_limit_Nm
-        Largest force and torque, applied to the length of the vector. A torque limit of zero blocks
-        all torque.
+        Largest magnitude of force and of torque. A torque limit of zero blocks all torque.
 
     Attributes
     ----------
@@ -205,11 +207,12 @@ class SampleGuard:
         Share of the force that is played now, 0 to 1.
     events
         Time [s] and a sentence for every change between valid and invalid samples, and for every
-        change of the kind of fault; the first 200.
+        change of the kind of fault. Only the first 200 changes are listed.
     bad_ticks
         Number of invalid samples.
     reach
-        Bound on the positions of valid samples from the device's workspace; None for no bound.
+        Bound on the positions of valid samples, computed from the device's workspace; None for no
+        bound.
     """
 
     def __init__(
@@ -234,18 +237,18 @@ class SampleGuard:
         self._clock: float | None = None
         self._step = 0.0
         self._places = Roughness(self._limits.roughest_m_s2)
-        # A quaternion changes by half the angle of a rotation.
+        # The change of a quaternion is half the angle of the rotation.
         self._turns = Roughness(0.5 * self._limits.roughest_rad_s2)
         self._turned: Quaternion = UPRIGHT
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
-        """Return the sample, with a unit quaternion, if a hand can have made it; else None.
+        """Return the sample, with a unit quaternion, if it is valid; else None.
 
         Raises
         ------
         DeviceError
-            If it is not a `Sample`, a part of it has the wrong number of numbers, or the device
-            leaves its reach.
+            If the object is not a `Sample`, if a part of it has a wrong number of entries, or if
+            the device leaves its reach.
         """
         turned = None
         if sample is not None:
@@ -275,7 +278,7 @@ class SampleGuard:
     ) -> tuple[Array, Array]:
         """Return the force and torque to play now.
 
-        None or a non-finite wrench counts as a fault of this tick.
+        None or a non-finite wrench is treated as a fault of this tick.
         """
         change = self._step / self._limits.fade_s
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
@@ -284,7 +287,7 @@ class SampleGuard:
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
-            # Most devices play no torque: no length is computed.
+            # Most devices play no torque; the magnitude then is not computed.
             turning = torque if torque is NO_TORQUE else _capped(torque, self._caps[1])
             self._wrench = _capped(force_N, self._caps[0]), turning
         else:
@@ -316,7 +319,7 @@ class SampleGuard:
         x, y, z, w = turned
         if turned != self._turned:
             a, b, c, d = self._turned
-            # q and -q are the same orientation: take the one next to the last sample.
+            # q and -q are the same orientation: use the sign that is nearer to the last sample.
             if a * x + b * y + c * z + d * w < 0.0:
                 x = -x
                 y = -y
@@ -331,8 +334,8 @@ class SampleGuard:
         if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
             return "a spin that no hand has"
         if good is None:
-            # The first position has no predecessor. No hand is 10 m from a device's origin, but a
-            # position in millimetres often is.
+            # The first position has no predecessor. A hand is never 10 m from a device's origin,
+            # but the numbers of a position in millimetres often exceed 10.
             is_near = max(map(abs, sample.position_m)) < 10.0
             return "" if is_near else "a position that no hand reaches"
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
@@ -370,7 +373,7 @@ def _total(sample: Sample) -> float | None:
 def _repaired(sample: Sample) -> Sample:
     """Return the sample with every vector as a tuple of floats, for example from an array.
 
-    Text and bool such as "1" or True raise.
+    Text or bool, such as "1" or True, raises an error.
     """
     parts: list[object] = []
     for name, given, shape in zip(Sample._fields, sample, SHAPES, strict=True):
@@ -381,7 +384,7 @@ def _repaired(sample: Sample) -> Sample:
         except (TypeError, ValueError):
             is_right = False
         if not is_right or any(isinstance(each, bool | np.bool_) for each in listed):
-            # An array may have a long text.
+            # The text of an array may be long.
             got = " ".join(repr(given).split())[:60]
             wanted = f"{shape[0]} numbers" if shape else "a number"
             raise DeviceError(
@@ -392,17 +395,17 @@ def _repaired(sample: Sample) -> Sample:
 
 
 def _capped(vector: Array, limit: float) -> Array:
-    """Return a vector shortened to a limit."""
+    """Return a vector, shortened to a largest length."""
     size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)
 
 
 ROUNDING = 1e-9
-"""Tolerance for equal times [s], and for a number of ticks."""
+"""Tolerance in the comparison of times [s] and of numbers of ticks."""
 OLDEST = 2.5
-"""Age at which a sample counts as missing, relative to the time between two samples.
+"""Age at which a sample is treated as missing, relative to the time between two samples.
 
-Up to two missing samples are tolerated, with half a period of jitter.
+Up to two missing samples are allowed, and half a period of jitter.
 """
 
 
@@ -410,8 +413,8 @@ class NewSamples:
     """Detector for the ticks in which a device has a new sample.
 
     A device with its own clock dates its samples. Other devices repeat the last pose with the time
-    of the tick. A changed pose is then new, and so is a pose that has stayed for the length of a
-    sample.
+    of the tick. For these devices, a pose is new if it has changed, or if it was unchanged for the
+    time between two samples.
 
     Parameters
     ----------
@@ -429,7 +432,7 @@ class NewSamples:
         self._last = Sample(nan, (nan, nan, nan))
 
     def is_new(self, sample: Sample, time_s: float) -> bool:
-        """Return whether the sample of the tick at a time [s] differs from the previous one."""
+        """Return True if the sample of the tick at a time [s] is a new one."""
         if self._ticks <= 1:
             return True
         last = self._last

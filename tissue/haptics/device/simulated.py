@@ -1,4 +1,4 @@
-"""Device simulated between its ticks, together with the hand that holds it."""
+"""Simulated device with the simulated hand that holds it, integrated between the ticks."""
 
 from collections import deque
 from math import ceil, inf, isfinite, sqrt
@@ -24,16 +24,16 @@ __all__ = ["Plant", "SimulatedDevice"]
 
 
 class Plant:
-    """Mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper.
+    """Mass with viscous and Coulomb friction behind an amplifier, with a spring and a damper.
 
     The axes x, y and z have equal parameters. Between changes of its inputs, the linear part is
-    stepped with the matrix exponential. Coulomb friction is one force against the velocity vector,
-    of at most ``friction_N``. It is computed implicitly: acting over the substep, it either stops
-    the mass or has its full magnitude against the velocity that the mass would have without it. A
-    mass at rest stays exactly at its position until the other forces exceed the friction.
+    stepped with the matrix exponential. Coulomb friction is one force of at most ``friction_N``
+    against the velocity vector. It is computed implicitly in every substep: it either stops the
+    mass, or has its full magnitude against the velocity that the mass would have without friction.
+    A mass at rest stays exactly at its position until the other forces exceed the friction.
 
-    For a rotation, the units are rotation vector [rad], kg m2, N m s/rad and N m. The code uses
-    plain floats, which for three axes are several times faster than arrays.
+    For a rotation, the units are rad (rotation vector), kg m2, N m s/rad and N m. The code uses
+    Python floats, which are several times faster than arrays for three axes.
 
     Parameters
     ----------
@@ -69,14 +69,17 @@ class Plant:
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
         """Attach the plant to a linear hand, or release it with zeros.
 
-        The aim of the hand enters as an external force.
+        The pull of the spring towards the hand's target position is an external force.
         """
         self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
 
     def advance(
         self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1
     ) -> None:
-        """Advance one step with both forces held [N]; friction is computed in every substep."""
+        """Advance one step with constant command and external force [N].
+
+        Friction is computed in every substep.
+        """
         if self._amplifier == inf:
             self.motor_force = command
         stiffness, damping, mass = self._hand
@@ -112,7 +115,7 @@ class Plant:
                 q1 = (1.0 - share) * q1
                 q2 = (1.0 - share) * q2
                 if share == 1.0 and v0 == v1 == v2 == 0.0:
-                    # static friction follows a motor force that changes within the substep
+                    # static friction balances a motor force that changes within the substep
                     p0 = x0
                     p1 = x1
                     p2 = x2
@@ -138,13 +141,13 @@ class Plant:
 class SimulatedDevice(ComputedDevice):
     """Device with known physics in a simulated hand.
 
-    The device has its own ticks. At each tick, its encoders sample the position, and its velocity
-    is the difference to the previous sample. The last command is held and reaches the motors after
-    the transport delay. The delay is exact even if it is not a whole number of ticks. Between
-    ticks, the plant is integrated in smaller steps.
+    The device has its own ticks. At each tick, its encoders sample the position. The velocity is
+    computed from the difference to the previous sample. The last command is held, and reaches the
+    motors after the transport delay. The delay is exact even if it is not a whole number of ticks.
+    Between ticks, the plant (the moving mass) is integrated in smaller steps.
 
-    A command beyond the largest force or torque is shortened to it and counted. A non-finite
-    command is played as zero and counted.
+    A command beyond the largest force or torque is shortened to this limit and counted. A
+    non-finite command is played as zero and counted.
 
     Parameters
     ----------
@@ -155,18 +158,19 @@ class SimulatedDevice(ComputedDevice):
     position_m
         Start position [m].
     substeps
-        Integration steps of the plant per tick; they affect only friction. With 5, the encoder
-        positions of a hand on a wall differ by single steps (rms 4.5 um) from those with 100.
+        Integration steps of the plant per tick; they affect only friction. For a simulated hand on
+        a virtual wall, the encoder positions with 5 steps differ by single encoder steps (RMS 4.5
+        um) from those with 100 steps.
 
     Attributes
     ----------
     translation, rotation
-        Moving parts with the true state, which the encoders quantise.
+        Moving parts. They have the true state, before the quantisation by the encoders.
     orientation
         True orientation.
     hand_force_N
-        Force with which the device pushes the hand [N], mean over the tick before the last sample;
-        zeros without a hand.
+        Force with which the device pushes the hand [N]: the mean over the tick before the last
+        sample, or zeros without a hand.
     saturated_ticks, refused_commands
         Number of commands beyond the limits, and number of non-finite commands.
     """
@@ -198,7 +202,7 @@ class SimulatedDevice(ComputedDevice):
         self.hand_force_N: Triple = NOTHING
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz
-        # The small numbers are for delays and times that are whole ticks except for rounding.
+        # 1e-9 is for delays and times that are a whole number of ticks apart from rounding.
         whole = int(parameters.transport_delay_s / step + 1e-9)
         delay = parameters.transport_delay_s - whole * step
         fine = lambda length: max(ceil(substeps * length / step - 1e-9), 1)  # noqa: E731
@@ -222,11 +226,11 @@ class SimulatedDevice(ComputedDevice):
 
     @property
     def true_position_m(self) -> Triple:
-        """True position of the tip, which the encoders quantise [m]."""
+        """True position of the tip, before the quantisation by the encoders [m]."""
         return self.translation.position
 
     def read(self, time_s: float) -> Sample | None:
-        """Advance to the last device tick that is not after ``time_s``, and return its sample."""
+        """Advance to the last device tick at or before ``time_s``, and return its sample."""
         # 1e-6: a time of a whole tick may be rounded down.
         due = int(time_s * self.parameters.rate_Hz + 1e-6)
         while self._tick < due:
@@ -234,7 +238,7 @@ class SimulatedDevice(ComputedDevice):
         return self._sample
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque from the next span on, until the next command."""
+        """Play a force and a torque from the next tick on, until the next command."""
         limits = self.parameters
         self._given = (
             self._limited(force_N, limits.force_limit_N),
@@ -242,7 +246,7 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _limited(self, wanted: Array, limit: float) -> Triple:
-        """Return a vector shortened to a limit."""
+        """Return a vector, shortened to a largest length."""
         x, y, z = np.asarray(wanted).tolist()
         size = sqrt(x * x + y * y + z * z)
         if not isfinite(size):
@@ -277,16 +281,16 @@ class SimulatedDevice(ComputedDevice):
         turned = NOTHING
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
-            # Rotation vectors are small and add only near zero, so they start at the aim in every
-            # tick.
+            # Rotation vectors can be added only if they are small. They are therefore measured from
+            # the target of the hand in every tick.
             self.rotation.position = turned
         time = at
         where = self.translation.position
         went = self.translation.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
-            # The aim moves within the tick; the mean pull of the spring is second-order accurate
-            # at its middle.
+            # The target moves within the tick. With its position in the middle of the tick, the
+            # mean pull of the spring is accurate to second order.
             midpoint = stiffness * (time - at + 0.5 * length)
             pull = x + midpoint * u, y + midpoint * v, z + midpoint * w
             self.translation.advance(length, command=force, external=pull, substeps=fine)
@@ -309,7 +313,7 @@ class SimulatedDevice(ComputedDevice):
         (x, y, z) = position
         (a, b, c) = before.position_m
         spin = NOTHING
-        # The rotation of two equal quaternions would be rounding noise.
+        # For two equal quaternions the rotation would only be rounding noise.
         if orientation != before.quaternion:
             spin = _times(rate, turn_between(before.quaternion, orientation))
         velocity = rate * (x - a), rate * (y - b), rate * (z - c)
@@ -320,13 +324,14 @@ class SimulatedDevice(ComputedDevice):
     ) -> None:
         """Compute the force on the hand in this tick.
 
-        It follows from the momentum of the mass that moves with the hand, and from its spring and
-        damper.
+        The force is computed from the momentum of the mass that moves with the hand, and from the
+        spring and the damper of the grip.
         """
         grip = self._grip
         moves = self.translation
         rate = self.parameters.rate_Hz
-        # Means over the tick: half a step of the aim's motion, and half of both end positions.
+        # Means over the tick: the target moves half a step, and the position is the mean of start
+        # and end.
         half = 0.5 * self._step
         (i, j, k) = moves.position
         (u, v, w) = moves.velocity
@@ -347,7 +352,7 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _hold(self, grip: Grip) -> None:
-        """Attach the device to a grip, or release it."""
+        """Attach the device to a grip, or release the device."""
         self._grip = grip
         self.translation.hold(
             stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg

@@ -1,4 +1,4 @@
-"""Simulated hand that holds a device: grip, aim, reflex, tremor and muscle noise."""
+"""Simulated hand that holds a device: grip, target movement, reflex, tremor and muscle noise."""
 
 from collections import deque
 from collections.abc import Callable
@@ -53,7 +53,7 @@ def minimum_jerk(share: float) -> tuple[float, float]:
 def waypoints(times_s: Array, points_m: Array) -> Path:
     """Return a path through points [m], shape (n, 3), at increasing times [s].
 
-    It is straight between the points and at rest outside.
+    The path is straight between the points, and at rest before the first and after the last time.
     """
     points = np.asarray(points_m, dtype=float)
     return lambda time_s: np.array(
@@ -63,7 +63,7 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
 
 @runtime_checkable
 class Aiming(Protocol):
-    """Interface of a model that moves the aim of a hand."""
+    """Interface of a model that moves the aim, the target position of a simulated hand."""
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
         """Return position [m] and velocity [m/s] of the aim; times must not decrease."""
@@ -71,14 +71,15 @@ class Aiming(Protocol):
 
 
 class Aim:
-    """Movement of the aim along a path that is known in advance.
+    """Movement of the aim (the hand's target position) along a path that is known in advance.
 
-    Every ``correction_s``, a submovement of ``submovement_s`` begins. Its target is the path
-    position half a correction before it ends. The next one has begun by then, so that a steady
-    movement neither leads nor lags. Submovements add up (Flash and Henis, 1991), so that the
-    acceleration of the aim is continuous. The muscles miss the target by a share of the distance
-    (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected after a
-    reaction time. The first submovement begins a reaction time after the start.
+    A submovement that lasts ``submovement_s`` begins every ``correction_s``. Its target is the
+    position of the path half a correction interval before the submovement ends. With this target, a
+    steady movement neither leads nor lags the path. Overlapping submovements are added (Flash and
+    Henis, 1991), so that the acceleration of the aim is continuous. The muscles miss the target by
+    a random error in proportion to the distance (signal-dependent noise, Harris and Wolpert, 1998).
+    An error is seen and corrected after a reaction time. The first submovement begins a reaction
+    time after the start.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ class Aim:
     reaction_s, submovement_s, correction_s
         Times [s].
     endpoint_noise
-        Standard deviation of the error per distance, for each axis.
+        Standard deviation of the error divided by the distance, for each axis.
     rng
         Random generator of this hand.
     """
@@ -129,7 +130,7 @@ class Aim:
         return (x, y, z), (u, v, w)
 
     def _begin(self, time_s: float) -> None:
-        """Begin the next submovement, and remove submovements that have ended and been seen."""
+        """Begin the next submovement, and remove those that have ended and were corrected."""
         self._next += self._interval
         memory = time_s - max(self._duration, self._reaction)
         while self._moves and self._moves[0][0] <= memory:
@@ -140,7 +141,7 @@ class Aim:
             seen = [
                 a + b - (c if unseen else 0.0) for a, b, c in zip(seen, move, missed, strict=True)
             ]
-        # Half a correction before its end: see the class.
+        # Half a correction interval before the end, see the class.
         arrival = time_s + self._duration - 0.5 * self._interval
         wanted = [float(a) - b for a, b in zip(self._path(arrival), seen, strict=True)]
         size = sqrt(sum(a * a for a in wanted))
@@ -149,13 +150,13 @@ class Aim:
 
 
 BLOCK = 500
-"""Number of ticks whose random numbers are drawn at once: one call instead of a call per tick."""
+"""Number of ticks whose random numbers are drawn in one call."""
 
 
 class Grip(NamedTuple):
-    """Linear part of a hand at the device, in translation and rotation.
+    """Linear part of a simulated hand at the device, in translation and rotation.
 
-    All values are zero for a hand that has let go.
+    All values are zero after the hand has let go.
     """
 
     stiffness_N_m: float = 0.0
@@ -167,7 +168,7 @@ class Grip(NamedTuple):
 
 
 class HandAction(NamedTuple):
-    """Action of a hand in a tick: target of its grip, and additional push."""
+    """Action of a simulated hand in a tick: target of the grip, and additional push."""
 
     aim_m: Triple = NOTHING
     aim_velocity_m_s: Triple = NOTHING
@@ -177,7 +178,7 @@ class HandAction(NamedTuple):
 
 
 class HoldingHand(Protocol):
-    """Interface of a model that holds a device."""
+    """Interface of a simulated hand that holds a device."""
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """Return the action of the hand from this time to the next call.
@@ -188,22 +189,22 @@ class HoldingHand(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class HandParameters:
-    """Parameters of a hand.
+    """Parameters of a simulated hand.
 
     Attributes
     ----------
     reaction_s, submovement_s, correction_s
         Reaction time to a change, duration of a submovement, interval between submovements [s].
     endpoint_noise, force_noise, force_noise_s
-        Standard deviation of a submovement's end per distance, and of the force per force.
-        Correlation time of the force noise [s].
+        Standard deviation of a submovement's end point divided by its distance. Standard deviation
+        of the force noise divided by the force. Correlation time of the force noise [s].
     tremor_m, tremor_Hz, tremor_width_Hz
-        Amplitude of the tremor in every axis (root mean square) [m], its frequency and its
-        bandwidth [Hz].
+        Amplitude of the tremor in every axis (root mean square) [m], frequency and bandwidth of the
+        tremor [Hz].
     stiffness_N_m, damping_N_s_m, mass_kg
-        Grip as the device feels it [N/m], [N s/m], [kg].
+        Stiffness, damping and mass of the grip at the device [N/m], [N s/m], [kg].
     turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
-        Grip in rotation.
+        Stiffness, damping and inertia of the grip in rotation.
     reflex_share, reflex_s
         Share of the grip stiffness that acts with the delay of the reflex, and this delay [s].
     """
@@ -227,7 +228,7 @@ class HandParameters:
     reflex_s: float
 
     def __post_init__(self) -> None:
-        # The upper bound only refuses values in a wrong unit.
+        # The upper bound only rejects values in a wrong unit.
         for entry in fields(self):
             require_range(
                 entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual"
@@ -237,10 +238,10 @@ class HandParameters:
 
     @property
     def linear_hands(self) -> tuple[LinearHand, ...]:
-        """Linear part of the hand in translation, without and with its reflex.
+        """Linear parts of the hand in translation: one without, one with the reflex.
 
-        The reflex may stabilise a loop or make it unstable, which depends on the frequency of its
-        ringing. A loop is therefore judged in both hands.
+        The reflex may stabilise a loop or make the loop unstable, depending on the frequency of its
+        oscillation. The stability of a loop is therefore checked with each of the two parts.
         """
         still = LinearHand(*self.grip[:3])
         if self.reflex_share == 0.0:
@@ -262,9 +263,9 @@ class HandParameters:
 
 
 def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
-    """Return the parameters of a hand by its name in `HANDS`.
+    """Return the parameters of a simulated hand by its name in `HANDS`.
 
-    The scene's own constants replace cited ones.
+    Constants of the scene replace those of the built-in sources.
 
     Raises
     ------
@@ -275,12 +276,13 @@ def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandPa
 
 
 class Hand:
-    """Hand that follows a path, reproducible for the same state of its random generator.
+    """Simulated hand that follows a path.
 
-    The grip is a spring, damper and mass between the aim and the device. It is stepped with the
-    device. Four further contributions are added:
+    The result is reproducible for the same state of the random generator. The grip is a spring, a
+    damper and a mass between the aim (the hand's target position) and the device. It is integrated
+    together with the device. Four further contributions are added:
 
-    - A reflex on the deviation one reflex time earlier.
+    - A reflex in proportion to the deviation one reflex time earlier.
     - An intended push.
     - Noise in proportion to the force that the hand exerts.
     - A tremor of the aim: a narrow band of Gaussian noise around its frequency.
@@ -290,15 +292,15 @@ class Hand:
     parameters
         Parameters of the hand.
     path
-        Target position over time [m], or an object that moves the aim.
+        Target position as a function of time [m], or an object that moves the aim.
     rng
         Random generator of this hand.
     step_s
         Time between two calls [s].
     push
-        Intended force over time [N], shape (3,); a jerk is a short and strong force.
+        Intended force as a function of time [N], shape (3,). A jerk is a short and strong force.
     turn
-        Intended orientation over time, a unit quaternion (x, y, z, w).
+        Intended orientation as a function of time, a unit quaternion (x, y, z, w).
     let_go_s
         Time at which the hand opens [s].
     """
@@ -335,7 +337,7 @@ class Hand:
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
         self._keep = exp(-step_s / parameters.force_noise_s)
         self._fresh = sqrt(1.0 - self._keep**2)
-        # A complex first-order filter has the bandwidth w (half power) for the decay exp(-pi w T).
+        # A complex first-order filter with the decay exp(-pi w T) has the half-power bandwidth w.
         decay = exp(-pi * parameters.tremor_width_Hz * step_s)
         self._turning = decay * np.exp(2j * pi * parameters.tremor_Hz * step_s).item()
         self._shaken = parameters.tremor_m * sqrt(1.0 - decay**2)

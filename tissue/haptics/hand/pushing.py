@@ -1,4 +1,4 @@
-"""Hand that pushes with an increasing force and stops when it notices that the tissue yields."""
+"""Simulated hand that pushes with an increasing force until it notices that the tissue yields."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -16,25 +16,25 @@ from tissue.motion.quaternion import Triple
 __all__ = ["CompensatedPath", "FeltDrop", "PushingHand", "Thrust"]
 
 THRESHOLDS = 2.0
-"""Drop of the felt force on which a participant acts, in discrimination thresholds; assumed.
+"""Drop of the felt force to which a participant reacts [discrimination thresholds]; assumed.
 
-At one threshold, an answer is right in 75 % of cases, which is too unreliable to end a push.
+At one threshold, 75 % of answers are right. This is too unreliable to end a push.
 """
 EASED = 0.2
-"""Relative speed of an aim after a cue; assumed, because no measurement was found."""
+"""Relative speed of the aim after a cue; assumed, because no measurement was found."""
 
 
 @dataclass
 class FeltDrop:
     """Detector of a drop of the force below its largest felt value.
 
-    A participant feels the mean over ``integration_s``. A drop is noticed when the mean lies
-    `THRESHOLDS` thresholds kappa (F + F0) below the largest previous mean F.
+    A participant feels the mean force over ``integration_s``. A drop is noticed when this mean is
+    `THRESHOLDS` times kappa (F + F0) below the largest previous mean F.
 
     Attributes
     ----------
     kappa, offset_N
-        Weber fraction, and its term F0 for low forces [N].
+        Weber fraction kappa, and term F0 for low forces [N].
     integration_s
         Averaging time of the force [s].
     """
@@ -48,7 +48,7 @@ class FeltDrop:
         self._sum = self._largest = 0.0
 
     def feel(self, force_N: float) -> bool:
-        """Add a force [N], positive against the push, and return whether a drop is noticed."""
+        """Add a force [N], positive against the push, and return True if a drop is noticed."""
         self._last.append(force_N)
         self._sum += force_N - self._last.popleft()
         mean = self._sum / len(self._last)
@@ -57,25 +57,26 @@ class FeltDrop:
 
 
 class PushingHand:
-    """Hand that increases its push along a line at a constant rate, until it stops.
+    """Simulated hand that increases its push along a line at a constant rate, until it stops.
 
-    The aim a(t) leads the advance s(t) of the device along the line. The grip pushes with K (a -
-    s), where K is the stiffness of grip and reflex. The aim follows the felt motion of the device
-    and advances relative to it by rate / K::
+    The aim a(t), the target position of the hand, leads the position s(t) of the device along the
+    line. The grip pushes with K (a - s), where K is the stiffness of grip and reflex. The aim
+    follows the felt motion of the device, and advances relative to this motion with the speed rate
+    / K::
 
         da/dt = (s(t - r) - s(t - r - w)) / w + rate / K
 
     Here r is the reaction time and w the averaging time of a participant. On a tissue of constant
-    stiffness, the force increases at ``rate``. Stiffness, damping and mass of the grip respond at
-    once to a sudden motion of the device. The reflex responds a reflex time later, and the aim a
-    reaction time later.
+    stiffness, the force increases with ``rate``. Stiffness, damping and mass of the grip respond at
+    once to a sudden motion of the device. The reflex responds after the reflex time, and the aim
+    after the reaction time.
 
-    The hand stops a reaction time after an event is noticed (a drop of the felt force, or a report
-    to `see`). The aim then moves by one minimum-jerk submovement to the position of the device at
-    that time. A reaction time after a cue, the aim continues at `EASED` of its speed. Noise and
-    tremor are as in `tissue.haptics.hand.hand.Hand`.
+    The hand stops a reaction time after it has noticed an event: a drop of the felt force, or a
+    report to `see`. The aim then moves by one minimum-jerk submovement to the position of the
+    device at that time. A reaction time after a cue, the speed of the aim is multiplied by `EASED`.
+    Noise and tremor are as in `tissue.haptics.hand.hand.Hand`.
 
-    The felt force is the force that skin and tendons carry: grip, reflex and noise on the device.
+    The felt force is the force that skin and tendons carry: the sum of grip, reflex and noise.
 
     Parameters
     ----------
@@ -99,9 +100,10 @@ class PushingHand:
     felt_N
         Force on the device along the push [N].
     aim_m, advance_m
-        Advance of the aim and of the device along the push [m].
+        Positions of the aim and of the device along the push [m].
     noticed_s, stop_s, eased_s
-        Times at which an event is noticed, the hand stops and a cue slows it [s]; infinite before.
+        Times at which an event is noticed, the hand stops, and a cue slows the hand [s]. They are
+        infinite before.
     """
 
     def __init__(
@@ -129,13 +131,13 @@ class PushingHand:
         self._hand = Hand(parameters, self, rng=rng)
 
     def see(self, time_s: float) -> None:
-        """Make the hand stop a reaction time after a visible event, unless it already does."""
+        """Make the hand stop a reaction time after a visible event, unless it already stops."""
         if time_s < self.noticed_s:
             self.noticed_s = time_s
             self.stop_s = time_s + self._person.reaction_s
 
     def stop(self, time_s: float) -> None:
-        """Stop at a time without a reaction time, which no human can do."""
+        """Stop at a time, without the reaction time that a human needs."""
         self.noticed_s = self.stop_s = time_s
 
     def cue(self, time_s: float) -> None:
@@ -189,25 +191,26 @@ class PushingHand:
 
 
 SHARE = 0.35
-"""Share of the visible error that each correction adds, for a tool that follows the hand; assumed.
+"""Share of the visible error that each correction adds; assumed.
 
-At 0.5, milling overshoots: the tool is pushed aside as far as it should press.
+It is for a tool that follows the hand. With 0.5, milling overshoots: the sideways error is as large
+as the wanted depth.
 """
 LEAST_YIELD = 0.6
 """Smallest ratio of tool motion to hand motion that an operator assumes; assumed.
 
-Among values from 1 to 0.2, reaming is nearly finished (0.2 mm are missing instead of 0.5) before
-milling overshoots.
+Values from 1 to 0.2 were compared. With this value, reaming is nearly finished (0.2 mm are missing,
+instead of 0.5 mm), and milling does not overshoot yet.
 """
 
 
 @dataclass
 class CompensatedPath:
-    """Path on which the tool, not the hand, reaches its target.
+    """Path of a hand that moves beyond the target, so that the tool reaches the target.
 
-    A hand that moved only to the target would stop where spring and resistance balance. At every
-    correction, this hand moves farther by a share of the visible error of the tool. The share
-    increases if the tool has made less of its last motions.
+    If a hand moved only to the target, the tool would stop where spring and resistance balance. At
+    every correction, this hand moves farther by a share of the visible error of the tool. The share
+    is larger if the tool moved less than the hand in the last corrections.
 
     Attributes
     ----------
@@ -216,7 +219,7 @@ class CompensatedPath:
     tool
         Held tool, with its present position.
     lead_s
-        Time by which an aim requests its path in advance [s].
+        Time by which the aim reads its path in advance [s].
     furthest_m
         Largest distance by which the hand moves beyond the path [m].
     """
@@ -231,8 +234,8 @@ class CompensatedPath:
     _yields: float = 1.0
 
     def __call__(self, time_s: float) -> Array:
-        """Return the aim at a time [s]; each call is a correction."""
-        # Before that, the path has asked nothing of the tool.
+        """Return the target of the hand at a time [s]; each call is a correction."""
+        # Before this time, the path has not required any motion of the tool.
         if time_s > self.lead_s:
             self._learn()
             self.beyond_m += (
@@ -248,14 +251,15 @@ class CompensatedPath:
     def _learn(self) -> None:
         """Update the ratio of tool motion to hand motion.
 
-        The hand motion was aimed at two corrections ago.
+        The hand motion is that of the correction two corrections ago.
         """
         if len(self._aims_m) == 3:
             went = self.tool.tip_m - self._tip_m
             aimed = self._aims_m[1] - self._aims_m[0]
             square = float(aimed @ aimed)
             if square > 0.0:
-                # Chosen: the mean of old and new ratio, so that one odd correction counts half.
+                # The ratio is the mean of its old and new value, so that one unusual correction has
+                # half of its effect. This is chosen.
                 self._yields += 0.5 * (
                     min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
                 )
@@ -263,7 +267,7 @@ class CompensatedPath:
 
 @dataclass
 class Thrust:
-    """Push of given size along a line until the tool has completed its path.
+    """Push with a given force along a line until the tool has completed its path.
 
     The hand follows the tool.
 
@@ -276,7 +280,7 @@ class Thrust:
     push_N
         Push at the device [N].
     stretch_m
-        Lead of the device over the tool under this push [m].
+        Distance of the device in front of the tool under this push [m].
     """
 
     start_m: Array
@@ -294,10 +298,10 @@ class Thrust:
         return min(max(gone, 0.0), 1.0)
 
     def path(self, time_s: float) -> Array:
-        """Return the aim at a time [s]: the position of the device that holds the tool."""
+        """Return the target of the hand at a time [s]: the device position at the tool."""
         share = self.share
         aim: Array = self.start_m + share * self.path_m
-        # No push before the start and after the end, so no stretch.
+        # Before the start and after the end there is no push, so that the spring is not stretched.
         if time_s <= 0.0 or share == 1.0:
             return aim
         return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)

@@ -30,7 +30,7 @@ MOST_FAILURES = 100
 Two calls in each tick take 50 ms, after which the force of a silent device is removed anyway.
 """
 MISSING = (
-    "must be installed for a device of Force Dimension, got none: pip install "
+    "must be installed for a device of Force Dimension, got none. Run pip install "
     "forcedimension-core with Python "
     "3.11 or 3.12, and the SDK of forcedimension.com"
 )
@@ -105,7 +105,7 @@ class ForceDimensionAdapter(HardwareAdapter):
                 found.append(cls.found(serial, model))
         # Both classes search the same library: only one of them reports that nothing is connected.
         if not found and not cls.has_motors:
-            return cls.missing("a device must be connected, got none: check power and cable")
+            return cls.missing("a device must be connected, got none. Check power and cable")
         return found
 
     def open(self) -> None:

@@ -73,7 +73,10 @@ MOST_BEHIND = 20
 """Largest number of frames read at once, if a service sends more than requested."""
 OPEN_S = 2.0
 """Longest time for the service to open and to send its first frame [s]."""
-START_IT = "start the Inverse Service (it runs while Haply Hub is open), or set hardware.address"
+START_IT = (
+    "start the Inverse Service (it runs while Haply Hub is open), or give its address: "
+    "hardware.address in a scene, --address in a command"
+)
 
 
 class HaplyAdapter(HardwareAdapter):

@@ -212,12 +212,12 @@ def problem_of(state: ServiceState) -> str:
     ids = state.device_ids
     if not ids:
         return (
-            "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "
+            "haply must list an Inverse3, got none. Plug it in, switch it on, and look for it in "
             "Haply Hub"
         )
     if name not in ids:
         required = f"name one of the devices {', '.join(ids)} behind #"
-        return str(InputError("hardware.address", required, name, f"use #{ids[0]}"))
+        return str(InputError("the address of haply", required, name, f"use #{ids[0]}"))
     for entry, must, remedy in (
         ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
         ("power_supply", "have power", "connect its power supply"),

@@ -161,7 +161,7 @@ It is a power of two, so that the places stay consecutive when the sequence numb
 MOST_WORDS = 400
 """Largest length of the sentence of a refusal [bytes]."""
 BUSY = (
-    "one device must be used at a time, got a second: end the first, or wait half a second after "
+    "one device must be used at a time, got a second. End the first, or wait half a second after "
     "it has stopped"
 )
 

@@ -54,7 +54,7 @@ WINDOW = 10
 An encoder step of a Touch (0.055 mm) changes the velocity by 5.5 mm/s, instead of 55 mm/s.
 """
 MISSING = (
-    "must be installed for a Touch device, got none: pip install pyOpenHaptics, "
+    "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
     "and OpenHaptics with the "
     "device's driver from 3dsystems.com"
 )

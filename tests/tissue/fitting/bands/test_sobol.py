@@ -5,6 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from tissue.fitting.bands.sample import LEAST_EXPLAINED, normals, sobol_indices, surrogate_indices
+from tissue.show.figures.fit_pictures import _label
 
 SEPARATE = ((0,), (1,), (2,))
 
@@ -65,3 +66,8 @@ def test_a_surrogate_that_explains_too_little_gives_no_indices():
     found, explained = surrogate_indices(normals(16, 40, seed=0), noise, columns, seed=0)
     assert explained[0] < LEAST_EXPLAINED
     assert np.isnan(found.first).all()
+
+
+def test_labels_name_the_constant():
+    assert _label("cutting.bone.radial_chip_N_mm2") == "bone radial chip"
+    assert _label("density.bone + tooth.bur.heat_share") == "bone density\nbur heat share"

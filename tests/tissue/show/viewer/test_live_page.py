@@ -26,6 +26,7 @@ READ = Readings(
     force_N=np.array([0.0, 0.3, 0.4]),
     torque_Nm=np.array([0.0, 3e-3, 4e-3]),
     device_N=0.1,
+    layer="wall",
     numbers={
         "time_s": 1.5,
         "removed_mm3": 2.0,
@@ -55,6 +56,7 @@ class Scene:
             {"wall": (1.0, 0.0, 0.5)},
             SimpleNamespace(name="wall"),
         )
+        self.is_cut_open = self.can_be_cut_open = False
         self.target_options = {
             "start_mm": np.zeros(3),
             "axis": np.array([0.0, 0.0, 1.0]),
@@ -64,6 +66,9 @@ class Scene:
 
     def show(self, target_mm):
         return READ
+
+    def cut_open(self, is_open):
+        self.is_cut_open = is_open
 
     def update_tissue(self):
         return False

@@ -51,5 +51,5 @@ def test_an_mp4_holds_every_picture(tmp_path):
 
 
 def test_a_movie_needs_an_ending(tmp_path):
-    with pytest.raises(InputError, match=r"movie .*run.avi: use .*run.gif$"):
+    with pytest.raises(InputError, match=r"movie .*run.avi. Use .*run.gif$"):
         check_movie(tmp_path / "run.avi")

@@ -193,6 +193,35 @@ def test_a_person_presses_the_wall_pauses_and_begins_again(opened, tmp_path):
     assert "skipped_ms" in saved.summary and person.wrong == []
 
 
+def test_a_tooth_is_cut_open_and_the_layer_at_the_bur_is_shown(opened, tmp_path):
+    coarse = ("--set", "voxels.spacing_mm=0.2", "--set", "stress.cell_mm=0.8")
+    person, process = live(opened, tmp_path / "run", "molar", *coarse)
+    tab = person.tab
+    assert person.until(lambda: is_drawn(person.picture()))
+    assert tab.text_content("#cut") == "Close" and tab.text_content("#layer") == "none"
+    opened_tooth = person.picture()
+    tab.click("#cut")
+    assert tab.text_content("#cut") == "Cut open"
+    assert person.until(lambda: np.abs(person.picture() - opened_tooth).mean() > 1.0), (
+        "the tooth is not closed"
+    )
+    tab.mouse.move(400, 420)
+    assert person.until(
+        lambda: tab.text_content("#layer") == "enamel", lambda: tab.mouse.wheel(0, 50)
+    ), "the layer is not shown"
+    tab.click("#end")
+    output, _ = process.communicate(timeout=200.0)
+    assert process.returncode == 0, output
+
+
+def test_end_is_accepted_before_the_first_picture(opened, tmp_path):
+    person, process = opened("run", "wall", "--live", "--no-pictures", "--out", tmp_path / "run")
+    person.tab.click("#end")
+    output, _ = process.communicate(timeout=200.0)
+    assert process.returncode in (0, 130), output
+    person.state("ended")
+
+
 def still(person, name):
     """Return True if a number does not change for half a second."""
     before = person.number(name)

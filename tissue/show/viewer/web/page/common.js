@@ -6,12 +6,25 @@ const picture = byId("picture");
 const socket = new WebSocket(`ws://${location.host}/socket${location.search}`);
 socket.binaryType = "arraybuffer";
 
+let over = false, ending = false;
+
 function send(what, values) {
   if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what, ...values }));
 }
 
+// Ends the run, also before the page is connected.
+function end() {
+  ending = true;
+  byId("state").textContent = "ending";
+  byId("state").className = "state over";
+  document.querySelectorAll("button").forEach((each) => { each.disabled = true; });
+  if (socket.readyState === WebSocket.CONNECTING) socket.addEventListener("open", () => send("end"));
+  else send("end");
+}
+
 // Shown in place of the picture once nothing more will come.
 function showOver(words) {
+  over = true;
   byId("over").textContent = words;
   byId("over").classList.add("shown");
   byId("state").textContent = "ended";
@@ -25,6 +38,7 @@ async function draw(bytes) {
     picture.width = image.width;
     picture.height = image.height;
     picture.getContext("2d").drawImage(image, 0, 0);
+    if (!over) byId("over").classList.remove("shown");
     image.close();
   } finally {
     send("seen");

@@ -4,14 +4,21 @@
 const SECONDS = 8;
 const STATES = { running: "running", paused: "paused", resetting: "starting again" };
 const plot = new ForcePlot(byId("plot"), 1);
-let rows = [], run = null, paused = false;
+let rows = [], run = null, paused = false, cut = null;
+
+function writeCut() {
+  byId("cut").hidden = cut === null;
+  byId("cut").textContent = cut ? "Close" : "Cut open";
+}
 
 function write(figures) {
   paused = figures.state === "paused";
-  byId("state").textContent = STATES[figures.state];
-  byId("state").className = `state ${figures.state}`;
-  byId("pause").textContent = paused ? "Resume" : "Pause";
-  byId("pause").disabled = byId("reset").disabled = figures.state === "resetting";
+  if (!ending) {
+    byId("state").textContent = STATES[figures.state];
+    byId("state").className = `state ${figures.state}`;
+    byId("pause").textContent = paused ? "Resume" : "Pause";
+    byId("pause").disabled = byId("reset").disabled = figures.state === "resetting";
+  }
   if (figures.run !== run) { rows = []; run = figures.run; }
   if (figures.time_s === undefined) return;
   byId("time").textContent = fixed(figures.time_s, 2);
@@ -20,6 +27,7 @@ function write(figures) {
   byId("device-name").hidden = byId("device").hidden = figures.device_N === null;
   if (figures.device_N !== null) byId("device").textContent = `${fixed(figures.device_N, 2)} N`;
   byId("torque").textContent = newtonMetres(figures.torque_Nm);
+  byId("layer").textContent = figures.layer;
   byId("removed").textContent = `${fixed(figures.removed_mm3, 2)} mm³`;
   byId("tick").textContent = `${fixed(figures.tick_us, 0)} µs`;
   byId("late").textContent = `${fixed(figures.late_us, 0)} µs`;
@@ -32,6 +40,8 @@ listen(
     byId("scene").textContent = hello.scene;
     document.title = `tissue: ${hello.scene}, live`;
     drawLegend(hello.legend);
+    cut = hello.cut;
+    writeCut();
     picture.focus();
   },
   (news) => {
@@ -51,7 +61,8 @@ takeMouse(
 );
 byId("pause").addEventListener("click", () => send("pause", { on: !paused }));
 byId("reset").addEventListener("click", () => send("reset"));
-byId("end").addEventListener("click", () => send("end"));
+byId("end").addEventListener("click", end);
+byId("cut").addEventListener("click", () => { cut = !cut; send("cut", { on: cut }); writeCut(); });
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key === " " && event.target.tagName !== "BUTTON") send("pause", { on: !paused });

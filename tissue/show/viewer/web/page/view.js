@@ -62,7 +62,7 @@ byId("slider").addEventListener("input", () => {
 byId("slider").addEventListener("change", () => { dragged = false; });
 byId("play").addEventListener("click", () => send("play", { on: !playing }));
 byId("shown").addEventListener("change", () => send("field", { name: byId("shown").value }));
-byId("end").addEventListener("click", () => send("end"));
+byId("end").addEventListener("click", end);
 byId("plot").addEventListener("click", (event) => {
   const time = plot.timeAt(event.offsetX);
   if (time !== null) send("time", { time_s: time });

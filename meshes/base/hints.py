@@ -1,0 +1,118 @@
+"""Suggestions for unknown names: keys, options, attributes, columns and names of parts."""
+
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+
+__all__ = ["closest", "did_you_mean", "nearest"]
+
+UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jkn]|nm|mm2|mm3")
+"""Unit in a name, which does not add to the meaning of the name."""
+SAME_MEANING = tuple(
+    frozenset(words.split())
+    for words in (
+        "feed speed velocity",
+        "spin rpm speed rotation",
+        "thrust force load push",
+        "size diameter radius width",
+        "size spacing resolution voxel voxels",
+        "young youngs modulus stiffness elasticity",
+        "delay latency lag",
+        "prediction predictor method",
+        "hand operator surgeon",
+        "duration time seconds",
+        "interval period step",
+        "out output dir directory folder path",
+        "cores threads cpus",
+        "workers jobs processes",
+        "compute gpu cuda",
+        "overwrite force replace",
+        "pictures picture figures figure plot plots images",
+        "format type filetype",
+        "over axis abscissa",
+        "run simulate simulation",
+        "view show display",
+        "scenes list",
+    )
+)
+"""Words that users of simulators, CAD and other command lines write for each other."""
+LEAST_SCORE = 0.62
+"""Similarity below which a name is no suggestion."""
+TIE = 0.07
+"""Difference of similarity within which names are suggested together."""
+MOST = 3
+"""Largest number of suggestions."""
+MISSPELT = 0.85
+"""Factor of the share of common letters, so that a word of the same meaning comes first."""
+OTHER_UNIT = 0.9
+"""Factor of the similarity to a name with another unit than the given one."""
+
+
+def closest(word: str, known: Iterable[str]) -> list[str]:
+    """Return the known names that a word most likely means, best first, at most `MOST`.
+
+    Names are compared word by word, without their units: by spelling, and by meaning for the words
+    in `SAME_MEANING`.
+    """
+    scores = {name: _score(word, name) for name in known}
+    best = max(scores.values(), default=0.0)
+    if best < LEAST_SCORE:
+        return []
+    likely = [name for name, score in scores.items() if score > best - TIE]
+    return sorted(likely, key=lambda name: -scores[name])[:MOST]
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return the names that a word most likely means as a question in brackets; else no text."""
+    return did_you_mean(closest(word, known))
+
+
+def did_you_mean(names: Sequence[str]) -> str:
+    """Return names as a question in brackets; no text without names."""
+    if not names:
+        return ""
+    *first, last = names
+    listed = f"{', '.join(first)} or {last}" if first else last
+    return f" (did you mean {listed}?)"
+
+
+def _score(given: str, name: str) -> float:
+    """Return the similarity of two names, 1 for the same words."""
+    words = _words(given)
+    others = _words(name)
+    if not words or not others:
+        return 0.0
+    by_word = sum(max(_alike(word, other) for other in others) for word in words) / len(words)
+    # Further words make the name more special than the given one.
+    by_word *= 1.0 - 0.1 * min(max(len(others) - len(words), 0), 3)
+    score = max(by_word, _letters("".join(words), "".join(others)))
+    units = _units(given)
+    return score * OTHER_UNIT if units and units != _units(name) else score
+
+
+def _units(name: str) -> list[str]:
+    """Return the units in a name."""
+    return [word for word in re.findall(r"[^\W_]+", name.lower()) if UNITS.fullmatch(word)]
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name in lower case, without units."""
+    words = re.findall(r"[^\W_]+", name.lower())
+    return [word for word in words if not UNITS.fullmatch(word)] or words
+
+
+def _alike(word: str, other: str) -> float:
+    """Return the similarity of two words."""
+    if word == other:
+        return 1.0
+    # Three letters: bur of burr, but not a of all.
+    if min(len(word), len(other)) >= 3 and (word.startswith(other) or other.startswith(word)):
+        return 0.9
+    if any({word, other} <= group for group in SAME_MEANING):
+        return 0.85
+    return _letters(word, other)
+
+
+def _letters(word: str, other: str) -> float:
+    """Return the similarity of two words by the letters that they share in the same order."""
+    return MISSPELT * difflib.SequenceMatcher(None, word, other).ratio()

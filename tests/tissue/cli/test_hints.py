@@ -1,0 +1,102 @@
+"""Suggestions for unknown keys, options and attributes, by spelling and by meaning."""
+
+import pydoc
+import re
+from pathlib import Path
+
+import pytest
+
+import tissue
+from meshes.base.hints import closest
+from tissue import InputError
+
+ROOT = Path(tissue.__file__).parent
+
+
+def refusal(scene, key, value=1.0):
+    """Return the message for a key of a scene."""
+    with pytest.raises(InputError) as refused:
+        tissue.load_scene(scene, {key: value})
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("scene", "key", "meant"),
+    [
+        ("glenoid", "spin_rpm", "tool.spin_rpm"),
+        ("glenoid", "tool.rpm", "spin_rpm"),
+        ("glenoid", "tool.radius_mm", "diameter_mm"),
+        ("glenoid", "voxels.size_mm", "spacing_mm"),
+        ("glenoid", "voxel_mm", "voxels.spacing_mm"),
+        ("glenoid", "resolution_mm", "voxels.spacing_mm"),
+        ("glenoid", "motion.speed", "feed_mm_s"),
+        ("milling", "feed_mm_s", "motion.feed_mm_s"),
+        ("liver-press", "organ.stiffness_kPa", "young_kPa"),
+        ("wall", "latency_ms", "device.coupling.delay_ms"),
+        ("wall", "method", "device.prediction"),
+        ("wall", "coupling.stifness", "stiffness_N_m or stiffness_Nm_rad"),
+        ("wall", "anatomy.stiffness", "stiffness_kN_m"),
+    ],
+)
+def test_keys_are_suggested_by_meaning(scene, key, meant):
+    assert f"(did you mean {meant}?)" in refusal(scene, key)
+
+
+@pytest.mark.parametrize(
+    "key", ["motion.feed_mm_s", "motion.feed", "feed_mm_s", "motion.speed_mm_s"]
+)
+def test_a_feed_is_no_key_of_a_scene_that_is_driven_by_thrust(key):
+    message = refusal("pedicle", key)
+    assert "Set motion.thrust_N, which drives this scene, or set motion.kind = path" in message
+    assert "max_feed_mm_s" not in message
+    assert "Set motion.feed_mm_s, which drives this scene" in refusal("glenoid", "motion.force_N")
+
+
+@pytest.mark.parametrize("key", ["noise", "output.colour", "cutting.energy"])
+def test_no_key_is_suggested_for_another_meaning(key):
+    assert "did you mean" not in refusal("glenoid", key)
+
+
+def test_words_of_different_meaning_are_not_close():
+    known = ["--out", "--compute", "--overwrite"]
+    assert closest("--format", known) == [] and closest("--output", known) == ["--out"]
+    assert closest("max_feed_mm_s", ["thrust_N"]) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (("run", "wall", "--output", "x"), "(did you mean --out?)"),
+        (("run", "wall", "--gpu"), "(did you mean --compute?)"),
+        (("view", "x", "--format", "mat"), "(an option of `tissue run`"),
+        (("run", "wall", "--spin-rpm", "800"), "(keys of the scene are set by --set KEY=VALUE)"),
+        (("show", "x"), "(did you mean view?)"),
+    ],
+)
+def test_options_and_commands_are_suggested_by_meaning(refused, words, hint):
+    assert hint in refused(*words)
+
+
+def test_attributes_are_suggested():
+    with pytest.raises(AttributeError, match=r"'load' \(did you mean load_scene\?\)"):
+        _ = tissue.load
+    with pytest.raises(AttributeError, match=r"'__wrapped__'$"):
+        _ = tissue.__wrapped__
+
+
+NAMED = re.compile(r"(?:`|\b(?:use|see) )(tissue(?:\.[a-z]\w*)*\.(?:[A-Z]\w+|[a-z_]+(?=\()))")
+
+
+def test_attributes_that_texts_name_exist():
+    """Every ``tissue.Class`` and ``tissue.function(`` in a text of the package can be imported."""
+    named = dict[str, Path]()
+    for path in ROOT.rglob("*.py"):
+        named |= dict.fromkeys(NAMED.findall(path.read_text("utf-8")), path.relative_to(ROOT))
+    missing = {name: path for name, path in named.items() if pydoc.locate(name) is None}
+    assert len(named) > 20 and missing == {}
+
+
+@pytest.mark.parametrize("words", [("calibrate", "--ask", "--device"), ("devices", "--test")])
+def test_commands_name_their_option_of_a_device_address(refused, words):
+    message = refused(*words, "haply", "--address", "COM3")
+    assert message.startswith("--address must be ws://HOST:PORT")

@@ -1,0 +1,31 @@
+"""Densities of built-in bones, as a scene states them."""
+
+import numpy as np
+
+from tissue import load_scene
+from tissue.simulation.builders.voxels import anatomy_of
+
+
+def on_the_axis(scene, changes, depths_m):
+    """Return layers and densities below the site, at depths along its axis."""
+    keys = {f"anatomy.{name}_density_kg_m3": value for name, value in changes.items()}
+    anatomy = anatomy_of(load_scene(scene, keys).anatomy, {})
+    depth = np.array(depths_m)
+    layer, density = anatomy.classify(np.column_stack([0 * depth, 0 * depth, -depth]), depth)
+    return [anatomy.layer_names[at] for at in layer], density
+
+
+def test_a_vertebra_has_a_density_in_cortex_pedicle_and_body():
+    densities = {"cortical": 1700.0, "pedicle": 200.0, "trabecular": 120.0}
+    layers, density = on_the_axis("pedicle", densities, [0.5e-3, 8e-3, 40e-3])
+    assert layers == ["cortical", "trabecular", "trabecular"]
+    assert density.tolist() == [1700.0, 200.0, 120.0]
+
+
+def test_a_glenoid_has_a_density_in_plate_and_vault():
+    densities = {"subchondral": 900.0, "trabecular": 150.0}
+    layers, density = on_the_axis("glenoid", densities, [0.5e-3, 20e-3, 60e-3])
+    assert layers == ["subchondral", "trabecular", "trabecular"]
+    # Below the plate the density falls from 450 kg/m3 over 5 mm.
+    assert density[0] == 900.0 and density[1] > density[2]
+    np.testing.assert_allclose(density[2], 150.0, atol=0.01)

@@ -1,0 +1,273 @@
+"""Figure of several runs: thrust, force across the tool and torque, over depth or time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.objects.plots import COLOURS, new_panels
+from tissue.show.figures.figure import SMALL_NM, plain, styled
+from tissue.show.figures.force_depth import first_descent
+from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.bone_surface import facing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from tissue.fitting.bands.band import Band
+    from tissue.simulation.trace import Table
+
+__all__ = ["Curve", "Over", "chosen_over", "overlay"]
+
+Over = Literal["time", "depth"]
+MOST_NAMED = 12
+"""Largest number of runs that a legend names: four lines above the panels."""
+LONG = 28
+"""Number of letters of a name above which a line of the legend holds only two names."""
+SMALL = 0.05
+"""Share of the largest force below which a component across the tool has no panel."""
+MAINLY = 0.5
+"""Share of the path in contact that a first descent must cover for a figure over depth."""
+WIDTHS = 2.2, 1.0
+"""Widths of the first and the last curve [points], so that equal curves show below each other."""
+THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
+FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
+LOW, HIGH = 0, -1
+"""Rows of a band's quantiles: 5 % and 95 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One run of the figure.
+
+    Attributes
+    ----------
+    label
+        Name in the legend.
+    trace
+        Trace of the run.
+    band
+        Band of the run; None draws none.
+    is_path_given
+        Whether the tool follows a given path, so that all samples of a band have one depth at a
+        time.
+    """
+
+    label: str
+    trace: "Table"
+    band: "Band | None" = None
+    is_path_given: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Loads on the tool in its own frame.
+
+    Attributes
+    ----------
+    place
+        Time [s] or depth [mm], shape (rows,).
+    values
+        Thrust, two components across the tool's axis [N], and torque [N m], shape (rows, 4).
+    low, high
+        Ends of the 90 % band at the first rows, shape (n, 4); None without a band.
+    force
+        Force in the world [N], shape (rows, 3).
+    """
+
+    place: Array
+    values: Array
+    low: Array | None
+    high: Array | None
+    force: Array
+
+
+def chosen_over(curves: Sequence[Curve]) -> Over:
+    """Return depth if all tools mainly advance along their axis, else time.
+
+    Bands of tools that do not follow a given path are drawn over time.
+    """
+    if any(each.band is not None and not each.is_path_given for each in curves):
+        return "time"
+    return "depth" if all(_mainly_descends(each.trace) for each in curves) else "time"
+
+
+def _mainly_descends(trace: "Table") -> bool:
+    """Return whether the first descent covers most of the tip's path in contact."""
+    contact = trace["contact_mm2"] > 0.0
+    axis, outward = facing(trace)
+    tips = trace.vectors("tool", "mm")
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    height = outward * tips[first_descent(outward * tips[:, axis], contact), axis]
+    return len(height) > 1 and bool(np.ptp(height) > MAINLY * steps[contact[1:]].sum())
+
+
+@styled
+def overlay(
+    curves: Sequence[Curve], *, over: Over | None = None, about_axis: bool = True
+) -> NDArray[np.object_]:
+    """Draw thrust, force across the tool and torque of all runs in one figure.
+
+    A component across the tool that is small in all runs has no panel. The figure of two runs has
+    a last panel with the size of the difference of their forces at the same time or depth.
+
+    Parameters
+    ----------
+    curves
+        Runs in the order of the legend.
+    over
+        ``time``, or ``depth`` from the first contact in the first descent; see `chosen_over` for
+        the default.
+    about_axis
+        Whether the torque is that about the tool's axis; else it is the size of the torque vector.
+
+    Returns
+    -------
+    The panels, shape (panels,).
+    """
+    over = over or chosen_over(curves)
+    if over not in ("time", "depth"):
+        raise InputError("over", "be time or depth", over, "use one of these")
+    loads = [_loads(each, over, about_axis=about_axis) for each in curves]
+    largest = np.max([np.abs(each.values).max(axis=0, initial=0.0) for each in loads], axis=0)
+    forces = [at for at in range(TORQUE) if largest[at] >= SMALL * largest[:TORQUE].max()]
+    panels = new_panels(len(forces) + bool(largest[TORQUE]) + (len(loads) == 2))
+    for axes, at in zip(panels, forces, strict=False):
+        axes.set_ylabel(FORCES[at])
+        _draw(axes, curves, loads, at)
+    if largest[TORQUE] > 0.0:
+        unit, scale = ("mN m", 1e3) if largest[TORQUE] < SMALL_NM else ("N m", 1.0)
+        axes = panels[len(forces)]
+        axes.set_ylabel(f"torque{' about' * about_axis}\n{'the axis ' * about_axis}/ {unit}")
+        first = loads[0].values[:, TORQUE].sum()
+        _draw(axes, curves, loads, TORQUE, scale=-scale if first < 0.0 else scale)
+    if len(loads) == 2:
+        panels[-1].set_ylabel("difference of\nthe forces / N")
+        panels[-1].plot(*_difference(*loads), color="0.3", linewidth=1.1)
+    depth = "depth of the tool's tip from its first contact / mm"
+    panels[-1].set_xlabel("time / s" if over == "time" else depth)
+    _legend(panels, curves)
+    plain(panels)
+    panels[0].figure.align_ylabels(panels)
+    return panels
+
+
+def _draw(
+    axes: "Axes", curves: Sequence[Curve], loads: Sequence[Loads], at: int, *, scale: float = 1.0
+) -> None:
+    """Draw one load of all runs with their bands."""
+    widths = np.linspace(*WIDTHS, len(curves))
+    for number, (curve, load) in enumerate(zip(curves, loads, strict=True)):
+        colour = _colour(number, len(curves))
+        label = curve.label
+        if load.low is not None and load.high is not None:
+            ends = scale * load.low[:, at], scale * load.high[:, at]
+            rows = load.place[: len(load.low)]
+            axes.fill_between(rows, *ends, color=colour, alpha=0.12, linewidth=0.0)
+            # Thin edges distinguish bands that cover each other.
+            axes.plot(rows, np.column_stack(ends), color=colour, alpha=0.7, linewidth=0.6)
+        elif curve.band is not None:
+            label += " (band not drawn)"
+        look = {"color": colour, "linewidth": widths[number], "label": label}
+        axes.plot(load.place, scale * load.values[:, at], **look)
+    axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
+
+
+def _legend(panels: NDArray[np.object_], curves: Sequence[Curve]) -> None:
+    """Put the names of the runs above all panels, evenly spaced ones if they are too many."""
+    handles, labels = panels[0].get_legend_handles_labels()
+    every = -(-len(curves) // MOST_NAMED)
+    title = []
+    if every > 1:
+        title.append(f"1 run in {every} is named")
+    if any(each.band is not None for each in curves):
+        title.append("bands: 90 %")
+    columns = 3 if max(map(len, labels)) < LONG else 2
+    legend = panels[0].figure.legend(
+        handles[::every],
+        labels[::every],
+        loc="outside upper left",
+        ncols=columns,
+        title="; ".join(title),
+        alignment="left",
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+
+
+def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
+    """Return the loads of a run on its tool, in the tool's frame."""
+    from scipy.spatial.transform import Rotation
+
+    trace = curve.trace
+    rows, place = _place(trace, over, curve.label)
+    force = trace.vectors("model_force", "N")[rows]
+    torque = trace.vectors("model_torque", "Nm")[rows]
+    turns = Rotation.from_quat(tool_turns(trace)[rows])
+    across_x, across_y, thrust = turns.inv().apply(force).T
+    about = turns.inv().apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
+    values = np.column_stack([thrust, across_x, across_y, about])
+    band = curve.band if over == "time" or curve.is_path_given else None
+    low, high = _band_ends(band, turns.as_matrix(), rows, about_axis=about_axis)
+    return Loads(place, values, low, high, force)
+
+
+def _band_ends(
+    band: "Band | None", turns: Array, rows: slice, *, about_axis: bool
+) -> tuple[Array | None, Array | None]:
+    """Return the ends of a band in the tool's frame, each of shape (n, 4).
+
+    A band has quantiles of world components. They are those of the tool's components only if the
+    tool keeps its axes along the world's; else there are no ends.
+    """
+    aligned = np.rint(turns[:1])
+    # 1e-6: rounding of quaternions in a file
+    if band is None or np.abs(turns - aligned).max(initial=0.0) > 1e-6:
+        return None, None
+    # force x, y, z and size, then torque
+    at, sign = np.abs(aligned[0]).argmax(axis=0), aligned[0].sum(axis=0)
+    places = [at[2], at[0], at[1], 4 + at[2] if about_axis else 7]
+    signs = np.array([sign[2], sign[0], sign[1], sign[2] if about_axis else 1.0])
+    ends = [signs * band.quantiles[end][rows][:, places] for end in (LOW, HIGH)]
+    return np.minimum(*ends), np.maximum(*ends)
+
+
+def _difference(first: Loads, second: Loads) -> tuple[Array, Array]:
+    """Return the places that two runs share, and the size of the difference of their forces."""
+    place = first.place
+    common = place[(place >= second.place[0]) & (place <= second.place[-1])]
+    apart = _at(common, second.place, second.force) - _at(common, place, first.force)
+    return common, np.linalg.norm(apart, axis=1)
+
+
+def _place(trace: "Table", over: Over, name: str) -> tuple[slice, Array]:
+    """Return the rows to draw, and their time [s] or depth [mm]."""
+    if over == "time":
+        return slice(None), trace["time_s"]
+    axis, outward = facing(trace)
+    contact = trace["contact_mm2"] > 0.0
+    if not contact.any():
+        raise InputError(
+            "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
+        )
+    height = outward * trace.vectors("tool", "mm")[:, axis]
+    rows = first_descent(height, contact)
+    return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])
+
+
+def _at(places: Array, known: Array, vectors: Array) -> Array:
+    """Interpolate vectors between known positions, shape (places, 3)."""
+    return np.column_stack([np.interp(places, known, vectors[:, c]) for c in range(3)])
+
+
+def _colour(number: int, count: int) -> object:
+    """Return a colour: distinct for a few curves, along a scale for many."""
+    if count <= len(COLOURS):
+        return COLOURS[number]
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](number / (count - 1))
