@@ -41,7 +41,7 @@ FULL_STEPS = wp.constant(wp.float64(65535.0))
 @wp.kernel
 def particle_stiffness(
     # particles, sorted by cell
-    place: wp.array(dtype=wp.vec3d),  # place in the cell, 0 to 1 along each edge
+    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
     volume: wp.array(dtype=wp.float64),  # [m3]
     lame: wp.array2d(dtype=wp.float64),  # [particle, 2]: lambda, mu [Pa]
     remaining: wp.array(dtype=wp.uint16),  # steps of 1/65535
@@ -151,7 +151,7 @@ def point_stress(
     # points
     point: wp.array(dtype=wp.int32),  # row of each point in the next three arrays
     cell_of: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec3d),  # place in the cell, 0 to 1 along each edge
+    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
     lame: wp.array2d(dtype=wp.float64),  # [row, 2]: lambda, mu [Pa]
     # cells
     cell_nodes: wp.array2d(dtype=wp.int32),

@@ -65,7 +65,10 @@ def closest(word: str, known: Iterable[str]) -> list[str]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the names that a word most likely means as a question in brackets, or an empty string."""
+    """Return the names that a word most likely means as a question in brackets.
+
+    The result is an empty string if there is no such name.
+    """
     return did_you_mean(closest(word, known))
 
 

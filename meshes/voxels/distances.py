@@ -203,9 +203,9 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 
 
 def _outward(fraction: Bytes, at: Ints) -> Array:
-    """Return unit vectors against the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3).
+    """Return unit vectors opposite to the gradient of the fractions, shape (n, 3).
 
-    The vector is z if the gradient is zero.
+    The gradient is computed in 3 x 3 x 3 voxels. The vector is z if the gradient is zero.
     """
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
@@ -230,7 +230,7 @@ def _beside(one: Flags, other: Flags) -> Flags:
 
 
 def _grown(flags: Flags) -> Flags:
-    """Also flag all voxels that touch flagged voxels."""
+    """Return the flags with all voxels flagged that touch a flagged voxel."""
     grown = flags.copy()
     for axis in range(3):
         a, b = _halves(axis)
