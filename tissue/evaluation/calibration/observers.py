@@ -164,7 +164,7 @@ def calibrated_commands(
 ) -> list[Command]:
     """Return the force to command for each person after a calibration by rated numbers.
 
-    The calibration maps each person to the reference (E5).
+    The calibration maps each person to the reference.
 
     Parameters
     ----------
