@@ -1,6 +1,6 @@
 """Warp kernels that read and write arrays.
 
-They know neither scenes nor meshes. Importing this package starts Warp.
+The kernels do not depend on scenes or meshes. Importing this package starts Warp.
 """
 
 import os
@@ -13,9 +13,9 @@ from kernels.cache_check import remove_damaged
 
 
 def _start() -> None:
-    """Start Warp without its greeting and without its warning about a missing GPU.
+    """Start Warp, and suppress its start message and its warning about a missing GPU.
 
-    A run states which device it uses.
+    Each run reports the device that it uses, so this information is not lost.
     """
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()

@@ -1,10 +1,11 @@
-"""Original bone at a point, before any cut, to second order in the voxel size.
+"""Uncut bone at a point, computed to second order in the voxel size.
 
 Each voxel has two static numbers: the signed distance of its centre to the original surface, and
-the distance to the nearest change of layer. Both are interpolated between voxel centres. A point
-lies in bone where the interpolated surface distance is negative, and in the layer whose
-interpolated distance, negative for voxels of other layers, is largest. Far from the surface, and
-far from every change of layer, the value of the nearest voxel is used. Lengths are in voxels.
+the distance to the nearest change of layer. The two numbers are interpolated between voxel centres.
+A point lies in bone if the interpolated surface distance is negative. To find its layer, the second
+distance is interpolated once per layer, with a negative sign in the voxels of other layers. The
+layer with the largest result is chosen. Far from the surface, and far from every change of layer,
+the value of the nearest voxel is used. Lengths are in voxels.
 """
 
 import warp as wp
@@ -14,30 +15,30 @@ from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, 
 __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 
 SURFACE_STEPS = 63
-"""Stored steps of the surface distance per voxel.
+"""Number of stored steps per voxel of surface distance.
 
-The distance is limited to two voxels; 128 is the surface itself.
+The stored distance is limited to two voxels. The value 128 is the surface itself.
 """
 BEYOND = 128 + 32
-"""Lower limit of the stored surface distance where there is no brick.
+"""Lower limit of the stored surface distance where no brick (block of voxels) is stored.
 
-It is half a voxel outside, as beyond the face of a grid that is full to its edge. Next to a voxel
-that is farther out, it is one voxel more than the distance of that voxel.
+The limit is half a voxel outside the bone, as next to a grid whose outermost voxels are full. Next
+to a voxel that is farther from the bone, the distance of that voxel plus one voxel is used.
 """
 CORNERS = wp.constant(8)
-# stored surface distance of 1.78 voxels inside: no corner of a cell lies outside
+# stored surface distance of 1.78 voxels inside: all corners of a cell lie inside the bone
 DEEP = wp.constant(128 - 112)
-AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner of a cell lies inside
+AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner lies in bone
 # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
 FAR = wp.constant(226)
 
 
 @wp.struct
 class Bone:
-    """The bone at a point before any cut."""
+    """Properties of the uncut bone at a point."""
 
-    distance: wp.float32  # signed distance to the original surface [voxel], -2 where it is deeper
-    slope: wp.vec3  # gradient of the distance, 0 where it is deeper
+    distance: wp.float32  # signed distance to the original surface [voxel], -2 for deeper points
+    slope: wp.vec3  # gradient of the distance, 0 for deeper points
     layer: wp.int32
     density: wp.float32  # [kg/m3]
 
@@ -51,7 +52,10 @@ def bone_at(
     column: int,
     point: wp.vec3,
 ):
-    """Return the bone at ``point`` [voxel] in the voxel of brick ``row`` and place ``column``."""
+    """Return the uncut bone at ``point`` [voxel].
+
+    The point lies in the voxel with index ``column`` in the brick with index ``row``.
+    """
     word = material[row, column]
     near = int(nearby[row, column])
     found = Bone()
@@ -118,9 +122,9 @@ def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: B
     """Return layer and density at a point whose eight voxels lie in several layers.
 
     ``stored`` holds the distances of each voxel to the nearest change of layer (upper byte) and to
-    the surface (lower byte), ``words`` its density (upper 16 bits) and layer (lower byte), or -1
-    where no brick is. The bits are read here in place, since a call of `layer_of` for each of 64
-    pairs costs time.
+    the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer (lower byte)
+    of each voxel, or -1 where no brick is stored. The bits are read without a call of `layer_of`,
+    because 64 calls would take too long.
     """
     found = nearest
     far = corner8f()
@@ -134,7 +138,7 @@ def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: B
         whole += far[c]
     # Below any share: distances are at most 255 each.
     best = float(-1.0e6)
-    done = int(0)  # one bit a corner whose layer has been looked at
+    done = int(0)  # one bit for each corner whose layer has been checked
     for c in range(CORNERS):
         if words[c] >= 0 and (done & (1 << c)) == 0:
             layer = words[c] & 255

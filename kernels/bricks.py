@@ -1,9 +1,9 @@
-"""Layout of brick storage, the functions every brick kernel shares, and sampling of points.
+"""Storage of voxels in bricks, shared functions of the kernels that use bricks, and point sampling.
 
-A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored.
+A voxel grid is divided into bricks of 8 x 8 x 8 voxels. Only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to its row in the stored arrays, -1 where nothing is
-stored. Inside a row the 64 blocks of 2 x 2 x 2 voxels follow each other, so the voxels at a tool's
-surface lie close together in memory. Lengths are in voxels: a point at ``x`` metres lies at
+stored. A row consists of 64 consecutive blocks of 2 x 2 x 2 voxels. Voxels that are close together
+are therefore also close together in memory. Lengths are in voxels: a point at ``x`` metres lies at
 ``(x - origin) / spacing``.
 
 The original material of a voxel is stored in one word: density [kg/m3] in the upper 16 bits, layer
@@ -36,14 +36,14 @@ __all__ = [
     "voxel_row",
 ]
 
-BRICK = 8  # voxels along an edge; three bits of a coordinate are the place in its brick
+BRICK = 8  # voxels along an edge; the lowest three bits of a coordinate are the position in a brick
 BRICK_VOXELS = BRICK**3
 corner8i = wp.types.vector(length=8, dtype=wp.int32)
 corner8f = wp.types.vector(length=8, dtype=wp.float32)
 FULL = 65535
 """Stored value of a voxel that is wholly filled."""
 LOST, REACHED = 1, 2
-"""Flags of a brick: it has lost material; a tool has reached it, so that it may have changed."""
+"""Flags of a brick: LOST if it has lost material, REACHED if a tool may have changed it."""
 
 
 @wp.func
@@ -65,22 +65,22 @@ def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
 
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
-    """Return the place of voxel (ix, iy, iz) inside its brick's row."""
-    # Of the three bits of a coordinate in its brick, the upper two number its block and the lowest
-    # its place in the block.
+    """Return the index of voxel (ix, iy, iz) in the row of its brick."""
+    # A coordinate in a brick has three bits. The upper two bits number the block, and the lowest
+    # bit is the position in the block.
     block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
     return (block << 3) | ((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1)
 
 
 @wp.func
 def layer_of(word: wp.uint32):
-    """Return the layer in a voxel's material word."""
+    """Return the layer from a voxel's material word."""
     return int(word & wp.uint32(255))
 
 
 @wp.func
 def density_of(word: wp.uint32):
-    """Return the density [kg/m3] in a voxel's material word."""
+    """Return the density [kg/m3] from a voxel's material word."""
     return int(word >> wp.uint32(16))
 
 
@@ -104,10 +104,10 @@ def stored(
 class Cell:
     """The cell between eight voxel centres that holds a point."""
 
-    x: wp.int32  # its voxel with the lowest indices
+    x: wp.int32  # voxel with the lowest indices in the cell
     y: wp.int32
     z: wp.int32
-    inside: wp.vec3  # place in it, 0 to 1 along each axis
+    inside: wp.vec3  # position in the cell, 0 to 1 along each axis
 
 
 @wp.func
@@ -131,16 +131,19 @@ class Corners:
     Bit 2 of a corner's number is its x, bit 1 its y, bit 0 its z.
     """
 
-    row: corner8i  # of its brick, -1 where none is stored
-    column: corner8i  # its place there
+    row: corner8i  # row of the corner's brick, -1 if no brick is stored
+    column: corner8i  # index of the corner in this row
 
 
 @wp.func
 def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
-    """Find the storage locations of a cell's corners, one of which lies in the brick of ``row``."""
+    """Find the storage locations of a cell's corners.
+
+    At least one corner lies in the brick of ``row``.
+    """
     found = Corners()
-    # The same bits as in `voxel_column`, once an axis and side of the cell instead of once a
-    # corner.
+    # These are the bits of `voxel_column`. They are computed once per axis and side of the cell,
+    # instead of once per corner.
     x0 = ((cell.x & 6) << 6) | ((cell.x & 1) << 2)
     y0 = ((cell.y & 6) << 4) | ((cell.y & 1) << 1)
     z0 = ((cell.z & 6) << 2) | (cell.z & 1)
@@ -192,9 +195,9 @@ def trilinear(
 
 @wp.struct
 class Plane:
-    """Direction of a plane, as the constants used by `cube_behind_plane`."""
+    """Direction of a plane, stored as the constants that `cube_behind_plane` needs."""
 
-    m1: wp.float32  # |normal| components, ascending, scaled to sum 1
+    m1: wp.float32  # |components| of the normal, ascending, scaled to a sum of 1
     m2: wp.float32
     m3: wp.float32
     scale: wp.float32  # 1 / (|nx| + |ny| + |nz|)
@@ -209,8 +212,8 @@ def plane_of(normal: wp.vec3):
     y = wp.abs(normal[1])
     z = wp.abs(normal[2])
     plane = Plane()
-    # 1e-6 is for a vanishing normal. Components below 1e-4 are raised to it to avoid divisions by
-    # zero; this changes the volume by less than 2e-4.
+    # The sum is at least 1e-6, in case the normal is zero. Components below 1e-4 are set to 1e-4 to
+    # avoid a division by zero. This changes the volume by less than 2e-4.
     plane.scale = 1.0 / wp.max(x + y + z, 1.0e-6)
     plane.m1 = wp.max(wp.min(x, wp.min(y, z)) * plane.scale, 1.0e-4)
     plane.m3 = wp.max(wp.max(x, wp.max(y, z)) * plane.scale, 1.0e-4)
@@ -224,14 +227,14 @@ def plane_of(normal: wp.vec3):
 def cube_behind_plane(plane: Plane, distance: float):
     """Compute the volume of the part of the unit cube behind a plane.
 
-    The plane passes ``distance`` behind the cube's centre.
+    The plane lies ``distance`` behind the cube's centre.
 
     Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228, analytic relation for a plane and a
     cube.
     """
     whole = 0.5 - distance * plane.scale
-    # The volume on the smaller side; the cases below differ in the corners of the cube that lie on
-    # it.
+    # Compute the volume on the smaller side of the plane. The cases below differ in the number of
+    # corners of the cube on this side.
     a = wp.min(whole, 1.0 - whole)
     if a <= 0.0:
         return wp.where(whole > 0.5, 1.0, 0.0)

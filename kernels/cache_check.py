@@ -23,9 +23,12 @@ MANIFEST = "checksums.json"
 The checksums were computed when the files were first seen.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
-"""Endings of the files that Warp loads; Warp writes sources only for readers."""
+"""Suffixes of the files that Warp loads. The source files in an entry are not loaded."""
 BUILDING = re.compile(r"_p\d+_t\d+$")
-"""End of the name of a folder that a process compiles into; Warp renames it when it is whole."""
+"""End of the name of a folder in which a compilation is in progress.
+
+Warp renames the folder when the compilation is complete.
+"""
 ELF_MAGIC = b"\x7fELF\x02\x01"
 """First bytes of a little-endian 64-bit ELF object."""
 
@@ -35,7 +38,7 @@ def remove_damaged(cache: Path) -> list[str]:
 
     An entry is damaged if a file differs from its checksum. A file without a checksum is new: it is
     damaged if its structure is incomplete, and otherwise its checksum is recorded. A cache that
-    cannot be read or written is left as it is, because Warp reports that itself.
+    cannot be read or written is not changed, because Warp reports this error itself.
     """
     removed = []
     with suppress(OSError):
@@ -49,7 +52,7 @@ def remove_damaged(cache: Path) -> list[str]:
 
 
 def _is_whole(entry: Path) -> bool:
-    """Return whether the files of an entry are as they were written."""
+    """Return whether the files of an entry are undamaged."""
     known = _read_manifest(entry / MANIFEST)
     found: dict[str, str] = {}
     for file in sorted(entry.iterdir()):
@@ -58,7 +61,7 @@ def _is_whole(entry: Path) -> bool:
         if not file.is_file():
             return False
         content = file.read_bytes()
-        # 16 bytes: damage that keeps the checksum has a chance of 1 in 2^128.
+        # 16 bytes: the probability that damage does not change the checksum is 1 in 2^128.
         found[file.name] = blake2b(content, digest_size=16).hexdigest()
         if file.name in known and known[file.name] != found[file.name]:
             return False
@@ -70,7 +73,7 @@ def _is_whole(entry: Path) -> bool:
 
 
 def _is_complete(ending: str, content: bytes) -> bool:
-    """Return whether a file of a new entry has the structure of its kind from beginning to end."""
+    """Return whether a file of a new entry has the complete structure of its file type."""
     if not content:
         return False
     if ending == ".meta":
@@ -83,8 +86,8 @@ def _is_complete(ending: str, content: bytes) -> bool:
         return False
     # An ELF header of 64 bits has 64 bytes.
     if content.startswith(ELF_MAGIC) and len(content) >= 64:
-        # The section table ends the file: offset at byte 40, size and number of its rows at bytes
-        # 58 and 60.
+        # The section table is the last part of the file. Its offset is at byte 40, the size of a
+        # row at byte 58, and the number of rows at byte 60.
         (table_offset,) = struct.unpack_from("<Q", content, 40)
         row_size, row_count = struct.unpack_from("<HH", content, 58)
         return table_offset + row_size * row_count <= len(content)
@@ -102,7 +105,7 @@ def _read_manifest(file: Path) -> dict[str, str]:
 
 def _write_manifest(file: Path, checksums: dict[str, str]) -> None:
     """Write the checksums atomically, so that another process never reads part of the file."""
-    # 48 random bits: two processes have different temporary files.
+    # 48 random bits in the name: two processes never use the same temporary file.
     temporary = file.with_name(f"{uuid4().hex[:12]}-{MANIFEST}")
     with suppress(OSError):
         temporary.write_text(json.dumps(checksums), "utf-8")

@@ -1,23 +1,25 @@
 """Carving of the voxels that a moving surface of revolution sweeps.
 
-The smallest distance between a voxel's centre and the tool so far is kept for every voxel. The
-remaining volume of a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the volume of
-its cube behind the tool's surface. A minimum is idempotent and commutes, so overlapping cuts give
-the same bone in any order. It is exact where an old and a new surface are parallel. Where they
-cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
-voxels.
+For every voxel, the smallest distance so far between its centre and the tool is stored. The
+remaining volume of a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the part of the
+voxel behind the tool's surface. A minimum is idempotent and commutes, so overlapping cuts give the
+same bone in any order. The minimum is exact where an old and a new surface are parallel. Where the
+two surfaces cross at a right angle, the remaining volume is on average a twelfth of a voxel too
+large. All lengths are in voxels.
 
-Every voxel also keeps its smallest distance to older cuts. When the tool comes within reach of a
-block, all cuts so far become older cuts. Behind a moving tool, a cut becomes an older cut after
-another 0.25 to 0.5 mm of travel. In front of it, older cuts are updated only after a change of
-direction. Older cuts therefore never reach the front of a moving tool. The cuts since then follow
-from the tool's last poses, see `kernels.recent_cuts`.
+For every voxel, the smallest distance to older cuts is also stored. Older cuts are all cuts except
+the most recent ones. When the tool comes within reach of a block, all cuts in the block become
+older cuts. Behind a moving tool, a cut becomes an older cut after another 0.25 to 0.5 mm of travel.
+In front of a moving tool, older cuts are updated only after a change of direction. Older cuts
+therefore never reach the front of a moving tool. The most recent cuts are computed from the tool's
+last poses, see `kernels.recent_cuts`.
 
-Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
-spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
-blocks of 2 x 2 x 2 voxels that are empty or that the surface cannot reach are skipped. Each worker
-owns whole columns of bricks and its own booking row. There are no atomics, and the results are the
-same integers on any number of threads.
+Each brick (block of 8 x 8 x 8 voxels) belongs to one of ``PHASES`` groups. A kernel launch visits
+only some of the groups, so that the carving of a slow tool is spread over several ticks. The pose
+of the last visit is stored for every group. Inside a brick, blocks of 2 x 2 x 2 voxels that are
+empty or that the surface cannot reach are skipped. Each worker processes whole columns of bricks
+and counts the removed volume in its own row. There are no atomic operations, and the results are
+the same integers on any number of threads.
 """
 
 import warp as wp
@@ -40,29 +42,29 @@ __all__ = [
 
 wp.set_module_options({"enable_backward": False})
 
-# Number of groups; a power of two, so that the remainder is one instruction.
+# Number of groups of bricks. It is a power of two, so that a remainder takes one instruction.
 PHASES = 32
-# The group of a brick is the remainder of its indices times these factors. Under a disc of 10
-# bricks in any plane of the grid, a group then has at most 5 bricks, with factors of 1 up to 10.
-# Neighbours are visited at almost the same pose, which larger factors would not grant.
+# The group of a brick is the remainder of its indices times these factors. With factors of 1 to 10,
+# a group has at most 5 bricks under a disc of 10 bricks in any plane of the grid. Larger factors
+# are not used, because neighbouring bricks must be visited at almost the same pose.
 ALONG_X = 3
 ALONG_Y = 2
 REMAINDER = wp.constant(PHASES - 1)
-OLDER_ROW = wp.constant(1 + PHASES)  # first row of poses at which cuts became older cuts
-# Places in the plan of a launch.
+OLDER_ROW = wp.constant(1 + PHASES)  # first row of the poses at which cuts became older cuts
+# Indices into the plan of a kernel launch.
 FIRST = 0  # first group
 COUNT = 1  # number of groups
 BINARY = 2  # 1 for binary removal
 EVERY_SIDE = 3  # 1 to carve also the bricks and blocks behind a moving tool
 ORIGIN = 4  # group of the first brick
-MOVED = 5  # one bit a group, 1 where its cuts become older cuts
-TURNED = 6  # one bit a group, 1 where its cuts become older cuts also in front of the tool
-PLAN = 7  # number of places
+MOVED = 5  # one bit per group, 1 if its cuts become older cuts
+TURNED = 6  # one bit per group, 1 if this also holds in front of the tool
+PLAN = 7  # number of entries
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
+LONGEST_STEP = wp.constant(1.0)  # upper bound of the motion between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
-# A block lies behind a tool of 8 voxels' radius if the surface in its middle faces away from the
-# motion by more than the normal turns over the block.
+# Test whether a block lies behind a tool with a radius of 8 voxels: the surface in the middle of
+# the block must face away from the motion by more than the normal turns within the block.
 BEHIND = wp.constant(0.2)
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
@@ -71,8 +73,8 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    # row 0 now, row 1 + g last visit of group g, row OLDER_ROW + g where the cuts of group g last
-    # became older cuts: tip xyz [voxel], axis xyz
+    # Rows of tip xyz [voxel] and axis xyz. Row 0: present pose. Row 1 + g: pose at the last visit
+    # of group g. Row OLDER_ROW + g: pose at which cuts of group g last became older cuts.
     pose: wp.array2d(dtype=wp.float64),
     plan: wp.array(dtype=wp.int64),  # see FIRST
     worker_offset: int,
@@ -82,16 +84,16 @@ def carve(
     material: wp.array2d(dtype=wp.uint32),
     # out
     remaining_out: wp.array2d(dtype=wp.uint16),
-    # distance to the solid that the tool has swept, see `swept_steps`
+    # distance to the volume that the tool has swept, see `swept_steps`
     swept_out: wp.array2d(dtype=wp.uint16),
     middle_out: wp.array2d(dtype=wp.uint16),  # distance to the cuts up to the last `book`
     older_out: wp.array2d(dtype=wp.uint16),  # distance to older cuts
-    # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
+    # [brick], one bit for each block of 2 x 2 x 2 voxels that may hold material
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),  # [brick], flags LOST and REACHED are added
-    removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
+    removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed in this launch
 ):
-    """Carve the planned groups.
+    """Carve the planned groups of bricks.
 
     Each worker takes every ``worker_count``-th column of bricks under the tool.
     """
@@ -117,7 +119,7 @@ def carve(
         column += worker_count
         before = int(plan[ORIGIN]) + ALONG_X * bx + ALONG_Y * by + low[2]
         for visit in range(int(plan[COUNT])):
-            # The bricks of a group are PHASES apart along z.
+            # Along z, the distance between two bricks of a group is PHASES bricks.
             group = (int(plan[FIRST]) + visit) & REMAINDER
             bz = low[2] + ((group - before) & REMAINDER)
             while bz <= high[2]:
@@ -169,7 +171,7 @@ def carve_brick(
 ):
     """Carve one brick, block by block.
 
-    The direction of the tool's surface is evaluated once a block.
+    The direction of the tool's surface is evaluated once per block.
     """
     alive = alive_out[row]
     if alive == wp.uint64(0):
@@ -181,16 +183,17 @@ def carve_brick(
     touched_out[row] = touched_out[row] | wp.uint8(REACHED)
     step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
     moved = wp.length(step)
-    kink = 1.0 / tool.cells_per_voxel  # next to a kink a slope is taken across a cell of the table
-    # Blocks behind a moving tool were carved before: skipping them saves time only. Over a block,
-    # the normal of a tool of 8 voxels' radius turns by 12 degrees, over a brick that of 24 by 17
-    # degrees. The whole block faces backward below -0.25 (104 degrees), the whole brick below -0.7
+    kink = 1.0 / tool.cells_per_voxel  # near a kink, the slope spans one cell of the table
+    # Blocks behind a moving tool have been carved already, so they are skipped to save time. Within
+    # a block, the normal of a tool with a radius of 8 voxels turns by 12 degrees. Within a brick,
+    # the normal of a tool with a radius of 24 voxels turns by 17 degrees. The whole block faces
+    # backward if the cosine is below -0.25 (104 degrees), and the whole brick if it is below -0.7
     # (134 degrees).
     skip_behind = plan[EVERY_SIDE] == wp.int64(0) and tool.round == 1 and tool.radius > 8.0
     has_moved = int((plan[MOVED] >> wp.int64(group)) & wp.int64(1))
     has_turned = int((plan[TURNED] >> wp.int64(group)) & wp.int64(1))
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
-        # The whole brick lies behind a tool that leaves it.
+        # The tool moves away, and the whole brick lies behind it.
         if has_moved == 1:
             for block in range(64):
                 book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
@@ -209,11 +212,11 @@ def carve_brick(
             y = ((block >> 2) & 3) * 2
             z = (block & 3) * 2
             shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
-            # The distance to a convex tool lies above its tangent: three products exclude most
-            # outer blocks.
+            # The distance to a convex tool is larger than its linear approximation. This test takes
+            # three products and excludes most outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
-                # Bone in front of the tool has not been cut, unless the tool returns.
+                # Bone in front of the tool has not been cut, unless the tool has been here before.
                 lies_behind = wp.dot(near.slope, back) > BEHIND * travel
                 grows_old = wp.where(lies_behind, has_moved, has_turned)
                 enters_reach = int(0)
@@ -270,10 +273,10 @@ def book(
     middle_out: wp.array2d(dtype=wp.uint16),
     older_out: wp.array2d(dtype=wp.uint16),
 ):
-    """Turn cuts in a block into older cuts.
+    """Mark cuts in a block as older cuts.
 
-    With ``grows_old``, these are the cuts up to the previous call for the block. With
-    ``enters_reach``, these are all cuts so far.
+    If ``grows_old`` is set, the cuts up to the previous call for the block are marked. If
+    ``enters_reach`` is set, all cuts so far are marked.
     """
     for v in range(8):
         voxel = first + v
@@ -296,7 +299,7 @@ def clear_block(
     older_out: wp.array2d(dtype=wp.uint16),
     removed_out: wp.array2d(dtype=wp.int64),
 ):
-    """Remove a block that lies inside the tool as a whole."""
+    """Remove a block that lies completely inside the tool."""
     for v in range(8):
         voxel = first + v
         kept = int(remaining_out[row, voxel])
@@ -317,24 +320,24 @@ def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the part of the tool's `bend` that its swept surface lacks.
+    """Compute the difference between the `bend` of the tool and that of the surface that it sweeps.
 
-    It is the curvature along ``step`` where the tool slides, else 0. The swept volume is straight
-    along the path. Its surface touches the tool's where the tool's normal is perpendicular to the
-    path, here within a voxel.
+    The swept surface is straight along the path of the tool. It touches the tool where the tool's
+    normal is perpendicular to the path. There, the difference is the curvature along ``step``.
+    Elsewhere it is 0. Perpendicular means within one voxel.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
         return float(0.0)
-    # 6 times `bend` is the sum of both principal curvatures: around the axis and along the profile.
-    # Half a voxel bounds the curvature on the axis.
+    # 6 times `bend` is the sum of the two principal curvatures, around the axis and along the
+    # profile. The lower limit of half a voxel for the radius limits the curvature on the axis.
     outward = offset - wp.dot(offset, axis) * axis
     radius = wp.max(wp.length(outward), 0.5)
     around = wp.dot(near.slope, outward) / (radius * radius)
     meridional = wp.max(6.0 * near.bend - around, 0.0)
     part = wp.dot(wp.cross(axis, outward), step) / (radius * length)
     along = meridional + (around - meridional) * part * part
-    # The normal is not perpendicular to the path within a voxel.
+    # The normal is not perpendicular to the path, within one voxel.
     if wp.abs(wp.dot(near.slope, step)) > wp.abs(along) * length:
         return float(0.0)
     return along / 6.0
@@ -362,7 +365,7 @@ def carve_block(
         offset = corner_offset(v)
         distance = distance_at(near, offset)
         facing = plane
-        # the mean over a voxel exceeds its centre's distance by this
+        # mean distance over a voxel, minus the distance of its centre
         curving = 0.25 * (near.bend - flat)
         if near.bend >= EDGE:
             curving = float(0.0)
@@ -401,14 +404,14 @@ def distance_at(near: Nearest, offset: wp.vec3):
     The tool is approximated by a tangent sphere.
     """
     along = wp.dot(near.slope, offset)
-    # The sphere's curvature is half of 6 bend, and distance grows by half of it times the square of
-    # the offset across the normal; voxel centres lie sqrt(0.75) from the middle.
+    # The sphere's curvature is half of 6 bend. The distance grows by half of this curvature times
+    # the square of the offset across the normal. Voxel centres lie sqrt(0.75) from the middle.
     return near.distance + along + 1.5 * near.bend * (0.75 - along * along)
 
 
 @wp.func
 def swept_steps(distance: float):
-    """Convert a distance [voxel] to the stored distance to the swept solid."""
-    # 4096 steps a voxel around 32768, up to 8 voxels; 65535 is kept free for a voxel that was never
-    # near.
+    """Convert a distance [voxel] to the stored distance to the swept volume."""
+    # 4096 steps per voxel, with 32768 for zero, up to 8 voxels. 65535 is reserved for voxels that
+    # the tool has never been near.
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

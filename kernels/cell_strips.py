@@ -1,21 +1,21 @@
 """Matrix-free product of a voxel body's stiffness with a vector, eight cells of a row at once.
 
-Each cell is eight cubes, each with its own Lame constants times volume, that are summed at their
-centres: at 1/4 and 3/4 of the cell's edges. In the sums and differences of the corners ("modes") of
-a component u_c along the three axes, X, Y, Z, XY, XZ, YZ and XYZ, the gradient at the cube of signs
-(r, s, t) is::
+Each cell consists of eight cubes. Each cube has its own Lame constants times volume, and is
+evaluated at its centre, at 1/4 or 3/4 of the cell's edges. The "modes" X, Y, Z, XY, XZ, YZ and XYZ
+of a displacement component u_c are sums and differences of its corner values along the three axes.
+With the modes, the gradient at the cube with the signs (r, s, t) is::
 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
-which 8 additions give for all four (s, t); the forces follow from the transposed additions. The
-modes that one point does not see are added, as in :mod:`kernels.particle_stiffness`. A cell costs
-17 numbers and about 500 operations; its packed stiffness has 324 numbers. The product is therefore
-limited by arithmetic and not by memory.
+This takes 8 additions for all four (s, t). The forces follow from the transposed additions. One
+point per cube does not resolve all modes. Stiffness against the unresolved modes is added, as in
+:mod:`kernels.particle_stiffness`. A cell needs 17 numbers and about 500 operations, and its packed
+stiffness would need 324 numbers. The product is therefore limited by arithmetic and not by memory.
 
-A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight
-nodes below and the eight above a strip's corner are eight numbers in a row each. Strips of pencils
-of one colour share no node and every thread works through one pencil. The result has the same bits
-on any number of threads.
+A strip consists of eight cells in a row along z, and a pencil consists of strips. Vectors have the
+layout of `LaneVector`: at each corner edge of a strip, the eight lower nodes of its cells are eight
+consecutive numbers, and so are the eight upper nodes. Strips of pencils of one colour share no
+node, and each thread processes one pencil. The result has the same bits on any number of threads.
 """
 
 from functools import cache
@@ -26,12 +26,12 @@ import warp as wp
 __all__ = ["LANES", "WEIGHTS", "lanes_of", "strip_products"]
 
 LANES = 8
-"""Cells of a strip."""
+"""Number of cells in a strip."""
 WEIGHTS = 17
-"""Numbers stored per cell.
+"""Number of values stored per cell.
 
-They are lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen modes times h /
-12.
+The values are lambda and mu of the cell's eight cubes, times V / 16 h^2, and the modulus of the
+unresolved modes, times h / 12.
 """
 OPTIONS = {
     "enable_backward": False,
@@ -40,24 +40,25 @@ OPTIONS = {
     "-mllvm=-inline-cold-callsite-threshold=3000"
     " -mllvm=-slp-recursion-max-depth=12",
 }
-"""Module options of Warp: its own flags, except the recursion depth.
+"""Module options of Warp: Warp's default flags, except the recursion depth.
 
-The default depth of 4 takes 2.5 times as long. ``native`` is safe in a cache that machines share,
-because Warp names every compiled file by the instruction sets of its processor.
+With the default depth of 4, the kernel takes 2.5 times as long. ``native`` is safe in a cache that
+machines share, because the name of every compiled file contains the instruction sets of the
+processor.
 """
 
 
 @cache
 def lanes_of(scalar: Any) -> Any:
-    """Return the type of a strip's eight numbers."""
+    """Return the vector type for one value per cell of a strip."""
     return wp.types.vector(length=LANES, dtype=scalar)
 
 
 @wp.func
 def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
-    """Compute X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners.
+    """Compute the modes X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ from corner values.
 
-    They are sums and differences along z, then y, then x.
+    The modes are sums and differences along z, then y, then x.
     """
     s00 = a0 + a1
     d00 = a1 - a0
@@ -106,9 +107,9 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """Compute a derivative in four cubes from its modes.
+    """Compute a derivative in four cubes from the modes of the displacement.
 
-    The cubes are (-, -), (-, +), (+, -) and (+, +) of the two axes across.
+    The cubes are (-, -), (-, +), (+, -) and (+, +) along the other two axes.
     """
     low = linear - first
     high = linear + first
@@ -127,19 +128,19 @@ def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
 
 @cache
 def strip_products(scalar: Any) -> Any:
-    """Return the kernel that adds the product to a force, in single or double precision.
+    """Return a kernel that adds the product to a force, in single or double precision.
 
-    Single precision is `wp.float32`.
+    The scalar type is `wp.float32` or `wp.float64`.
     """
     V = lanes_of(scalar)
     half, quarter, two = scalar(0.5), scalar(0.25), scalar(2.0)
-    # Energy of the gradients of XYZ in a full cell of unit Lame constants, over the weight w of the
-    # other modes.
+    # Energy of the gradients of XYZ in a full cell with Lame constants of 1, divided by the weight
+    # w of the other modes.
     trilinear = scalar(20.0 / 3.0)
 
     @wp.func
     def put(values: wp.array(dtype=V), at: int, linear: V, first: V, second: V, both: V):
-        """Write a derivative in its four cubes."""
+        """Write a derivative in four cubes."""
         v0, v1, v2, v3 = to_cubes(linear, first, second, both)
         values[at] = v0
         values[at + 1] = v1
@@ -148,7 +149,7 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
-        """Compute the modes of a stress that is summed across an axis.
+        """Sum a stress along an axis and compute the modes of the sum.
 
         `across`, `first` and `second` are the steps in ``stress`` along that axis and the other
         two.
@@ -168,9 +169,9 @@ def strip_products(scalar: Any) -> Any:
         gradient_out: wp.array(dtype=V),
         mode_out: wp.array(dtype=V),
     ):
-        """Write the gradients of a strip's cubes and the unseen modes, from the strip's corners.
+        """Compute gradients and unresolved modes of a strip from the corner values.
 
-        The unseen modes are those that one point per cube does not see.
+        Unresolved modes are the modes that one point per cube does not resolve.
         """
         for c in range(3):
             x, y, z, xy, xz, yz, xyz = modes_of(
@@ -202,7 +203,7 @@ def strip_products(scalar: Any) -> Any:
         gradient: wp.array(dtype=V),
         stress_out: wp.array(dtype=V),
     ):
-        """Write the stress of a strip's cubes from their gradients, both times their weights."""
+        """Compute the weighted stress of a strip's cubes from their gradients."""
         for cube in range(8):
             across_x = cube & 3
             across_y = 4 + ((cube >> 2) << 1) + (cube & 1)
@@ -223,9 +224,10 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_unseen(w: V, mode_out: wp.array(dtype=V)):
-        """Convert the modes that one point does not see into their forces.
+        """Convert the unresolved modes to the forces on these modes.
 
-        First the strains linear in x, y or z, then in two of them.
+        Strains that are linear in one of x, y and z come first, then strains that are linear in
+        two.
         """
         in_x = mode_out[4] + mode_out[9]
         in_y = mode_out[0] + mode_out[10]
@@ -255,7 +257,8 @@ def strip_products(scalar: Any) -> Any:
     ):
         """Add the forces of a strip's corners: the transpose of `set_gradient`."""
         for c in range(3):
-            # the stress on each axis, where xx, xy and xz are in places 0, 5 and 4 and so on
+            # indices of the stress along each axis; for c = 0, xx, xy and xz have the indices 0, 5
+            # and 4
             across_x = wp.where(c == 0, 0, 6 - c)
             across_y = wp.where(c == 1, 1, 5 - c)
             x, of_xy, of_xz, of_xyz = take(stress, across_x, 24, 12, 6)
@@ -283,16 +286,16 @@ def strip_products(scalar: Any) -> Any:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def products(
         pencils: wp.array(dtype=wp.int32),  # pencils of one colour
-        strip_start: wp.array(dtype=wp.int32),  # [pencil + 1], first strip of each
-        # [strip], of its lowest node in the pencils (0, 0), (0, 1), (1, 0), (1, 1)
+        strip_start: wp.array(dtype=wp.int32),  # [pencil + 1], first strip of each pencil
+        # [strip], slot of the lowest node at the corner edges (0, 0), (0, 1), (1, 0) and (1, 1)
         slot: wp.array(dtype=wp.vec4i),
         weight: wp.array2d(dtype=V),  # [strip, WEIGHTS]
         vector: wp.array2d(dtype=V),  # [component, slot], eight from the slot on
         offset: int,
         # out
-        force_out: wp.array2d(dtype=V),  # [component, slot], eight from the slot on, added to
+        force_out: wp.array2d(dtype=V),  # [component, slot], as above; the product is added
     ):
-        """Compute strain and stress of the cubes and force of the corners, strip by strip."""
+        """Compute strains and stresses of the cubes and forces of the corners, strip by strip."""
         pencil = pencils[wp.tid() + offset]
         gradient = wp.zeros(shape=(36,), dtype=V)  # [component, axis, cubes across it]
         mode = wp.zeros(shape=(12,), dtype=V)  # [component, (XY, XZ, YZ, XYZ)], then their forces

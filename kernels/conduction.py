@@ -1,13 +1,14 @@
-"""Heat conduction on a rectilinear grid of partly filled cells, one explicit step.
+"""Explicit time step of heat conduction on a rectilinear grid of partly filled cells.
 
-Finite volumes. Between two cells with filled fractions f and g a share of the face conducts::
+The method is finite volumes. Between two cells with filled fractions f and g, the share a of the
+face conducts heat::
 
     C f dT/dt = sum over faces of G a (T_neighbour - T) + P,    a = min(max(f, g), 2 min(f, g))
 
-The share is 1 between a full cell and one that is half full, since a cut surface that lies parallel
-to the face leaves the face open. It vanishes with the smaller of both cells, so that a sliver does
-not shorten the step. An empty cell neither stores nor conducts heat: the surface of the remaining
-body is insulated.
+The share is 1 between a full and a half full cell, because a cut surface parallel to the face
+leaves the face open. The share tends to zero with the smaller filled fraction, so that a thin
+remainder does not shorten the stable time step. An empty cell does not store or conduct heat, so
+the surface of the remaining body is insulated.
 """
 
 import warp as wp
@@ -19,7 +20,7 @@ wp.set_module_options({"enable_backward": False})
 OPEN = wp.constant(2.0)
 """Share of a face that conducts, per filled fraction of the emptier cell.
 
-The stable step is shorter by this factor.
+The stable time step is shorter by this factor.
 """
 
 
@@ -34,18 +35,18 @@ def conduct(
     # state
     temperature: wp.array3d(dtype=wp.float32),  # rise [K]
     filled: wp.array3d(dtype=wp.float32),  # fraction of the cell that holds material
-    # conductance between a cell and the next one [W/K], both full
+    # conductance between a cell and the next one along an axis [W/K], if both are full
     along_x: wp.array3d(dtype=wp.float32),
     along_y: wp.array3d(dtype=wp.float32),
     along_z: wp.array3d(dtype=wp.float32),
-    heat_capacity: wp.array3d(dtype=wp.float32),  # of the full cell [J/K]
+    heat_capacity: wp.array3d(dtype=wp.float32),  # heat capacity of the full cell [J/K]
     power: wp.array3d(dtype=wp.float32),  # heat put into the cell [W]
     step_s: float,
     plane_offset: int,
     # out
     temperature_out: wp.array3d(dtype=wp.float32),
 ):
-    """Compute the temperature rise one step later."""
+    """Compute the temperature rise after one time step."""
     i, j, m = wp.tid()
     i += plane_offset
     f = filled[i, j, m]

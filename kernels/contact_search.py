@@ -1,6 +1,7 @@
 """Search for the triangles that take part in a contact.
 
-They are the triangles nearby, those that carry force, and those that the tool enters.
+These are the triangles near the tool, the triangles that carry force, and the triangles that the
+tool penetrates.
 """
 
 import warp as wp
@@ -43,7 +44,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 SLACK = wp.constant(wp.float64(1.25))
 """Largest growth of a triangle, relative to its size at rest, that the contact search allows for.
 
-Parts of a triangle that has grown more may be overlooked.
+Contact with parts of a triangle that has grown more may be missed.
 """
 
 
@@ -51,10 +52,10 @@ Parts of a triangle that has grown more may be overlooked.
 def find_near(
     # body
     centre: wp.array(dtype=wp.vec3d),  # [triangle], at rest [m]
-    radius: wp.array(dtype=wp.float64),  # [triangle], of the ball around it [m]
+    radius: wp.array(dtype=wp.float64),  # [triangle], radius of the ball around it [m]
     # tool
     kind: int,
-    # [m]; of a shell: radius of the ball around it and its centre's height above the tip
+    # [m]; of a shell: radius of the enclosing ball, height of its centre above the tip
     size: wp.vec2d,
     pose_rows: wp.array2d(dtype=wp.float64),
     reach: wp.float64,  # [m]
@@ -64,9 +65,10 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Find the nearby or working triangles, their nodes, and the present positions of those nodes.
+    """Find the nearby or working triangles, the nodes of these triangles, and the nodes' positions.
 
-    A triangle is nearby if its rest position is within reach.
+    A triangle is nearby if its rest position is within reach of the tool. A triangle is working if
+    its contact points are solved in the sweeps.
     """
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
@@ -102,9 +104,10 @@ def find_near(
 
 @wp.func
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
-    """Let a triangle work and return the number of points whose compliance is missing.
+    """Add a triangle to the working ones and return the number of points without compliance.
 
-    The nodes of a working triangle may carry load. Its points know their responses and anchors.
+    The nodes of a working triangle may carry load. Its contact points store their compliance and
+    the place at which friction holds them.
     """
     missing = int(0)
     lists.working[lists.count[WORKING]] = triangle
@@ -151,11 +154,11 @@ def join_touching(
     pose: Pose,
     missing: int,
 ):
-    """Let nearby triangles work that the tool enters.
+    """Add nearby triangles that the tool penetrates to the working ones.
 
-    Return the number of triangles that joined, and of points whose compliance is missing.
+    Return the number of added triangles and the number of points without compliance.
 
-    A tool touches a triangle from the side of the triangle's outward normal.
+    A triangle is only touched from the side of its outward normal.
     """
     joined = int(0)
     lost = int(missing)
@@ -168,7 +171,8 @@ def join_touching(
             pa = body.free[a] + moved_at(patch, patch.slot[a])
             pb = body.free[b] + moved_at(patch, patch.slot[b])
             pc = body.free[c] + moved_at(patch, patch.slot[c])
-            # A shell has no axis to bound the distance by, so every nearby triangle is searched.
+            # A shell has no axis from which the distance could be bounded, so every nearby triangle
+            # is searched.
             close = kind == SHELL
             if not close:
                 middle = (pa + pb + pc) / wp.float64(3.0)
@@ -197,9 +201,9 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild work and loads from the forces that points still carry.
+    """Rebuild the work lists and loads from the forces that contact points carry.
 
-    Return the number of points whose compliance is missing.
+    Return the number of points without compliance.
     """
     for k in range(lists.count[WORKING]):
         lists.working_mark[lists.working[k]] = 0

@@ -1,25 +1,28 @@
 """State and functions shared by the contact kernels.
 
-The state holds a body's surface, its contact points, work lists, and the places in the results.
-The functions give the distance of a tool and the force of one point under Coulomb friction.
+The state consists of a body's surface, its contact points, work lists, and the indices of the
+results. The functions compute the distance to a tool and the force of one point under Coulomb
+friction.
 
-Distance of a probe: signed distance to a tool and the direction in which it grows.
+Distance to the tool: signed distance and its gradient.
 
-A tool's tip is its lowest point and its z axis runs from the tip to the shank. A sphere touches the
-tip. A cylinder ends in a flat face through the tip with a rounded edge and has no upper end. A
-shell is a set of planes; each plane represents the tool around one of its points.
+A tool's tip is its lowest point and its z axis runs from the tip to the shank. The surface of a
+sphere passes through the tip. A cylinder has a flat lower face through the tip, with a rounded
+edge, and no upper end. A shell is a set of planes. Each plane represents the tool's surface around
+one point.
 
 Force of one point: contact force at a point of a compliant body by the laws of Signorini and
 Coulomb. The force keeps the point out of the tool.
 
 W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
-not negative, the force does not pull, and one of them is zero. The tangential force is at most
-``mu`` times the normal force, and reaches that bound only against the slip. Sticking is a linear
-system. Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal force, ``(S + l I) f_t = -r``
-with S the tangential Schur complement. The l with ``|f_t| = mu f_n`` is found by Newton's method on
-the reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998,
-Comput. Methods Appl. Mech. Eng. 155:31, for the sweeps that call this; More and Sorensen 1983 for
-the reciprocals).
+not negative, the force does not pull, and the gap or the force is zero. The tangential force is at
+most ``mu`` times the normal force. If it is equal to this bound, it acts against the slip. Sticking
+is a linear system. Slipping is ``s = -l f_t`` with ``l >= 0``. Elimination of the normal force
+gives ``(S + l I) f_t = -r``, where S is the tangential Schur complement. The l with
+``|f_t| = mu f_n`` is found by Newton's method inside a bracket. Newton's method is applied to the
+reciprocals of the forces, because they are nearly linear in l (More and Sorensen 1983). Jourdan,
+Alart and Jean (1998), Comput. Methods Appl. Mech. Eng. 155:31, describe the sweeps that call this
+function.
 """
 
 import warp as wp
@@ -70,7 +73,7 @@ SHELL = 2
 
 @wp.struct
 class Pose:
-    """Pose of a tool now and one tick ago."""
+    """Pose of a tool in this tick and in the previous tick."""
 
     tip: wp.vec3d  # [m]
     turn: wp.mat33d  # tool to world
@@ -103,8 +106,8 @@ def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
     below = size[1] - height
     direction = -axis
     distance = below - size[1]
-    # Next to the rounded edge the distance is that of its circle, whose centre lies size[1] within
-    # side and face; elsewhere that of the nearer of both.
+    # Near the rounded edge, the distance follows from the circle of the edge. Its centre lies
+    # size[1] inside the side and the face. Elsewhere, the nearer of side and face counts.
     if outside > ZERO and below > ZERO:
         corner = wp.sqrt(outside * outside + below * below)
         distance = corner - size[1]
@@ -126,10 +129,11 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
     11,
     12,
 )
-"""Places in the results, and their size.
+"""Indices into the results, and number of entries.
 
 In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
-contacts, contact area [m2], deepest point and largest displacement [m]; number of entries.
+contacts, contact area [m2], penetration at the deepest point [m], largest displacement [m], number
+of entries.
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 """End states of a solve."""
@@ -137,42 +141,43 @@ DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 
 @wp.struct
 class Body:
-    """Surface of a body, s nodes and f triangles."""
+    """Surface of a body with s nodes and f triangles."""
 
     free: wp.array(dtype=wp.vec3d)  # [node], positions without contact [m]
-    last_free: wp.array(dtype=wp.vec3d)  # [node], positions of the last tick [m]
-    scale: wp.float64  # of the compliance
+    last_free: wp.array(dtype=wp.vec3d)  # [node], positions without contact in the last tick [m]
+    scale: wp.float64  # factor of the compliance
     compliance: wp.array2d(dtype=wp.float64)  # [3 node, 3 node] [m/N]
     corners: wp.array2d(dtype=wp.int32)  # [triangle, 3]
     force: wp.array(dtype=wp.vec3d)  # [node] [N]
-    moved: wp.array(dtype=wp.vec3d)  # [node], displacement of nodes nearby before this tick [m]
+    moved: wp.array(dtype=wp.vec3d)  # [node], displacement of nearby nodes before this tick [m]
 
 
 @wp.struct
 class Points:
     """Contact points and the forces they carry."""
 
-    first: wp.array(dtype=wp.int32)  # [triangle], its first point, -1 for none
+    first: wp.array(dtype=wp.int32)  # [triangle], its first point, -1 if it has no point
     following: wp.array(dtype=wp.int32)  # [point], next point of the triangle, -1 after the last
     weight: wp.array(dtype=wp.vec3d)  # [point], barycentric
     area: wp.array(dtype=wp.float64)  # [point] [m2]
-    tool_point: wp.array(dtype=wp.vec3d)  # [point], of a shell, now [m]
+    tool_point: wp.array(dtype=wp.vec3d)  # [point], present position of a shell's point [m]
     tool_normal: wp.array(dtype=wp.vec3d)
-    force: wp.array(dtype=wp.vec3d)  # [point], on the body [N]
-    # [point], where the tool has carried the point's last place [m]
+    force: wp.array(dtype=wp.vec3d)  # [point], force on the body [N]
+    # [point], its last position, moved along with the tool [m]
     anchor: wp.array(dtype=wp.vec3d)
-    # [point, 5]: of the three nodes and of itself [m/N], and the inverse [N/m]
+    # [point, 5]: compliance of the three nodes and of the point [m/N], and the point's inverse
+    # [N/m]
     response: wp.array2d(dtype=wp.mat33d)
-    ready: wp.array(dtype=wp.int32)  # [point], 1 once the responses are there
+    ready: wp.array(dtype=wp.int32)  # [point], 1 if the compliance is available
 
 
 NEARBY, WORKING, TICK = 0, 1, 2
-"""Places in the counts of `Lists`: nearby triangles, working triangles, ticks."""
+"""Indices into the counts of `Lists`: nearby triangles, working triangles, ticks."""
 
 
 @wp.struct
 class Lists:
-    """Work lists."""
+    """Lists of nearby and working triangles."""
 
     count: wp.array(dtype=wp.int32)  # [3], see NEARBY
     near: wp.array(dtype=wp.int32)  # triangles
@@ -182,7 +187,7 @@ class Lists:
 
 @wp.func
 def pose_of(pose: wp.array2d(dtype=wp.float64)):
-    """Read a pose from rows: tip, rotation, last tip, last rotation."""
+    """Convert rows to a pose: tip, rotation, last tip, last rotation."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
     now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
@@ -215,7 +220,7 @@ def block(body: Body, a: int, b: int):
 @wp.func
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
     """Compute the distance to the tool [m] and its gradient at a contact point."""
-    # A shell is a set of points: the point's own tangent plane stands for it.
+    # A shell is a set of points. The tangent plane at the contact point's own shell point is used.
     if kind == SHELL:
         direction = points.tool_normal[point]
         return wp.dot(place - points.tool_point[point], direction), direction
@@ -223,17 +228,18 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
     return distance, direction
 
 
-# Steps at most. Bisection alone, the fallback, brings a bracket to rounding in 53.
+# Largest number of steps. Bisection, the fallback, reduces a bracket to rounding errors in 53
+# steps.
 NEWTON_STEPS = 60
 EXACT = wp.constant(wp.float64(1e-13))
-"""Relative distance to the friction cone at which slipping is solved."""
+"""Relative distance to the friction cone at which the slipping force counts as solved."""
 TINY = wp.constant(wp.float64(1e-12))
-"""Share of its trace that a compliance gets on its diagonal where a support leaves it singular."""
+"""Diagonal term added to a singular compliance, relative to its trace."""
 
 
 @wp.func
 def safe_inverse(compliance: wp.mat33d):
-    """Invert a compliance, also where the point cannot move in one direction."""
+    """Invert a compliance, also if the point cannot move in one direction."""
     size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -251,10 +257,10 @@ def slipping_force(
 ):
     """Compute the force on the edge of the friction cone.
 
-    Without the force, the gap is ``apart`` < 0 and the tangential slip is ``drift``.
+    With zero force, the gap is ``apart`` < 0 and the tangential slip is ``drift``.
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
-    # A direction within 45 degrees of the normal would lose digits in the cross product.
+    # Use an axis more than 45 degrees from the normal, to avoid cancellation in the cross product.
     if wp.abs(normal[0]) > wp.float64(0.7):
         side = wp.vec3d(ZERO, ONE, ZERO)
     first = wp.normalize(wp.cross(normal, side))
@@ -278,7 +284,7 @@ def slipping_force(
     r0 = wp.dot(along, drift) - a0 * apart * stiff
     r1 = wp.dot(across, drift) - a1 * apart * stiff
     low = wp.float64(0.0)
-    high = wp.float64(-1.0)  # not known yet
+    high = wp.float64(-1.0)  # no upper end yet
     share = wp.float64(0.0)
     f0 = wp.float64(0.0)
     f1 = wp.float64(0.0)
@@ -304,8 +310,8 @@ def slipping_force(
             rise = -bend / (size * size) + tilt / (friction * press * press)
             if rise > ZERO:
                 guess = share - (ONE / size - ONE / (friction * press)) / rise
-        # Outside the bracket: bisect, or go farther while there is no upper end. k0 + k1 gives the
-        # scale.
+        # Outside the bracket: bisect, or increase the value if there is no upper end yet. k0 + k1
+        # sets the scale.
         if guess <= low or (high >= ZERO and guess >= high):
             guess = wp.float64(2.0) * share + k0 + k1
             if high >= ZERO:
@@ -319,16 +325,16 @@ def coulomb_force(
     compliance: wp.mat33d,  # W [m/N]
     inverse: wp.mat33d,
     old: wp.vec3d,  # force that acts now [N]
-    gap: wp.float64,  # with that force [m]
+    gap: wp.float64,  # gap with this force [m]
     normal: wp.vec3d,  # out of the tool
-    slip: wp.vec3d,  # motion relative to the tool since the last tick, with that force [m]
+    slip: wp.vec3d,  # motion relative to the tool since the last tick, with this force [m]
     friction: wp.float64,
 ):
-    """Compute the force [N] that solves the contact while all others stay."""
+    """Compute the force [N] that solves the contact while all other forces are constant."""
     back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()
-    # Without this force the point would lie in the tool.
+    # The point would lie in the tool if this force were zero.
     if apart < ZERO:
         if friction == ZERO:
             normal_compliance = wp.dot(normal, compliance * normal)
@@ -338,7 +344,7 @@ def coulomb_force(
             sideways = slip - wp.dot(slip, normal) * normal
             force = old - inverse * (gap * normal + sideways)
             press = wp.dot(force, normal)
-            # Sticking would pull, or take more than friction can bear.
+            # Sticking would need a pulling force, or a tangential force above the friction limit.
             if press < ZERO or wp.length(force - press * normal) > friction * press:
                 drift = sideways - (back - wp.dot(back, normal) * normal)
                 force = slipping_force(compliance, normal, apart, drift, friction)

@@ -1,4 +1,4 @@
-"""Processor cores that this process may use, the core of a thread, and threads on other cores."""
+"""Queries and limits of processor cores, and threads on cores that the caller does not use."""
 
 import ctypes
 import os
@@ -22,12 +22,12 @@ _most_cores: list[int] = []
 
 
 def limit_cores(count: int) -> None:
-    """Limit this process's work from now on to at most ``count`` cores."""
+    """Limit the later work of this process to at most ``count`` cores."""
     _most_cores[:] = [count]
 
 
 def allowed_cores() -> set[int]:
-    """Return the cores that the calling thread may run on; empty if they are not reported."""
+    """Return the cores that the calling thread may use; empty if they are not reported."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 
 
@@ -60,8 +60,8 @@ def cores_without(core: int | None, allowed: set[int]) -> set[int]:
 class CoreThreads(ThreadPoolExecutor):
     """Threads that share the work of another thread, on other cores than that thread's core.
 
-    A system often wakes a thread on the core of the thread that wakes it. There it would wait for
-    the end of that thread's work.
+    An operating system often starts a waiting thread on the core of the thread that wakes it. The
+    woken thread would then wait until the other thread has finished.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Keep threads off this core from now on, if there is another core."""
+        """Exclude a core for these threads, if there is another core."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

@@ -1,23 +1,25 @@
-"""Forces on the elements of a rotating cutter, averaged over a revolution.
+"""Forces on the cutting elements of a rotating cutter, averaged over a revolution.
 
-Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2)
-and a size effect, per element::
+A cutting element is a small piece of the cutter's surface. The mechanistic model has chip and edge
+coefficients (Altintas 2012, Manufacturing Automation, ch. 2) and a size effect. Per element::
 
     h  = (v . n) 2 pi / (N omega)                      chip thickness
     c  = h (max(h, h_min) / h_0) ** -m                 effective chip thickness
     e  = min(h / h_min, 1)                             share of the edge force
     dF = -(N A / (2 pi r)) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] share
 
-with every K scaled by (density / reference density) ** exponent of the layer. Below the minimum
-chip thickness h_min the force is proportional to h, so that it is a Lipschitz function of the
-velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance do not cut.
+Every K is scaled by (density / reference density) ** exponent of the layer. Below the minimum chip
+thickness h_min the force is proportional to h, so the force is a Lipschitz function of the
+velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance along their
+normal do not cut.
 
 The share is the part of the element's width that lies below the surface of the bone, see
-`kernels.engagement`. In a tick of length T it is taken at the middle of the element's motion, over
-its width or its motion through the surface, whichever is longer. An element that reaches the bone
-within the tick therefore cuts for the rest of it.
+`kernels.engagement`. In a tick, the share is evaluated at the middle of the element's motion. It
+falls from 1 to 0 over the element's width, or over its motion through the surface if this is
+longer. An element that reaches the bone within the tick therefore cuts for the rest of the tick.
 
-The kernel returns the tangent of the force at a given velocity. It computes eight elements at once.
+The kernel computes the force at a given velocity and its derivatives by the velocity (the tangent).
+It processes eight elements at once.
 """
 
 import warp as wp
@@ -38,15 +40,15 @@ __all__ = ["AREA", "MOTION_ROWS", "RATE", "VALUE", "cutting_forces"]
 
 wp.set_module_options({"enable_backward": False})
 
-# Places in the sums. After the areas follows, for each of up to six unknowns, the derivative of
-# force and torque by the unknown. With three unknowns, only the force has derivatives, and the
-# torque is the torque at the given velocity.
-VALUE = 0  # tangent at zero velocity: force [N] and torque about the tip [N m], 6 places
+# Indices into the sums. The derivatives of force and torque by each of up to six unknowns follow
+# after the areas. With three unknowns, only the force has derivatives, and the torque is the torque
+# at the given velocity.
+VALUE = 0  # tangent at zero velocity: force [N], torque about the tip [N m]; 6 entries
 RATE = 6  # removal rate at speed 1 [m3/s]
 AREA = 7  # engaged area of each layer [m2]
 MOTION_ROWS = 5
 """Number of rows of the motion that `cutting_forces` reads."""
-# Lower limit of widths, motions and chip thicknesses that are divided by [m].
+# Lower limit of widths, motions and chip thicknesses in denominators [m].
 TINY = wp.constant(1.0e-12)
 
 
@@ -65,22 +67,23 @@ def cutting_forces(
     coefficients: Coefficients,
     found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
     engaged: wp.array(dtype=wp.float64),  # [chunk], 1 where an element has bone
-    # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s]; the two
-    # velocities with which the pose of `found` would be reached in a tick; number of unknowns,
-    # length of the tick [s] and speed
+    # Rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s]; the velocity
+    # and the angular velocity with which a tick would end at the pose of `found`; number of
+    # unknowns, length of the tick [s] and speed.
     motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     chunk_offset: int,
     # out
     # scratch: the sums of each of the eight lanes
     lanes_out: wp.array2d(dtype=lanes8),
-    # [chunk, AREA + layers + 36], tool frame: see VALUE; unchanged for chunks without bone
+    # [chunk, AREA + layers + 36], tool frame, see VALUE; not written for chunks without bone
     sums_out: wp.array2d(dtype=wp.float64),
 ):
-    """Sum the forces on one chunk of elements, as a tangent.
+    """Sum the forces on one chunk of elements, and their derivatives by the unknowns.
 
-    The unknowns are the speed (1), the velocity of the tip (3), or both velocities (6). For the
-    speed, the velocities are those at speed 1.
+    The unknowns are the speed (1), the velocity of the tip (3), or the velocity of the tip and the
+    angular velocity (6). If the speed is the unknown, the given velocities are the velocities at
+    speed 1.
     """
     chunk = wp.tid() + chunk_offset
     if engaged[chunk] == wp.float64(0.0):
@@ -93,8 +96,8 @@ def cutting_forces(
     speed = float(motion[4, 2])
     velocity = row_of(motion, 0)
     turning = row_of(motion, 1)
-    # Along a path, only elements that advance by more than the rounding of an advance cut. A
-    # tangent by the velocity has no such limit, because the force must not jump there.
+    # If the speed is the unknown, only elements whose advance is larger than its rounding error
+    # cut. If the velocity is the unknown, there is no such limit, because the force must not jump.
     least = wp.where(unknowns == 1, LEAST_ADVANCE * wp.length(velocity), 0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
@@ -155,7 +158,7 @@ def add_eight(
     sx = found[eight, SLOPE]
     sy = found[eight, SLOPE + 1]
     sz = found[eight, SLOPE + 2]
-    # moments: derivatives of advance and shift by the angular velocity
+    # derivatives of advance and shift by the angular velocity
     mx = wp.cw_mul(py, nz) - wp.cw_mul(pz, ny)
     my = wp.cw_mul(pz, nx) - wp.cw_mul(px, nz)
     mz = wp.cw_mul(px, ny) - wp.cw_mul(py, nx)
@@ -172,7 +175,7 @@ def add_eight(
     share, partly, by_shift = share_below(distance, width, tick, passing, cuts)
     made = speed * advance
     chip, chip_slope, edge, edge_slope = chip_law(coefficients, found, eight, chip_per_speed, made)
-    # The value at zero velocity is the force without what the unknowns contribute.
+    # The value at zero velocity is the force minus the contribution of the unknowns.
     made_shift = passing
     if unknowns == 3:
         made = made - speed * by_turn
@@ -222,10 +225,11 @@ def add_eight(
 def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, cuts: lanes8):
     """Compute the mean share of eight elements below the surface over a tick.
 
-    The elements start at ``distance`` and pass the surface at the speeds ``passing``. Elements for
-    which ``cuts`` is 0 have no share.
+    The elements start at ``distance`` from the surface and move towards it at the speeds
+    ``passing``. The share is 0 for elements for which ``cuts`` is 0.
 
-    Returns the share, 1 where it is between 0 and 1, and its derivative by the speed.
+    Returns the share, a flag that is 1 where the share is between 0 and 1, and the derivative of
+    the share by the speed.
     """
     one = lanes8(1.0)
     shift = tick * passing
@@ -234,7 +238,7 @@ def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, c
     middle = wp.cw_div(distance + 0.5 * shift, extent)
     raw = 0.5 * one - middle
     share = wp.cw_mul(wp.min(wp.max(raw, lanes8()), one), cuts)
-    # derivative of the share by the shift, times the extent
+    # derivative of the share by the shift, multiplied by the extent
     steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(shift)), middle) - 0.5 * one
     partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
     by_shift = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
@@ -251,10 +255,10 @@ def chip_law(
 ):
     """Compute effective chip thickness and share of the edge force of eight elements.
 
-    The advance is in m/s. The products are formed such that a linear law has the value 0 at zero
+    The advance is in m/s. The products are formed such that a linear law gives exactly 0 at zero
     velocity.
 
-    Returns the chip thickness, its derivative by the advance, the share, and its derivative.
+    Returns the chip thickness and its derivative by the advance, and the share and its derivative.
     """
     one = lanes8(1.0)
     thickness = chip_per_speed * advance
@@ -289,13 +293,16 @@ def along(vector: wp.vec3, x: lanes8, y: lanes8, z: lanes8):
 
 @wp.func
 def above(values: lanes8):
-    """Return 1 where a value is not negative, else 0."""
+    """Return 1 where a value is positive, 0.5 where it is 0, and 0 where it is negative."""
     return 0.5 * lanes8(1.0) + 0.5 * wp.sign(values)
 
 
 @wp.func
 def loads_of(found: wp.array2d(dtype=lanes8), eight: int, chip: lanes8, edge: lanes8):
-    """Return the loads on eight elements for weights of their chip and edge forces."""
+    """Return the loads on eight cutting elements.
+
+    ``chip`` and ``edge`` are the weights of the chip force and the edge force of each element.
+    """
     loads = Loads()
     loads.tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
     loads.radial = wp.cw_mul(chip, found[eight, CHIP + 1]) + wp.cw_mul(edge, found[eight, EDGE + 1])
@@ -305,7 +312,7 @@ def loads_of(found: wp.array2d(dtype=lanes8), eight: int, chip: lanes8, edge: la
 
 @wp.func
 def times(elements: Elements, eight: int, loads: lanes8, row: int):
-    """Multiply eight loads by a row of their levers, see `kernels.elements.Elements`."""
+    """Multiply eight loads by a row of the levers, see `kernels.elements.Elements`."""
     return wp.cw_mul(loads, elements.lever[eight, row])
 
 
@@ -319,9 +326,9 @@ def add_forces(
     place: int,
     sums_out: wp.array2d(dtype=lanes8),
 ):
-    """Add the force of loads times a factor to the sums of a chunk.
+    """Multiply loads by a factor and add their force to the sums of a chunk.
 
-    The loads act on the bone, so that the force on the tool is subtracted.
+    The loads act on the bone, so the force on the tool has the opposite sign.
     """
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
@@ -345,7 +352,7 @@ def add_torques(
     place: int,
     sums_out: wp.array2d(dtype=lanes8),
 ):
-    """Add the torque of loads times a factor to the sums of a chunk, see `add_forces`."""
+    """Multiply loads by a factor and add their torque to the sums of a chunk, see `add_forces`."""
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
     axial = wp.cw_mul(loads.axial, factor)

@@ -1,7 +1,7 @@
-"""Elements of a cutter's surface and their travel.
+"""Cutting elements of a cutter's surface, and their motion.
 
-The functions here find the elements that advance, their positions, and the elements that may touch
-bone.
+A cutting element is a small piece of the surface. The functions compute positions and advances of
+elements, and find the elements that may cut bone.
 """
 
 import warp as wp
@@ -20,7 +20,7 @@ __all__ = [
 ]
 
 CHUNK = 128
-"""Elements per chunk.
+"""Number of elements per chunk.
 
 Chunks are summed in order, so the result does not depend on the number of threads.
 """
@@ -29,12 +29,12 @@ Chunks are summed in order, so the result does not depend on the number of threa
 LANES = 8
 """Number of elements whose positions and advances are computed at once.
 
-Together with sums outside of branches, this saves a tenth of the force kernel's time, see
-docs/performance.md.
+This saves a tenth of the force kernel's time, together with sums that are computed outside of
+branches, see docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
-# Advance over the speed of the tip up to which an element does not cut. It is more than the
-# rounding of an advance in single precision.
+# Largest advance of an element that does not cut, relative to the speed of the tip. It is more than
+# the rounding error of an advance in single precision.
 LEAST_ADVANCE = wp.constant(1.0e-5)
 
 
@@ -45,13 +45,13 @@ class Elements:
     point: wp.array(dtype=wp.vec3)  # [m]
     lanes: wp.array2d(dtype=lanes8)  # [eight elements, 6]: x, y, z of points, then of normals
     normal: wp.array(dtype=wp.vec3)  # outward, unit
-    # Levers by which tangential, radial and axial loads add to force and torque, of eight elements.
-    # Rows for an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x,
-    # y). The tangent is the unit direction in which the spin moves the element.
+    # Factors from tangential, radial and axial loads to force and torque, for eight elements. Rows
+    # for an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y).
+    # The tangent is the unit direction in which the spin moves the element.
     lever: wp.array2d(dtype=lanes8)
     area: wp.array(dtype=wp.float32)  # [m2]
-    areas: wp.array(dtype=lanes8)  # areas of eight elements [m2], 0 beyond the last element
-    # curvature of the tool there, see `kernels.revolution.Revolution`
+    areas: wp.array(dtype=lanes8)  # areas of eight elements [m2], 0 after the last element
+    # curvature of the tool at the element, see `kernels.revolution.Revolution`
     bend: wp.array(dtype=wp.float32)
     # mean curvature of the tool [1/m] at eight elements, 0 at an edge
     curvature: wp.array(dtype=lanes8)
@@ -59,25 +59,25 @@ class Elements:
     edge_length: wp.array(dtype=wp.float32)
     # centre and radius of a ball around each chunk's points [m]
     chunk_ball: wp.array(dtype=wp.vec4)
-    # axis of a cone around each chunk's normals, sine of its half angle, 2: none
+    # axis of a cone around each chunk's normals, sine of its half angle (2: no cone)
     chunk_cone: wp.array(dtype=wp.vec4)
 
 
 @wp.struct
 class Travel:
-    """A pose and the unit motion from there.
+    """Pose of the tool and its motion at speed 1.
 
-    The motion is given along the tool's axes; those axes are given in the grid [voxel/m].
+    The motion is given along the tool's axes. The axes are given in the grid [voxel/m].
     """
 
     tip: wp.vec3  # [voxel]
     ex: wp.vec3
     ey: wp.vec3
     ez: wp.vec3
-    axis: wp.vec3  # unit, in the grid
-    velocity: wp.vec3  # of the tip, per unit of speed
-    turning: wp.vec3  # angular, per unit of speed [1/m]
-    turns: wp.int32  # 1 if the tool turns
+    axis: wp.vec3  # unit vector, in the grid
+    velocity: wp.vec3  # velocity of the tip, per unit of speed
+    turning: wp.vec3  # angular velocity, per unit of speed [1/m]
+    turns: wp.int32  # 1 if the tool rotates
     least: wp.float32  # largest advance of an element that does not cut, per unit of speed
 
 
@@ -108,14 +108,14 @@ def may_cut(
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
 ):
-    """Return whether some element of a chunk may advance where there may be bone.
+    """Return whether an element of a chunk may advance into bone.
 
-    With `everywhere`, an element may advance in any direction.
+    If `everywhere` is set, an element may advance in any direction.
     """
     cone = elements.chunk_cone[chunk]
     velocity = travel.velocity
     facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
-    # The cone bounds the advance by the feed, but not by the turning.
+    # The cone bounds the advance from the feed, but not the advance from the rotation.
     if facing <= 0.0 and travel.turns == 0 and not everywhere:
         return False
     ball = elements.chunk_ball[chunk]
@@ -125,7 +125,7 @@ def may_cut(
 
 @wp.func
 def advance_of(elements: Elements, eight: int, travel: Travel):
-    """Compute the speeds of eight elements along their normals, per unit of speed."""
+    """Compute the velocities of eight elements along their normals, per unit of speed."""
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
@@ -143,7 +143,7 @@ def advance_of(elements: Elements, eight: int, travel: Travel):
 
 @wp.func
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
-    """Compute the coordinate along an axis of the grid [voxel] of eight elements."""
+    """Compute the coordinates of eight elements along an axis of the grid [voxel]."""
     along = travel.ex[axis] * elements.lanes[eight, 0] + travel.ey[axis] * elements.lanes[eight, 1]
     return along + travel.ez[axis] * elements.lanes[eight, 2] + lanes8(travel.tip[axis])
 
@@ -155,7 +155,7 @@ def meets_bone(
     middle: wp.vec3,
     radius: float,
 ):
-    """Return whether a brick that still holds material overlaps the box around a ball [voxel]."""
+    """Return whether a brick with remaining material overlaps the box around a ball [voxel]."""
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):

@@ -1,11 +1,12 @@
-"""Bone in front of each element of a rotating cutter.
+"""Bone in front of each cutting element of a rotating cutter.
 
-An element is engaged by the share of its width that lies below a surface: the original surface of
-the bone or, where a cut lies deeper, the surface that this cut has left. Distance, direction and
-width of the surface are stored, so that `kernels.cutting` can evaluate the share at any velocity.
+A cutting element is a small piece of the cutter's surface. Its engaged share is the part of its
+width that lies below the surface of the bone. This is the original surface or, if a cut lies
+deeper, the surface of the cut. The distance and direction of the surface, and the width of the
+element, are stored. `kernels.cutting` can then evaluate the share at any velocity.
 
-Cuts that are some visits old are taken from the voxels, see `kernels.older_cuts`. Cuts since then
-follow from the tool's last poses, see `kernels.recent_cuts`.
+Older cuts are read from the voxels, see `kernels.older_cuts`. The most recent cuts are computed
+from the tool's last poses, see `kernels.recent_cuts`.
 """
 
 import warp as wp
@@ -45,10 +46,10 @@ __all__ = [
 
 wp.set_module_options({"enable_backward": False})
 
-# Rows of the bone found in front of eight elements.
+# Indices of the rows that describe the bone in front of eight elements.
 DISTANCE = 0  # signed distance to the surface [m], positive outside the bone
-SLOPE = 1  # gradient of the distance by the element's position, along the tool's axes, 3 rows
-WIDTH = 4  # width over which the share falls from 1 to 0 [m], 0 without bone
+SLOPE = 1  # gradient of the distance by the element's position, in the tool's axes, 3 rows
+WIDTH = 4  # width over which the share falls from 1 to 0 [m], 0 if there is no bone
 LAYER = 5
 DENSITY = 6  # [kg/m3], an entry of the strength table
 MINIMUM = 7  # minimum chip thickness [m]
@@ -60,16 +61,16 @@ POSE_ROWS = 7
 DENSITIES = wp.constant(20001)
 """Number of entries of the strength table.
 
-They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
+The entries are for densities from 0 to 20,000 kg/m3, the largest density allowed for bone.
 """
-# Largest width of an element across the surface [voxel]. Half of it is less than the 1.78 voxels
-# within which distances are interpolated, see `kernels.bone_lookup`.
+# Largest width of an element across the surface [voxel]. Half of this width is less than 1.78
+# voxels, the range in which distances are interpolated, see `kernels.bone_lookup`.
 WIDEST = wp.constant(3.5)
 # Smallest width of an element across the surface [voxel]. The width of an element parallel to the
 # surface would be zero.
 NARROWEST = wp.constant(1.0e-3)
-# Distance in front of a tool held by hand within which bone is found [voxel]. The tool moves less
-# than this from the pose at which its bone was found.
+# Distance in front of a hand-held tool within which bone is found [voxel]. After a search, the tool
+# moves by less than this distance before the next search.
 NEAR = wp.constant(0.2)
 
 
@@ -83,7 +84,7 @@ class Coefficients:
     strength: wp.array2d(dtype=wp.float32)
     # exponent m of the size effect, minimum and reference chip thickness [m]
     size: wp.array(dtype=wp.vec3)
-    has_size_effect: wp.int32  # 1 where an exponent is not 0
+    has_size_effect: wp.int32  # 1 if an exponent is not 0
 
 
 @wp.kernel
@@ -92,12 +93,13 @@ def find_bone(
     tool: Revolution,
     elements: Elements,
     coefficients: Coefficients,
-    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
-    # 1 to find bone around the whole tool, else only in front of elements that advance; 1 where the
-    # tool has turned recently; lower limit of the minimum chip thickness [m]
+    # Rows: tip [voxel]; tool axes x, y, z; velocity of the tip and angular velocity at speed 1, in
+    # the tool's frame. Last row: 1 to find bone around the whole tool, 0 to find bone only in front
+    # of elements that advance; 1 if the tool has turned recently; lower limit of the minimum chip
+    # thickness [m].
     motion: wp.array2d(dtype=wp.float64),
     # [pose, 6]: displacements [m] and rotations [rad] to the tool's last poses, in the tool's
-    # frame; the present pose first
+    # frame. The first row is the present pose.
     recent: wp.array2d(dtype=wp.float32),
     spacing: float,  # [m]
     chunk_offset: int,
@@ -110,7 +112,7 @@ def find_bone(
     # out
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
     found_out: wp.array2d(dtype=lanes8),  # [eight elements, row], see `DISTANCE`
-    engaged_out: wp.array(dtype=wp.float64),  # [chunk], 1 with bone; must be 1 at the first launch
+    engaged_out: wp.array(dtype=wp.float64),  # [chunk], 1 with bone; 1 at the first launch
 ):
     """Find the bone in front of one chunk of elements."""
     chunk = wp.tid() + chunk_offset
@@ -125,7 +127,7 @@ def find_bone(
     poses = Poses()
     has_poses = int(0)
     enough = wp.where(everywhere, NEAR, 0.0) * spacing + CLOSE
-    # Without bone now and before, all widths are 0 already.
+    # If there is no bone now and there was no bone before, all widths are already 0.
     if not meets and engaged_out[chunk] == wp.float64(0.0):
         last = first
     engaged = int(0)
@@ -160,7 +162,8 @@ def find_bone(
                     has_poses = 1
                 gap = recently_cut(recent, elements, eight, turns, poses, enough)
             lane = int(LANES) * (1 - near)
-            # The last eight elements may be fewer. A `for` loop to this limit takes 2 % longer.
+            # The last group may have fewer than eight elements. A `for` loop up to this limit would
+            # take 2 % longer.
             while lane < LANES and eight * LANES + lane < count:
                 if everywhere or advances[lane] > travel.least:
                     met = bone_met(
@@ -216,7 +219,7 @@ def set_strengths(
     density: lanes8,
     found: wp.array2d(dtype=lanes8),
 ):
-    """Write the cutting coefficients of eight elements in their bone."""
+    """Write the cutting coefficients of eight elements, scaled by the strength of their bone."""
     minimum = lanes8()
     chip_0 = lanes8()
     chip_1 = lanes8()
@@ -227,7 +230,7 @@ def set_strengths(
     for lane in range(LANES):
         m = int(layer[lane])
         e = wp.min(eight * LANES + lane, elements.edge_length.shape[0] - 1)
-        # of cutting edge, by the bone's strength [m]
+        # length of cutting edge, multiplied by the strength factor of the bone [m]
         length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
         chip = length * coefficients.chip[m]
         edge = length * coefficients.edge[m]
@@ -280,7 +283,7 @@ def bone_met(
     """Find the bone in front of an element at ``at`` [voxel]."""
     met = Met()
     row, column = remaining_voxel(brick_of, alive, at)
-    # An element that will not reach the bone within this tick is left out.
+    # An element that cannot reach the bone within this tick is skipped.
     margin = wp.where(everywhere, NEAR, 0.0)
     if row >= 0 and gap < margin * spacing + CLOSE:
         bone = bone_at(brick_of, material, nearby, row, column, at)
@@ -289,7 +292,7 @@ def bone_met(
         width = float(1.0)
         distance = float(-1.0)
         slope = wp.vec3()
-        # `bone_at` returns -2 for bone that lies deeper. It then has no slope.
+        # `bone_at` returns a distance of -2 and a slope of 0 deep inside the bone.
         if bone.distance > -1.9:
             tangent = bone.slope - wp.dot(bone.slope, outward) * outward
             width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
@@ -315,8 +318,8 @@ def bone_met(
                 seen,
                 chunk,
             )
-            # The surface that lies deeper decides. Half of the element is engaged where older cuts
-            # have left a quarter of `RAMP`, so that rounding leaves no bone on their surface.
+            # The deeper surface is used. Half of the element is engaged where older cuts have left
+            # a bone length of a quarter of `RAMP`, so that rounding errors do not appear as bone.
             passed = 0.25 * RAMP - left
             if passed * width > distance * RAMP:
                 distance = passed
@@ -339,9 +342,9 @@ def bone_met(
 def remaining_voxel(
     brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
 ):
-    """Return row and column of the voxel at a point [voxel].
+    """Return brick row and column of the voxel at a point [voxel].
 
-    The row is -1 where the voxel's block of eight has no bone left.
+    The row is -1 if no bone is left in the voxel's block of eight.
     """
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))

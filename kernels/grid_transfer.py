@@ -1,22 +1,23 @@
-"""Transfer between a grid and a grid of twice its edge length, and smoothing by node blocks.
+"""Transfer between a fine and a coarse grid with twice the edge length, and Gauss-Seidel smoothing.
 
-Cell stiffness and residuals go up to the coarse grid, corrections go down to the fine grid.
+Cell stiffness and residuals are transferred to the coarse grid, and corrections to the fine grid.
 
-A coarse cell's trilinear functions are trilinear on each of its eight children, so its stiffness is
-exactly the sum of its children's through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M
-the mask of the components that may move. The coarse operator is the fine one's Galerkin projection,
-and one changed cell changes one coarse cell.
+A coarse cell's trilinear functions are trilinear on each of its eight children. Its stiffness is
+therefore exactly ``K = sum P_c^T M K_c M P_c``, where K_c is the stiffness of a child, P_c the
+interpolation to the child, and M the mask of the components that may move. The coarse operator is
+the Galerkin projection of the fine operator. A change of one fine cell changes one coarse cell.
 
-Node blocks: stiffness of a grid gathered node by node.
+Node blocks: the stiffness of a grid, assembled row by row.
 
-The module has rows of 3 x 3 blocks, their product with a vector, and Gauss-Seidel sweeps over eight
-colours.
+The kernels assemble rows of 3 x 3 blocks, multiply them by a vector, and run Gauss-Seidel sweeps
+over eight colours.
 
 A row holds one block for each of a node's up to 27 neighbours: first the neighbours of lower
-colour, then the node itself, then the neighbours of higher colour. With K = L + D + U so split, the
-first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``. Solve and residual
-together read K once. Sums run in fixed order. A sweep changes only nodes of one colour, which are
-never neighbours. The result has the same bits on any number of threads.
+colour, then the node itself, then the neighbours of higher colour. This order splits K into L + D +
+U. The first sweep starts at zero, solves ``(L + D) v = f``, and has the residual
+``f - K v = -U v``. The solution and the residual together read K once. Sums have a fixed order. A
+sweep changes only nodes of one colour, and these nodes are never neighbours. The result has the
+same bits on any number of threads.
 """
 
 import warp as wp
@@ -44,7 +45,7 @@ def share(child: int, a: int, parent: int):
     """Return the weight of a parent cell's corner in corner a of its child."""
     weight = wp.float64(1.0)
     for axis in range(3):
-        at = ((child >> axis) & 1) + ((a >> axis) & 1)  # 0, 1, 2 half edges along the parent
+        at = ((child >> axis) & 1) + ((a >> axis) & 1)  # in half edges of the parent: 0, 1, 2
         if ((parent >> axis) & 1) == 0:
             at = 2 - at
         weight = weight * wp.float64(0.5) * wp.float64(at)
@@ -60,7 +61,7 @@ def coarse_stiffness(
     free: wp.array(dtype=wp.vec3d),  # [node]
     # coarse
     children: wp.array2d(dtype=wp.int32),  # [coarse cell, child] or -1
-    changed: wp.array(dtype=wp.int32),  # coarse cells to sum again
+    changed: wp.array(dtype=wp.int32),  # coarse cells to recompute
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [coarse cell, block]
@@ -105,13 +106,14 @@ def restrict(
     # out
     load_out: wp.array(dtype=wp.vec3f),  # [coarse node]
 ):
-    """Compute the load of the coarse grid: the residual through the transposed interpolation."""
+    """Compute the load of the coarse grid from the residual, by the transposed interpolation."""
     coarse = wp.tid() + offset
     total = wp.vec3f()
     for slot in range(27):
         fine = fine_of[coarse, slot]
         if fine >= 0:
-            # Halfway between two coarse nodes along an axis, each of them has half of the node.
+            # If the fine node lies halfway between two coarse nodes along an axis, each coarse node
+            # has half of its weight.
             weight = float(1.0)
             if slot / 9 != 1:
                 weight = weight * 0.5
@@ -126,7 +128,7 @@ def restrict(
 @wp.kernel
 def interpolate(
     coarse_of: wp.array2d(dtype=wp.int32),  # [fine node, 8], coarse node or -1
-    weight: wp.array(dtype=wp.float32),  # [fine node], equal for all its coarse nodes
+    weight: wp.array(dtype=wp.float32),  # [fine node], the same for all its coarse nodes
     free: wp.array(dtype=wp.vec3f),  # [fine node]
     correction: wp.array(dtype=wp.vec3f),  # [coarse node]
     offset: int,
@@ -150,7 +152,7 @@ def interpolate(
 @wp.kernel
 def assemble_rows(
     # nodes
-    rows: wp.array(dtype=wp.int32),  # nodes whose rows are gathered again
+    rows: wp.array(dtype=wp.int32),  # nodes whose rows are assembled again
     row_start: wp.array(dtype=wp.int32),  # [node + 1], first block of each row
     node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
     # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
@@ -163,12 +165,12 @@ def assemble_rows(
     offset: int,
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [block] [N/m]
-    # [node], a copy of the node's own block, 1 on held components
+    # [node], a copy of the node's own block, with 1 for held components
     diagonal_out: wp.array(dtype=wp.mat33d),
 ):
-    """Gather rows ``M K M``, with M the mask of the components that may move.
+    """Assemble rows of ``M K M``, where M is the mask of the components that may move.
 
-    Held components get no stiffness.
+    Held components have zero stiffness.
     """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
@@ -213,7 +215,7 @@ def invert_diagonal(
     size = wp.trace(block)
     inverse = wp.mat33d()
     if size > wp.float64(0.0):
-        # Below the rounding of the single precision in which the inverse is used, 6e-8.
+        # Less than the rounding error of single precision, 6e-8, in which the inverse is used.
         tiny = wp.float64(1e-9) * size
         inverse = wp.inverse(block + wp.diag(wp.vec3d(tiny, tiny, tiny)))
     inverse_out[node] = wp.mat33f(inverse)
@@ -238,7 +240,8 @@ def to_single(
 def first_sweep(
     nodes: wp.array(dtype=wp.int32),  # nodes of one colour
     row_start: wp.array(dtype=wp.int32),
-    # [node], the node's own block: lower colours before, higher behind
+    # [node], the node's own block; blocks of lower colours come before it, of higher colours after
+    # it
     diagonal_block: wp.array(dtype=wp.int32),
     column: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33f),
@@ -250,7 +253,7 @@ def first_sweep(
 ):
     """Run the first Gauss-Seidel sweep, from zero displacements.
 
-    Only nodes of lower colours have moved before a node.
+    When a node is solved, only nodes of lower colours have nonzero displacements.
     """
     node = nodes[wp.tid() + offset]
     left = load[node]
@@ -272,7 +275,7 @@ def first_residuals(
 ):
     """Compute the residual of the load after the first sweep.
 
-    It is not zero because nodes of higher colours moved after the node had.
+    The residual is not zero, because nodes of higher colours move after a node is solved.
     """
     node = wp.tid() + offset
     total = wp.vec3f()
@@ -295,7 +298,7 @@ def sweep_colour(
 ):
     """Run a Gauss-Seidel sweep over one colour.
 
-    Every node of the colour moves so that its own three equations hold.
+    Every node of the colour is displaced so that its own three equations are satisfied.
     """
     node = nodes[wp.tid() + offset]
     left = load[node]

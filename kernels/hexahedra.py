@@ -1,13 +1,13 @@
 """Trilinear hexahedra of a Cartesian grid.
 
-The module has their shape functions, the packed cell stiffness, and its product with a vector.
+The module contains shape functions, the packed cell stiffness, and its product with a vector.
 
-Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x
-24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row. The
-other blocks are their transposes, so the matrix equals its transpose bit by bit. The product with
-some cells runs without an assembled matrix. Each cell writes its own corner forces, then every node
-gathers the forces of its up to eight cells in fixed order. There are no atomics, and the result has
-the same bits on any number of threads.
+Corner ``a = 4 i + 2 j + k`` of a cell has the position ``(i, j, k)`` in units of the edge length. A
+cell's stiffness, 24 x 24 and symmetric, is stored as ``BLOCKS`` blocks (a, b) of 3 x 3 with a <= b,
+row after row. The other blocks are the transposes of these blocks, so the matrix is symmetric to
+the last bit. The product for a set of cells needs no assembled matrix. Each cell writes its own
+corner forces, then every node gathers the forces of its up to eight cells in fixed order. There are
+no atomic operations, and the result has the same bits on any number of threads.
 """
 
 import warp as wp
@@ -26,13 +26,13 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 BLOCKS = 36
-"""Number of blocks kept of a cell's 8 x 8."""
+"""Number of stored blocks, of the 8 x 8 blocks of a cell."""
 CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 
 
 @wp.func
 def block_of(a: int, b: int):
-    """Return the place of the block of corners a <= b."""
+    """Return the index of the block of corners a <= b."""
     return a * 8 - (a * (a - 1)) / 2 + b - a
 
 
@@ -85,10 +85,10 @@ def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
 @wp.kernel
 def cell_products(
     # cells
-    cells: wp.array(dtype=wp.int32),  # those of the product
-    row: wp.array(dtype=wp.int32),  # row of each in the stiffness
+    cells: wp.array(dtype=wp.int32),  # cells to multiply
+    row: wp.array(dtype=wp.int32),  # row of each cell in the stiffness
     cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, corner]
-    live: wp.array(dtype=wp.uint8),  # [cell], 0 where a cell carries nothing
+    live: wp.array(dtype=wp.uint8),  # [cell], 0 if the cell carries no load
     stiffness: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m]
     displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
     offset: int,
@@ -119,15 +119,15 @@ def cell_products(
 @wp.kernel
 def gather_cells(
     # nodes
-    nodes: wp.array(dtype=wp.int32),  # those of the cells
-    # [place in nodes, corner]: place in the cells of which it is that corner
+    nodes: wp.array(dtype=wp.int32),  # nodes of the cells
+    # [index in nodes, corner]: index of the cell in which the node is this corner
     node_cells: wp.array2d(dtype=wp.int32),
     corner_force: wp.array2d(dtype=wp.vec3d),  # [place in the cells, corner] [N]
     offset: int,
     # out
-    force_out: wp.array(dtype=wp.vec3d),  # [node] [N], added to
+    force_out: wp.array(dtype=wp.vec3d),  # [node] [N], the forces are added
 ):
-    """Add the forces of its cells to the force at each node, in the order of their corners."""
+    """Add the forces of adjacent cells to the force at each node, in the order of the corners."""
     i = wp.tid() + offset
     force = force_out[nodes[i]]
     for a in range(8):

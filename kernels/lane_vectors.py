@@ -1,7 +1,7 @@
-"""Strips of cells and vectors in lanes.
+"""Data layout of `kernels.cell_strips`: cell weights in strips, and vectors in lanes.
 
-The module has the cells' weights, diagonals, a smoothing step, and the conversion from nodes and
-back.
+A strip consists of eight cells in a row, and each cell has one lane. The kernels compute weights
+and diagonals, run a smoothing step, and convert vectors between nodes and lanes.
 """
 
 from typing import Any
@@ -22,18 +22,18 @@ LANES_F = lanes_of(wp.float32)
 @wp.kernel
 def cube_weights(
     # particles, sorted by cell
-    place: wp.array(dtype=wp.vec3d),  # place in the cell, 0 to 1 along each edge
+    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
     volume: wp.array(dtype=wp.float64),  # [m3]
     lame: wp.array2d(dtype=wp.float64),  # [particle, 2]: lambda, mu [Pa]
     remaining: wp.array(dtype=wp.uint16),  # steps of 1/65535
     # cells
     cell_start: wp.array(dtype=wp.int32),  # [cell + 1], first particle of each cell
-    live: wp.array(dtype=wp.uint8),  # [cell], 0 where a cell carries nothing
-    regular: wp.array(dtype=wp.uint8),  # [cell], 1 where all particles lie at the cubes' centres
-    strip: wp.array(dtype=wp.vec2i),  # [cell]: its strip, and its lane there
-    changed: wp.array(dtype=wp.int32),  # cells to sum again
+    live: wp.array(dtype=wp.uint8),  # [cell], 0 if the cell carries no load
+    regular: wp.array(dtype=wp.uint8),  # [cell], 1 if its particles are centres of cubes
+    strip: wp.array(dtype=wp.vec2i),  # [cell]: its strip, and its lane in the strip
+    changed: wp.array(dtype=wp.int32),  # cells to recompute
     edge: wp.float64,  # [m]
-    strength: wp.float64,  # share of a full cell's unseen modes, see kernels.particle_stiffness
+    strength: wp.float64,  # strength of the unresolved modes, see kernels.particle_stiffness
     offset: int,
     # out
     # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
@@ -65,7 +65,8 @@ def cube_weights(
             shear += left * lame[p, 1]
             moment += left * wp.cw_mul(at, at)
     whole = edge * edge * edge
-    # A full cell has the second moment V / 12 about its middle; what the particles lack is unseen.
+    # A full cell has the second moment V / 12 about its centre. The part that the particles lack is
+    # unresolved.
     missing = wp.max(wp.float64(1.0) - wp.float64(12.0) * wp.min(moment) / whole, wp.float64(0.0))
     weight_out[row, 16, lane] = strength * missing * shear / whole * edge / wp.float64(12.0)
     for i in range(17):
@@ -80,7 +81,7 @@ def to_lanes(
     # out
     lanes_out: wp.array2d(dtype=Any),  # [component, slot]
 ):
-    """Put a vector of nodes into lanes, of single or double precision each."""
+    """Copy a nodal vector to lanes. Vector and lanes may have single or double precision."""
     node = wp.tid() + offset
     for c in range(3):
         lanes_out[c, slot[node]] = lanes_out.dtype(vector[node][c])
@@ -94,7 +95,7 @@ def from_lanes(
     # out
     vector_out: wp.array(dtype=Any),  # [node]
 ):
-    """Take a vector of nodes out of lanes, of single or double precision each."""
+    """Copy lanes to a nodal vector. Lanes and vector may have single or double precision."""
     node = wp.tid() + offset
     at = slot[node]
     value = vector_out[node]
@@ -111,11 +112,11 @@ def node_diagonals(
     stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
     free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
     slot: wp.array(dtype=wp.int32),  # [node]
-    largest: wp.float64,  # bound of the eigenvalues of D^-1 K
+    largest: wp.float64,  # upper bound of the eigenvalues of D^-1 K
     offset: int,
     # out
     diagonal_out: wp.array(dtype=wp.vec3d),  # [node] [N/m], 1 on held components
-    # [component, slot] [m/N], of the bound times D; 0 if held or empty
+    # [component, slot] [m/N], 1 / (bound D); 0 if held or empty
     inverse_out: wp.array2d(dtype=wp.float32),
 ):
     """Compute the diagonal of the nodes' stiffness and its inverse."""
@@ -136,16 +137,16 @@ def node_diagonals(
 
 @wp.kernel
 def smooth(
-    # [component, lanes], of the largest eigenvalue times the diagonal; 0 if held
+    # [component, lanes], 1 / (largest eigenvalue x diagonal); 0 if held
     inverse: wp.array2d(dtype=LANES_F),
-    share: float,  # of the last direction in the next
-    gain: float,  # of the residual in it
+    share: float,  # weight of the last direction in the next direction
+    gain: float,  # weight of the residual in the next direction
     offset: int,
     # out
-    force_out: wp.array2d(dtype=LANES_F),  # product with the last direction; zero afterwards
-    residual_out: wp.array2d(dtype=LANES_F),  # less that product
-    direction_out: wp.array2d(dtype=LANES_F),  # the next one
-    vector_out: wp.array2d(dtype=LANES_F),  # with the last direction
+    force_out: wp.array2d(dtype=LANES_F),  # K times the last direction; set to zero
+    residual_out: wp.array2d(dtype=LANES_F),  # reduced by this product
+    direction_out: wp.array2d(dtype=LANES_F),  # set to the next direction
+    vector_out: wp.array2d(dtype=LANES_F),  # increased by the last direction
 ):
     """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``."""
     i = wp.tid() + offset

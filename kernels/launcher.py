@@ -1,18 +1,20 @@
-"""Recorded launches that may be split over processor cores.
+"""Recorded kernel launches that may be split into parts for several processor cores.
 
-A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch
-can run on two threads. Handing work to a thread costs about 50 us. A launch is therefore split only
-while its last runs took longer than ``SPLIT_ABOVE_S`` and while splitting is measured to gain, see
-`SplitChoice`. One run that another process interrupted does not make a launch large. A
-part that no thread has begun, because other processes keep its core, is taken back. Waiting for it
-would cost milliseconds. Kernels are written so that the split does not change a bit of the result.
+On a CPU, a Warp kernel launch runs on one core but releases the interpreter lock, so two halves of
+a launch can run in two threads. The hand-over to a thread costs about 50 us. A launch is therefore
+split only if its last runs took longer than ``SPLIT_ABOVE_S`` and if splitting is measured to save
+time, see `SplitChoice`. A single slow run that another process interrupted does not count. If other
+processes use the core of a thread and the thread has not begun its part, the calling thread runs
+this part itself. To wait for the thread would cost milliseconds. Kernels are written so that the
+split does not change a bit of the result.
 
-Choice of splitting: a launch is split over threads by the measured gain on this machine.
+Choice of splitting: a launch is split if the gain measured on this machine is large enough.
 
-Two processors may share one core, and other processes may keep a core busy: half the work then
-takes as long as the whole, and splitting only costs time. The gain is measured by a short
-calibration before the first launch. It is measured again while the launches run, at first often and
-then less and less often.
+Two processors may share one core, or other processes may keep a core busy. Half of the work then
+takes as long as the whole work, and splitting only costs time. The gain is the ratio of the time
+without splitting to the time with splitting. A short calibration before the first launch measures
+the gain. The gain is measured again while the launches run, first often and later more and more
+rarely.
 """
 
 import ctypes
@@ -44,36 +46,42 @@ __all__ = [
 
 
 LEAST_GAIN = 1.1
-"""Ratio of whole to split time above which a launch is split.
+"""Smallest gain at which a launch is split.
 
-Calibrations measure 0.91 to 1.03 where splitting gains nothing, and 1.14 to 1.28 where it gains.
+Calibrations measure 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
-"""Choice of the runs of a trial that are split.
+"""Flags of the runs of a trial, true for the runs that are split.
 
-Split runs are late as often as early, and follow no rhythm that the work of the runs may have.
+Split runs are as often late as early in the trial. They have no period that could coincide with a
+period of the work.
 """
 MOST_RATIO = 4.0
-"""Largest time of a run in a trial, relative to the median; longer runs count as this.
+"""Limit for the time of a run in a trial, relative to the median.
 
-One interruption therefore does not decide the trial, several do.
+Longer times are set to the limit.
+
+A single interruption therefore does not change the outcome of the trial.
 """
 KEPT = 4
-"""Number of trials that count: older ones are of another load of the machine."""
+"""Number of trials that are used. In older trials the load of the machine was different."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
 """Number of large runs before the first trial, and the largest number between trials.
 
 The number doubles with each trial that confirms the choice.
 """
 SAMPLES = 8
-"""Number of pairs of whole and split work in the calibration."""
+"""Number of pairs of a whole and a split run in the calibration."""
 CALIBRATION_S = 1.5e-4
 """Time of one part of the calibration's work [s].
 
 A launch that is just large enough to be split has two such parts.
 """
 SAMPLE_BYTES = 1 << 16
-"""Bytes that are hashed to find how many fill the time of a part; they take tens of us."""
+"""Number of bytes that the calibration hashes first, which takes tens of us.
+
+The number of bytes that take the time of a part is computed from this time.
+"""
 
 
 class SplitChoice:
@@ -85,7 +93,7 @@ class SplitChoice:
     Parameters
     ----------
     gain
-        Ratio of whole to split time measured so far, such as the ratio from `calibrate`.
+        Gain measured so far, for example by `calibrate`.
     """
 
     def __init__(self, gain: float = 1.0) -> None:
@@ -95,12 +103,12 @@ class SplitChoice:
 
     @property
     def gain(self) -> float:
-        """Geometric mean of the last measurements."""
+        """Geometric mean of the last measured gains."""
         return geometric_mean(self._gains)
 
     @property
     def splits(self) -> bool:
-        """Return whether splitting gains enough."""
+        """True if the gain is large enough to split the launch."""
         return self.gain >= LEAST_GAIN
 
     def next_run(self) -> bool:
@@ -117,7 +125,7 @@ class SplitChoice:
             self._judge()
 
     def _judge(self) -> None:
-        """Compare the whole and the split runs of a trial, and set when the next one begins."""
+        """Compare the whole and the split runs of a trial, and schedule the next trial."""
         most, before = MOST_RATIO * median(self._trial), self.splits
         times = [min(each, most) for each in self._trial]
         split = sum(each for each, was_split in zip(times, ORDER, strict=True) if was_split)
@@ -130,9 +138,9 @@ class SplitChoice:
 
 
 def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
-    """Run the first part in this thread and the other parts in the threads of a pool.
+    """Run the first part in this thread, and the other parts in the threads of a pool.
 
-    A part that no thread has begun is taken back.
+    A part that no thread has begun is run in this thread.
 
     Returns
     -------
@@ -152,7 +160,7 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
 
 
 def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_counter) -> float:
-    """Measure the ratio of whole to split time of work that needs only a core.
+    """Measure the gain for work that only needs processor time.
 
     The measurement takes a few milliseconds.
 
@@ -165,14 +173,14 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
     now
         Clock [s].
     """
-    # The shortest of three: interruptions only lengthen a time.
+    # Use the shortest of three times, because an interruption can only lengthen a time.
     one_s = min(_hash_time(bytes(SAMPLE_BYTES), now) for _ in range(3))
     work = bytes(
         SAMPLE_BYTES * max(1, round(CALIBRATION_S / one_s)) if one_s > 0.0 else SAMPLE_BYTES
     )
     # hashing releases the interpreter lock
     jobs: list[Callable[[], object]] = [lambda: hashlib.sha256(work)] * parts
-    run_split(pool, jobs)  # threads start now
+    run_split(pool, jobs)  # start the threads
     ratios = []
     for _ in range(SAMPLES):
         start = now()
@@ -180,7 +188,7 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
             job()
         middle = now()
         run_split(pool, jobs)
-        # 1e-9 s: a coarse clock may not have moved.
+        # 1e-9 s: the reading of a coarse clock may not have changed.
         ratios.append((middle - start) / max(now() - middle, 1e-9))
     return median(ratios)
 
@@ -192,7 +200,7 @@ def _hash_time(work: bytes, now: Callable[[], float]) -> float:
 
 
 SPLIT_ABOVE_S = 2.5e-4
-"""Time above which a launch may be split [s]: the hand-over of 50 us is then a fifth of it."""
+"""Time above which a launch may be split [s]. The hand-over of 50 us is a fifth of this time."""
 GROWTH = 2.0
 """Factor by which a launch is assumed to grow from one run to the next."""
 FIRST_S = 1e-5
@@ -204,7 +212,7 @@ With `GROWTH`, a launch is split in its sixth run at the earliest.
 
 @dataclass
 class LaunchCounts:
-    """Counts of this process's launches that were large enough to be split and that were split."""
+    """Counts of this process's launches that were large enough to be split, and that were split."""
 
     large: int = 0
     split: int = 0
@@ -214,19 +222,19 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Return a copy of this process's counts so far."""
+    """Return a copy of the counts of this process."""
     return LaunchCounts(_counts.large, _counts.split)
 
 
 @cache
 def _pool(threads: int) -> CoreThreads:
-    """Return the threads that all launches of this number of parts share."""
+    """Return the threads shared by all launches with this number of parts."""
     return CoreThreads(threads)
 
 
 @cache
 def _gain(threads: int) -> float:
-    """Return the gain of the threads on this machine, measured once for all launches.
+    """Return the gain on this machine, measured once for all launches.
 
     Every launch starts from this gain.
     """
@@ -243,9 +251,9 @@ def recorded(
 ) -> Callable[[], object]:
     """Record a launch and return a function that runs it.
 
-    On a CPU the function calls the compiled kernel with arguments that are packed once. Warp's
-    own `Launch.launch` packs them in every call, which takes 5 us for six arguments and 0.6 us
-    here.
+    On a CPU the function calls the compiled kernel with arguments that are packed once. A call
+    takes 0.6 us for six arguments. Warp's own `Launch.launch` packs the arguments in every call,
+    which takes 5 us.
     """
     command: wp.Launch = wp.launch(
         kernel,
@@ -266,7 +274,7 @@ def recorded(
     arguments = ctypes.byref(packed)
 
     def launch() -> None:
-        """Run the kernel; the recorded command keeps its arrays alive."""
+        """Run the kernel. The recorded command holds references to its arrays."""
         assert command is not None
         run(size, arguments)
 
@@ -274,23 +282,23 @@ def recorded(
 
 
 class SplitLaunch:
-    """A kernel launch recorded once, whole and in parts, and run many times.
+    """Kernel launch that is recorded once, as a whole and in parts, and run many times.
 
     Parameters
     ----------
     kernel
         A kernel whose thread index starts at the integer input at ``offset_index``.
     dim
-        Number of threads of the whole launch; of several dimensions the first is split.
+        Number of threads of the whole launch. If there are several dimensions, the first is split.
     inputs, outputs
         Arguments of the kernel.
     offset_index
-        Place in ``inputs`` of the first thread's index; default: after the inputs.
+        Position in ``inputs`` of the first thread's index. Default: after the inputs.
     device
         Warp device name; default: the device of the first output. On a GPU the launch is never
         split.
     cores
-        Parts to split into; 1 never splits. Default: all cores.
+        Number of parts. With 1, the launch is never split. Default: all cores.
     """
 
     def __init__(
@@ -324,7 +332,7 @@ class SplitLaunch:
                 record(a, b)
                 for a, b in pairwise(along * part // parts for part in range(parts + 1))
             ]
-            # calibrated now, not in the first large tick
+            # calibrate now, not in the first large tick
             self._choice = SplitChoice(_gain(parts - 1))
 
     def __call__(self) -> None:

@@ -1,4 +1,4 @@
-"""Arrays of the host on a device, and small arrays that both use in every tick."""
+"""Copies of host arrays on a device, and arrays that host and device exchange in every tick."""
 
 from typing import Any
 
@@ -30,12 +30,12 @@ class Mirror:
         )
 
     def push(self) -> None:
-        """Send the host's values to the device."""
+        """Copy the host's values to the device."""
         if not self._shared:
             self.device.assign(self.host)
 
     def pull(self) -> None:
-        """Fetch the device's values."""
+        """Copy the device's values to the host."""
         if not self._shared:
             self.host[...] = self.device.numpy()
 

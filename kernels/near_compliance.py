@@ -1,10 +1,11 @@
-"""Compliance of the nodes near a tool, gathered side by side and kept while they stay near.
+"""Compliance between the nodes near a tool, copied into consecutive memory.
 
-Each node nearby has a slot. Nodes that may carry load have the first slots, and a row for each of
-their three components. A row holds the displacements of all slots for a unit force, slot by slot. A
-change of force is thus added to all displacements in packs of numbers that follow each other in
-memory. Read from the compliance itself, each of the same blocks lies in three other places. A tick
-gathers only the nodes that came near or began to work.
+Each node near the tool has a slot. Nodes that may carry load have the first slots. These nodes also
+have a row for each of their three components. A row holds the displacements of all slots for a unit
+force, slot by slot. The effect of a force change on all displacements is thus read from consecutive
+memory, in packs of numbers. In the full compliance matrix, the three lines of each block lie far
+apart. In each tick, only the entries of nodes that are newly near the tool or newly loaded are
+copied.
 """
 
 import numpy as np
@@ -36,14 +37,17 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 LANES = 16
 """Numbers in a pack.
 
-A block of nine takes 0.7 ns with 16, against 1.0 ns with 8, 0.8 ns with 32 and 3.9 ns straight from
-the compliance.
+A block of nine numbers takes 0.7 ns with a pack of 16, 1.0 ns with 8 and 0.8 ns with 32. It takes
+3.9 ns if it is read from the full compliance.
 """
 Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 
 
 SLOTS, LOADED, STALE = 0, 1, 2
-"""Places in the counts of `Patch`: slots, those loaded, and 1 where rows must be gathered again."""
+"""Indices into the counts of `Patch`.
+
+In order: number of slots, number of loaded slots, and 1 if rows must be copied again.
+"""
 
 
 @wp.struct
@@ -52,9 +56,9 @@ class Patch:
 
     count: wp.array(dtype=wp.int32)  # [3], see SLOTS
     node: wp.array(dtype=wp.int32)  # [slot]
-    slot: wp.array(dtype=wp.int32)  # [node], -1 for none
-    near_mark: wp.array(dtype=wp.int32)  # [node], tick in which it was nearby
-    loaded_mark: wp.array(dtype=wp.int32)  # [node], tick in which it was loaded
+    slot: wp.array(dtype=wp.int32)  # [node], -1 without a slot
+    near_mark: wp.array(dtype=wp.int32)  # [node], last tick in which the node was near the tool
+    loaded_mark: wp.array(dtype=wp.int32)  # [node], last tick in which the node was loaded
     row: wp.array2d(dtype=wp.float64)  # [3 loaded slot, 3 slot], with scale [m/N]
     row_packs: wp.array2d(dtype=Pack)  # the same memory
     moved: wp.array(dtype=wp.float64)  # [3 slot], displacement [m]
@@ -63,13 +67,13 @@ class Patch:
 
 @wp.func
 def moved_at(patch: Patch, slot: int):
-    """Return the displacement of a slot [m]."""
+    """Return the displacement of the node of a slot [m]."""
     return wp.vec3d(patch.moved[3 * slot], patch.moved[3 * slot + 1], patch.moved[3 * slot + 2])
 
 
 @wp.func
 def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
-    """Move the first slots by a change of force on a loaded one."""
+    """Displace the nodes of the first slots by a change of force on a loaded node."""
     row = 3 * slot
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = (
@@ -82,9 +86,9 @@ def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
 
 @wp.func
 def move_all(body: Body, patch: Patch, slots: int):
-    """Compute the displacements of the first slots under all loads, afresh.
+    """Recompute the displacements of the first slots under all loads.
 
-    Sums of changes would keep their rounding errors.
+    Rounding errors would accumulate if only changes were added.
     """
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = Pack()
@@ -94,9 +98,9 @@ def move_all(body: Body, patch: Patch, slots: int):
 
 @wp.func
 def gather(body: Body, patch: Patch, loaded: int, slot: int):
-    """Copy a block of the compliance to its place.
+    """Copy a block of the compliance into the rows of a loaded slot.
 
-    A block that is not available yet is looked for again in the next tick.
+    If the block is not available yet, it is copied in the next tick.
     """
     between = block(body, patch.node[loaded], patch.node[slot])
     for i in range(3):
@@ -108,7 +112,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """Gather all rows again, after the compliance was scaled or where some of it was missing."""
+    """Copy all rows again, after the compliance was scaled or because blocks were missing."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -117,7 +121,7 @@ def gather_again(body: Body, patch: Patch):
 
 @wp.func
 def swap(patch: Patch, p: int, q: int):
-    """Exchange two slots; their rows stay."""
+    """Exchange the nodes of two slots. Their rows are not exchanged."""
     first = patch.node[p]
     second = patch.node[q]
     patch.node[p] = second
@@ -137,7 +141,7 @@ def swap(patch: Patch, p: int, q: int):
 
 @wp.func
 def add_node(body: Body, patch: Patch, node: int):
-    """Give a node that came near a slot."""
+    """Assign a slot to a node that is newly near the tool."""
     slot = patch.count[SLOTS]
     patch.count[SLOTS] = slot + 1
     patch.node[slot] = node
@@ -148,7 +152,7 @@ def add_node(body: Body, patch: Patch, node: int):
 
 @wp.func
 def drop_left(patch: Patch, tick: int):
-    """Free the slots of nodes that are no longer nearby; none of them carries load."""
+    """Free the slots of nodes that are no longer near the tool. These nodes do not carry load."""
     slot = patch.count[SLOTS] - 1
     while slot >= patch.count[LOADED]:
         node = patch.node[slot]
@@ -163,7 +167,7 @@ def drop_left(patch: Patch, tick: int):
 
 @wp.func
 def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
-    """Let a node carry load in this tick; it gets one of the first slots, and rows."""
+    """Mark a node as loaded in this tick, and assign one of the first slots and rows to it."""
     patch.loaded_mark[node] = tick
     loaded = patch.count[LOADED]
     slot = patch.slot[node]
@@ -197,7 +201,7 @@ def new_patch(nodes: int, device: str) -> Patch:
     On a CPU the patch takes memory only for the nodes near the tool, because NumPy allocates no
     memory for zeros until they are written.
     """
-    # odd: rows whole pages apart would share their places in a cache
+    # The length is odd, because rows a multiple of a page apart would use the same cache lines.
     packs = -(-3 * nodes // LANES) | 1
     patch = Patch()
     rows = np.zeros((3 * nodes, LANES * packs))
@@ -215,7 +219,7 @@ def new_patch(nodes: int, device: str) -> Patch:
 
 
 def gather_all_again(patch: Patch) -> None:
-    """Request that all rows are read again in the next tick, after the compliance was scaled."""
+    """Request that all rows are copied again in the next tick, after the compliance was scaled."""
     count = patch.count.numpy()
     count[STALE] = 1
     patch.count.assign(count)

@@ -1,12 +1,13 @@
-"""Length of bone in front of the tool's surface that older cuts have left.
+"""Length of the bone that older cuts have left in front of the tool's surface.
 
-The length is of second order in the voxel size.
+The error of the length is of second order in the voxel size.
 
-Every voxel keeps its centre's distance to older cuts (see :mod:`kernels.carving`). The difference
-between this distance and the distance to the present tool is interpolated between voxel centres. It
-is 0 where both are the same surface, for any curvature, and negative where the older cut lies
-deeper. A swept volume is straight along its path and the tool is not. Along the path the difference
-therefore curves like the tool, and plain interpolation lies below it. Lengths are in voxels.
+The distance of every voxel centre to older cuts is stored (see :mod:`kernels.carving`). The
+difference between this distance and the distance to the present tool is interpolated between voxel
+centres. The difference is 0 where the surfaces of the older cut and of the tool coincide, for any
+curvature. It is negative where the older cut lies deeper. A swept volume is straight along the path
+of the tool, but the tool is curved. Along the path, the difference therefore has the curvature of
+the tool, and linear interpolation underestimates it. Lengths are in voxels.
 """
 
 import warp as wp
@@ -19,21 +20,22 @@ __all__ = ["RAMP", "SLOTS", "bone_left"]
 
 wp.set_module_options({"enable_backward": False})
 
-NEVER = wp.constant(65535)  # stored where the tool has not come near
-# More than the distance from a voxel's centre to any point in the voxel [voxel].
+NEVER = wp.constant(65535)  # stored if the tool has not been near
+# Upper bound of the distance from a voxel's centre to a point in the voxel [voxel].
 CLEAR = wp.constant(0.9)
-# length of bone up to an older cut over which the share of an element that cuts rises to 1 [voxel]
+# length of bone up to an older cut at which the whole width of an element cuts [voxel]
 RAMP = wp.constant(0.01)
-# More than the sum of RAMP and the errors of tables and tangent spheres [voxel].
+# Upper bound of the sum of RAMP and the errors of tables and tangent spheres [voxel].
 ROUGH = wp.constant(0.05)
 FARTHEST = wp.constant(2.0)  # upper limit of a difference [voxel]
 SLOTS = 64
-"""Number of 2 x 2 x 2 blocks whose distances to the present tool a chunk of elements keeps.
+"""Number of 2 x 2 x 2 blocks whose distances to the tool are stored for a chunk of elements.
 
-Four along each axis are enough, because neighbouring elements use the same blocks. Each entry holds
-the indices, distance, bend and slope of a block. One more place is 1 once there are any entries.
+Four blocks along each axis are enough, because neighbouring elements use the same blocks. Each
+entry holds the indices, distance, bend and slope of a block. One more entry is 1 if entries have
+been stored.
 """
-NOWHERE = wp.constant(-1.0e9)  # index of no block
+NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
 
 
 @wp.func
@@ -53,10 +55,10 @@ def bone_left(
 ):
     """Return the length [voxel] of bone in front of ``point`` on the tool's surface.
 
-    It is the distance from the tool's surface to that of older cuts, limited to `FARTHEST`, and
-    negative where an older cut lies deeper. Without an older cut nearby it is `FARTHEST`.
-    The point lies in the voxel at ``row`` and ``column``. The tool's normal there is ``outward``,
-    of length 1. The tool's curvature there is ``bend``, see `Revolution`.
+    The length is the distance from the tool's surface to the surface of older cuts, limited to
+    `FARTHEST`. It is negative where an older cut lies deeper, and `FARTHEST` if no older cut is
+    near. The point lies in the voxel at ``row`` and ``column``. At the point, the tool has the unit
+    normal ``outward`` and the curvature ``bend``, see `Revolution`.
     """
     kept = int(older[row, column])
     distance = kept_distance(kept)
@@ -77,15 +79,15 @@ def bone_left(
             stored[c] = int(older[corners.row[c], corners.column[c]])
         away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
         weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
-        # This corner lies more than a voxel outside older cuts. The other corners decide.
+        # This corner lies more than a voxel outside older cuts, so only the other corners are used.
         if stored[c] == NEVER:
             weight[c] = 0.0
         flat += weight[c] * wp.clamp(
             kept_distance(stored[c]) - wp.dot(outward, away), -FARTHEST, FARTHEST
         )
         counted += weight[c]
-    # Without curvature of the tool this would be the length below, which is larger by 0.75 bend at
-    # most.
+    # Estimate of the length for a tool without curvature. The length computed below is larger by at
+    # most 0.75 bend.
     if tool.convex == 1 and bend < EDGE and wp.abs(flat) > (ROUGH + 1.2 * bend) * counted:
         return flat / counted
     now = tool_distances(tool, pose, axis, cell, seen, chunk)
@@ -98,8 +100,8 @@ def bone_left(
             total += weight[c] * difference
             least = wp.min(least, difference)
             most = wp.max(most, difference)
-    # The bend is zero if all corners differ by an equal amount, for example at the end of an older
-    # cut to which the tool has returned.
+    # The bend is zero if the difference is the same at all corners, for example at the end of an
+    # older cut to which the tool has returned.
     bent = wp.min(bend_below(bend, outward, part), 0.5 * (most - least))
     return total / counted + bent
 
@@ -121,7 +123,7 @@ def tool_distances(
 ):
     """Return distances [voxel] of a cell's corners to the present tool.
 
-    They are computed block by block, as in carving.
+    The distances are computed block by block, as in carving.
     """
     found = corner8f()
     if seen[chunk, SLOTS][0] == 0.0:
@@ -133,8 +135,9 @@ def tool_distances(
     # bits of the axes along which the cell lies in two blocks
     odd = ((cell.x & 1) << 2) | ((cell.y & 1) << 1) | (cell.z & 1)
     block = int(0)
-    # A cell lies in one or two blocks along each axis. Both loops count in the bits of `odd` and
-    # outside of it, by carrying over the other bits.
+    # A cell lies in one or two blocks along each axis. The outer loop counts through the bits of
+    # `odd`, and the inner loop through the other bits. The carry skips the bits that a loop does
+    # not use.
     while block < 8:
         x = (cell.x + (block >> 2)) >> 1
         y = (cell.y + ((block >> 1) & 1)) >> 1
@@ -158,7 +161,7 @@ def tool_distances(
                 near.slope[1],
                 near.slope[2],
             )
-        c = block  # corners of the cell in this block: equal to ``block`` in the bits of ``odd``
+        c = block  # corners in this block: same bits as ``block`` where ``odd`` is 1
         while c < 8:
             offset = corner_offset(c ^ odd)
             found[c] = distance_at(near, offset)
@@ -174,11 +177,12 @@ def tool_distances(
 
 @wp.func
 def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
-    """Compute how far linear interpolation lies below a surface that curves like the tool.
+    """Compute the error of linear interpolation for a surface with the tool's curvature.
 
-    The interpolation is between voxel centres. The surface curves along one direction in the
-    tangent plane at right angles to ``outward``. This direction is not known. The result is the
-    mean over all directions. Its error is at most as large as the result.
+    The interpolation is between voxel centres and lies below the surface. The surface curves along
+    one direction in the tangent plane, perpendicular to ``outward``. This direction is not known,
+    so the result is the mean over all directions. The error of the result is not larger than the
+    result.
     """
     if bend >= EDGE:
         return float(0.0)

@@ -1,28 +1,31 @@
-"""Stiffness of the cells of a grid, summed over their material particles, and the particles' stress.
+"""Stiffness of grid cells, summed over their material particles, and stress at the particles.
 
-For an isotropic particle of weight w (the volume left of it) with Lame constants lambda and mu, and
-g_a the gradient of corner a's shape function at the particle, ``w B^T D B`` has the blocks::
+A material particle is an integration point with a volume. Its weight w is the volume that is left
+of it, lambda and mu are its Lame constants, and g_a is the gradient of corner a's shape function at
+the particle. ``w B^T D B`` has the blocks::
 
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
-A cell that is cut, or holds few particles, does not see the modes that vary inside it (a single
-particle gives rank 6 of the 18 that it needs). A part s of an energy is added to it: the energy
-that a full cell of its mean shear modulus has in these modes alone (``inner``, which is zero for
-every linear field, so that the patch test stays exact)::
+In a cell that is cut or holds few particles, some modes are unresolved: they deform the cell
+without energy. A single particle gives the stiffness a rank of 6 instead of 18. A fraction s of an
+energy is therefore added. This is the energy of a full cell with the mean shear modulus in the
+modes that vary inside a cell (``inner``). ``inner`` is zero for every linear field, so the patch
+test is still exact::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
-The bracket is the share of the second moment of a full cell that the particles lack: 0 for Gauss
-points, 1 for a single particle in the middle. The idea is hourglass control (Flanagan and
-Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by the share that the particles lack.
+The bracket is the share of a full cell's second moment that the particles lack. It is 0 for Gauss
+points and 1 for a single particle in the middle. The method is hourglass control (Flanagan and
+Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by this share.
 
-Springs to the ground at points x of the cell, of 3 x 3 stiffness S, add ``sum N_a(x) N_b(x) S``.
+Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S``, where S is the
+3 x 3 stiffness of a spring.
 
 Stress: strain and stress at points of trilinear cells, with von Mises and principal stresses.
 
-With g_a the gradients of the shape functions: ``grad u = sum u_a g_a^T``, ``e = sym grad u``,
-``s = lambda tr(e) I + 2 mu e``. Principal stresses in closed form (Smith 1961, Commun. ACM 4:168).
-"""  # noqa: E501 a table
+The displacement gradient is ``grad u = sum u_a g_a^T``, the strain ``e = sym grad u`` and the
+stress ``s = lambda tr(e) I + 2 mu e``. Principal stresses are computed in closed form (Smith 1961,
+Commun. ACM 4:168)."""  # noqa: E501 a table
 
 import warp as wp
 
@@ -38,16 +41,17 @@ FULL_STEPS = wp.constant(wp.float64(65535.0))
 @wp.kernel
 def particle_stiffness(
     # particles, sorted by cell
-    place: wp.array(dtype=wp.vec3d),  # place in the cell, 0 to 1 along each edge
+    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
     volume: wp.array(dtype=wp.float64),  # [m3]
     lame: wp.array2d(dtype=wp.float64),  # [particle, 2]: lambda, mu [Pa]
     remaining: wp.array(dtype=wp.uint16),  # steps of 1/65535
     # cells
     cell_start: wp.array(dtype=wp.int32),  # [cell + 1], first particle of each cell
-    changed: wp.array(dtype=wp.int32),  # cells to sum again
+    changed: wp.array(dtype=wp.int32),  # cells to recompute
     edge: wp.float64,  # [m]
     strength: wp.float64,
-    # [block] [m], full cell of unit Lame constants less its value at the centre
+    # [block] [m], stiffness of a full cell with Lame constants of 1, minus the stiffness integrated
+    # with one point at the centre
     inner: wp.array(dtype=wp.mat33d),
     spring_row: wp.array(dtype=wp.int32),  # [cell], its row in the next array, or -1
     spring: wp.array2d(
@@ -56,7 +60,7 @@ def particle_stiffness(
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
-    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its own
+    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles / volume of the cell
 ):
     """Sum the stiffness of the changed cells over their particles.
 
@@ -112,7 +116,7 @@ def particle_stiffness(
     if row >= 0:
         for block in range(36):
             stiffness_out[cell, block] = stiffness_out[cell, block] + spring[row, block]
-    # Sums of symmetric terms are symmetric but for rounding: mirror them for an exact symmetry.
+    # Sums of symmetric terms are symmetric only up to rounding. Mirror them for exact symmetry.
     for a in range(8):
         diagonal = stiffness_out[cell, block_of(a, a)]
         diagonal[1, 0] = diagonal[0, 1]
@@ -132,7 +136,7 @@ def principal_values(stress: wp.mat33d):
     shifted = stress - wp.diag(wp.vec3d(mean, mean, mean))
     size = wp.sqrt(wp.ddot(shifted, shifted) / wp.float64(6.0))
     values = wp.vec3d(mean, mean, mean)
-    # Otherwise all three are the mean.
+    # Otherwise, all three eigenvalues are equal to the mean.
     if size > wp.float64(0.0):
         half = wp.determinant(shifted / size) / wp.float64(2.0)
         angle = wp.acos(wp.clamp(half, wp.float64(-1.0), wp.float64(1.0))) / wp.float64(3.0)
@@ -145,9 +149,9 @@ def principal_values(stress: wp.mat33d):
 @wp.kernel
 def point_stress(
     # points
-    point: wp.array(dtype=wp.int32),  # rows of the next three arrays
+    point: wp.array(dtype=wp.int32),  # row of each point in the next three arrays
     cell_of: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec3d),  # place in the cell, 0 to 1 along each edge
+    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
     lame: wp.array2d(dtype=wp.float64),  # [row, 2]: lambda, mu [Pa]
     # cells
     cell_nodes: wp.array2d(dtype=wp.int32),

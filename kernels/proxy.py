@@ -1,10 +1,12 @@
-"""One tick of a proxy, a rigid tool that follows its device as closely as obstacles allow.
+"""One tick of a proxy, a copy of the tool that follows the device as closely as obstacles allow.
 
-From its last pose the tool descends in steps. A step is no longer than the path that is surely
-free, or half a voxel near an obstacle. Every step solves the active contacts; a step that ends too
-deep is taken back and halved. The proxy therefore stays on its side of a wall, however fast the
-device passes through the wall (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and Khatib 1997,
-SIGGRAPH).
+The proxy is rigid. From its last pose, it moves in steps towards the pose of the device and so
+reduces the energy of the springs to the device (a descent). The length of a step is at most the
+distance that is certainly free. Near an obstacle, the length is at most half a voxel. In every
+step, the contact forces at the active contacts are solved. A step that ends too deep in an obstacle
+is undone and halved. The proxy therefore stays on its side of an obstacle, even if the device
+passes through the obstacle at any speed (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and
+Khatib 1997, SIGGRAPH).
 """
 
 import warp as wp
@@ -42,21 +44,22 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
-"""Places in the state, and its size.
+"""Indices into the state, and number of entries.
 
 In order: position xyz [m], quaternion xyzw, path length [m]; number of entries.
 """
 CONVERGED, PRESSING, STEPS, SOLVES, FORCE, MOMENT, CENTRE, REPORT = 0, 1, 2, 3, 4, 7, 10, 13
-"""Places in the report, and its size.
+"""Indices into the report, and number of entries.
 
-In order: 1 if converged; number of pressing contacts, of steps and of solves; three entries each
-for force over stiffness [m], moment over stiffness [m2], and centre of pressure from the tool's
-origin in world axes [m]; number of entries.
+In order: 1 if converged; number of pressing contacts; number of steps; number of solves; force
+divided by stiffness [m]; moment divided by stiffness [m2]; centre of pressure relative to the
+tool's origin, in world axes [m]; number of entries. Force, moment and centre have three entries
+each.
 """
 HALVINGS = 8
-"""Number of times that a step is halved before the proxy stays where it is.
+"""Number of times that a step is halved before the proxy stops in this tick.
 
-What is left of a step of half a voxel is 0.002 voxels.
+A step of half a voxel is then reduced to 0.002 voxels.
 """
 
 
@@ -81,7 +84,7 @@ def begin_descent(state: wp.array(dtype=wp.float64), tolerance: wp.float64):
     descent.trial_position = descent.position
     descent.trial_rotation = descent.rotation
     descent.travel = state[TRAVEL]
-    # The first pose is free whatever its gap, and any energy is lower than none.
+    # The first pose counts as free for any gap. The lowest energy so far is infinite.
     descent.deepest = wp.float64(-1.0e30)
     descent.lowest = wp.float64(1.0e300)
     descent.near = tolerance
@@ -90,7 +93,7 @@ def begin_descent(state: wp.array(dtype=wp.float64), tolerance: wp.float64):
 
 @wp.func
 def write_state(descent: Descent, state_out: wp.array(dtype=wp.float64)):
-    """Write the last pose that was found to be free, and the path length."""
+    """Write the last free pose and the path length."""
     for c in range(3):
         state_out[POSITION + c] = descent.position[c]
     for c in range(4):
@@ -121,21 +124,21 @@ def advance_proxy(
     state_out: wp.array(dtype=wp.float64),
     report_out: wp.array(dtype=wp.float64),
 ):
-    """Bring the proxy toward the goal; it ends at the last pose that was found to be free."""
+    """Move the proxy toward the goal. It ends at the last free pose that was found."""
     goal_position = position_in(goal)
     goal_rotation = rotation_in(goal)
     descent = begin_descent(state_out, settings.tolerance)
     reaction = Reaction()
     reaction.pressing = int(report_out[PRESSING])
     turning = shell.reach
-    # A tool that does not turn may differ from its device in rotation.
+    # If the tool does not turn, its rotation may differ from the rotation of the device.
     if settings.compliance == ZERO:
         turning = ZERO
     steps = int(0)
     ended = int(GOES_ON)
     while steps < settings.step_limit and ended == GOES_ON:
         steps += 1
-        # near something every step is short, so that no point needs to wake for a long one
+        # Near an obstacle every step is short, so no point is checked for a long step.
         wanted = ZERO
         if reaction.pressing == 0:
             wanted = pose_distance(

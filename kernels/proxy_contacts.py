@@ -1,10 +1,11 @@
-"""Search for the shell points of a tool that may touch, and the plane each must stay above.
+"""Search for shell points of a tool that may touch obstacles, and for the planes that bound them.
 
-A point that is far from all obstacles sleeps until the shell has travelled the distance to the
-nearest obstacle. A point near voxels keeps up to two earlier planes in addition to the present one.
-With one plane at a time, a point at an inner corner swings from face to face (Zilles and Salisbury
-1995). A kept plane is dropped as soon as it would cut off space that the present distance shows to
-be free.
+A contact constrains a shell point to stay above a plane. A point that is far from all obstacles
+sleeps: it is not checked until the shell has travelled the distance to the nearest obstacle. Near
+voxels, up to two earlier planes of a point are kept in addition to the present plane. With only one
+plane, a point in an inner corner would alternate between the faces (Zilles and Salisbury 1995). A
+kept plane is dropped as soon as it would exclude space that is free according to the present
+distance.
 """
 
 import warp as wp
@@ -16,29 +17,31 @@ __all__ = ["VOXEL_PLANES", "ZERO", "Contacts", "Shell", "collect"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 VOXEL_PLANES = 3
-"""Number of planes a shell point may hold on voxels: the present one and two earlier ones."""
+"""Number of planes per shell point near voxels: the present plane and two earlier planes."""
 ZERO = wp.constant(wp.float64(0.0))
 FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
 """Number of steps ahead at which a point is checked again.
 
-It bounds the number of points that wake for a long path.
+This limits the number of points that are checked on a long path.
 """
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""Smallest slope assumed for a level.
+"""Smallest slope assumed for a level, see `kernels.voxmap.voxel_level`.
 
-A flatter level is read as this steep, so that a point is never assumed to be farther away than one
-voxel.
+With this limit, the assumed distance of a point is never more than one voxel.
 """
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
-"""Cosine of the angle up to which two planes count as one: 1.4e-4 rad, above rounding."""
+"""Cosine of the angle up to which two planes count as equal.
+
+The angle is 1.4e-4 rad, which is more than rounding errors.
+"""
 SLACK = wp.constant(wp.float64(1.0e-3))
-"""Share of a voxel by which a kept plane may cut off free space."""
+"""Depth of free space that a kept plane may exclude, relative to the voxel size."""
 
 
 @wp.struct
 class Shell:
-    """A tool as balls of one radius on its surface."""
+    """Tool represented by balls of one radius on its surface."""
 
     point: wp.array(dtype=wp.vec3d)  # in the tool's frame [m]
     radius: wp.float64  # [m]
@@ -53,13 +56,13 @@ class Contacts:
     """
 
     slots: int  # a point
-    press: wp.array(dtype=wp.float64)  # [slot], normal force over the coupling's stiffness [m]
-    wake: wp.array(dtype=wp.float64)  # [point], travel at which it may touch something [m]
+    press: wp.array(dtype=wp.float64)  # [slot], normal force / coupling's stiffness [m]
+    wake: wp.array(dtype=wp.float64)  # [point], travel at which the point must be checked [m]
     plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is no plane
     plane_offset: wp.array2d(dtype=wp.float64)  # [m]
     # candidates of the present pose
     slot: wp.array(dtype=wp.int32)
-    arm: wp.array(dtype=wp.vec3d)  # from the tool's origin, in the world's axes [m]
+    arm: wp.array(dtype=wp.vec3d)  # from the tool's origin, in world axes [m]
     normal: wp.array(dtype=wp.vec3d)
     moment: wp.array(dtype=wp.vec3d)  # arm x normal [m]
     gap: wp.array(dtype=wp.float64)  # [m]
@@ -74,7 +77,7 @@ class Contacts:
 def add_candidate(
     contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
 ):
-    """Record one plane that a point must stay above, and return the number of candidates."""
+    """Record a plane that a point must stay above, and return the number of candidates."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
     contacts.normal[count] = normal
@@ -99,7 +102,7 @@ def forget(
 
 @wp.func
 def keep_plane(contacts: Contacts, point: int, first: int):
-    """Move the present plane of a point to the slot where the loss is smallest."""
+    """Replace the kept plane with the smaller force by the present plane of a point."""
     k = int(1)
     if contacts.press[first + 1] > contacts.press[first + 2]:
         k = int(2)
@@ -122,7 +125,8 @@ def collect_voxels(
 ):
     """Find the planes of one point near voxels.
 
-    Return the number of candidates, the level of the point, and its surely free distance [m].
+    Return the number of candidates, the level of the point, and the distance that is certainly free
+    [m].
     """
     count = found
     far = voxel_clearance(field, at)
@@ -132,7 +136,8 @@ def collect_voxels(
     level, slope = voxel_level(field, at)
     size = wp.length(slope)
     gap = level / wp.max(size, LEAST_SLOPE)
-    # Where all voxels around the point are equal, no direction leads out: it has no plane.
+    # If all voxels around the point are equal, there is no outward direction and therefore no
+    # plane.
     if size == ZERO:
         forget(contacts.plane_normal, contacts.press, point, first)
         return count, step, ZERO
@@ -156,7 +161,7 @@ def collect_voxels(
                 contacts.press[first + k] = ZERO
             else:
                 count = add_candidate(contacts, count, first + k, arm, held, above)
-    return count, level, ZERO  # the level has no jumps where the gap has them, between cells
+    return count, level, ZERO  # unlike the gap, the level does not jump between cells
 
 
 @wp.func
@@ -172,10 +177,10 @@ def collect(
 ):
     """Collect all planes within a ``step`` of the shell.
 
-    Return their number, the smallest gap, and the free path of every point [m].
+    Return the number of planes, the smallest gap, and the path that is free for every point [m].
 
-    A point wakes early where its sleep would cut the ``wanted`` path [m] short, but never from
-    farther than ``AHEAD``.
+    A sleeping point is checked early if it would limit the free path to less than the ``wanted``
+    path [m], but at most ``AHEAD`` steps early.
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)
@@ -196,8 +201,8 @@ def collect(
                 gap = distance - shell.radius
                 bound = wp.min(bound, gap)
                 if gap < step:
-                    # The contact point of a ball lies on its surface; it separates rolling from
-                    # sliding.
+                    # The contact point lies on the surface of the ball, which distinguishes rolling
+                    # from sliding.
                     count = add_candidate(
                         contacts, count, first + s, arm - shell.radius * normal, normal, gap
                     )

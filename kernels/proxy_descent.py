@@ -1,10 +1,11 @@
-"""Steps of a proxy's descent toward its device.
+"""Steps of a proxy toward its device.
 
-A step is a motion that the contacts allow, and may be shortened or taken back.
+The proxy reduces the energy of the springs between proxy and device (a descent). A step is a motion
+that the contacts allow. It may be shortened, or undone.
 
-A trial pose is one motion away from the last pose that was found to be free.
+A trial pose is the last free pose, displaced by the motion of a step.
 
-Rigid motions: rotations as unit quaternions, and the path lengths of points.
+Rigid motions: rotations are unit quaternions. Path lengths are bounds for the points of the tool.
 """
 
 import warp as wp
@@ -30,7 +31,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SMALL = wp.constant(wp.float64(1.0e-8))
-"""Angle [rad] or its sine below which a ratio of sines is its limit."""
+"""Angle [rad], or sine, below which a ratio of sines is replaced by its limit."""
 
 
 @wp.func
@@ -52,7 +53,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
     turn = goal * wp.quat_inverse(start)
     imaginary = wp.vec3d(turn[0], turn[1], turn[2])
     cosine = turn[3]
-    # Both quaternions are the same rotation; this one is the shorter turn.
+    # The quaternions q and -q are the same rotation. Choose the one with the shorter turn.
     if cosine < ZERO:
         imaginary = -imaginary
         cosine = -cosine
@@ -65,7 +66,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 
 @wp.func
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
-    """Return the largest path length of a point within ``reach`` [m] of the tool's origin [m]."""
+    """Return the largest path length [m] of a point within ``reach`` [m] of the tool's origin."""
     return wp.length(shift) + reach * wp.length(turn)
 
 
@@ -77,7 +78,7 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Return the largest path length of a point within ``reach`` [m] to its wanted position [m].
+    """Return the largest path length [m] of a point within ``reach`` [m] to the goal pose.
 
     A ``reach`` of 0 ignores rotations.
     """
@@ -92,12 +93,12 @@ GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
 STALLS = 2
 """Number of steps in a row that hardly lower the springs' energy before the proxy may rest.
 
-Near voxels the proxy swings over creases.
+Near voxels, the proxy may oscillate across creases of the surface.
 """
 LITTLE = wp.constant(wp.float64(1.0e-4))
-"""Share of the springs' energy that a step near voxels must remove at least."""
+"""Smallest relative decrease of the springs' energy in a step near voxels that is not a stall."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
-"""Share of a step's length that a point may sink in before the step is taken back."""
+"""Penetration of a point, relative to the step length, above which the step is undone."""
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
 TWO = wp.constant(wp.float64(2.0))
@@ -109,7 +110,7 @@ class DescentSettings:
 
     compliance: wp.float64  # 1 / l^2 [1/m2], 0 for a tool that does not turn
     friction: wp.float64
-    step: wp.float64  # longest step near something [m]
+    step: wp.float64  # longest step near an obstacle [m]
     tolerance: wp.float64  # step below which the proxy has settled [m]
     step_limit: int
     solve_limit: int
@@ -119,17 +120,17 @@ class DescentSettings:
 class Descent:
     """Progress of a tick's descent."""
 
-    position: wp.vec3d  # the last pose found to be free [m]
+    position: wp.vec3d  # last free pose that was found [m]
     rotation: wp.quatd
-    shift: wp.vec3d  # motion from there to the trial pose [m]
+    shift: wp.vec3d  # motion from the last free pose to the trial pose [m]
     turn: wp.vec3d  # [rad]
     trial_position: wp.vec3d  # [m]
     trial_rotation: wp.quatd
-    arrived: int  # 1 where the trial pose is the goal
+    arrived: int  # 1 if the trial pose is the goal
     travel: wp.float64  # largest path length of a point since the proxy was placed [m]
-    deepest: wp.float64  # gap below which the trial is taken back [m]
-    lowest: wp.float64  # smallest energy of the springs so far, over half their stiffness [m2]
-    near: wp.float64  # change of the friction force at which it is found [m]
+    deepest: wp.float64  # gap below which the trial is undone [m]
+    lowest: wp.float64  # smallest spring energy so far / half the stiffness [m2]
+    near: wp.float64  # change at which the friction force counts as found [m]
     halvings: int
     stalls: int
     solves: int
@@ -137,19 +138,22 @@ class Descent:
 
 @wp.struct
 class Reaction:
-    """Contacts of the tool in sum, over the coupling's stiffness."""
+    """Sum of the contact forces on the tool, divided by the coupling's stiffness."""
 
     pressing: int
     force: wp.vec3d  # with friction [m]
     moment: wp.vec3d  # about the tool's origin [m2]
-    centre: wp.vec3d  # of pressure, from the tool's origin in the world's axes [m]
+    centre: wp.vec3d  # centre of pressure, from the tool's origin in world axes [m]
     rub: wp.vec3d  # friction alone [m]
-    arm: wp.vec3d  # where it acts, from the tool's origin [m]
+    arm: wp.vec3d  # point of action of the friction, from the tool's origin [m]
 
 
 @wp.func
 def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d):
-    """Return the share of a motion until the first plane is touched, or 2 if no plane is."""
+    """Return the fraction of a motion until the first plane is touched.
+
+    The result is 2 if no plane is touched.
+    """
     share = wp.float64(2.0)
     for c in range(count):
         closing = -wp.dot(contacts.normal[c], shift) - wp.dot(contacts.moment[c], turn)
@@ -162,8 +166,8 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 def contact_sums(contacts: Contacts, members: int):
     """Sum the contacts of the set.
 
-    Return the number of members that press, the sums of their normal forces [m] and moments [m2],
-    and their centre of pressure [m].
+    Return the number of pressing members, the sums of normal forces [m] and moments [m2], and the
+    centre of pressure [m].
     """
     pressing = int(0)
     force = wp.vec3d()
@@ -186,7 +190,7 @@ def contact_sums(contacts: Contacts, members: int):
 
 @wp.func
 def halve_motion(before: Descent, reach: wp.float64):
-    """Return a descent whose trial pose is half as far from the last free pose."""
+    """Return a descent whose trial motion is half as long."""
     descent = before
     descent.halvings = before.halvings + 1
     descent.arrived = 0
@@ -200,7 +204,7 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Return a descent whose trial pose was found to be free, with this smallest gap [m]."""
+    """Return a descent whose trial pose is accepted as free, with this smallest gap [m]."""
     descent = before
     descent.halvings = 0
     descent.position = before.trial_position
@@ -217,9 +221,9 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Return a descent with the motion that the springs want.
+    """Return a descent with the motion to the pose of zero spring force.
 
-    It counts one more stall if the springs' energy has hardly fallen.
+    The number of stalls is increased by one if the springs' energy has hardly decreased.
 
     Near exact solids, where the ``spacing`` of voxels is 0, no step counts as a stall.
     """
@@ -241,7 +245,10 @@ def aim_at(
 def react(
     contacts: Contacts, count: int, settings: DescentSettings, descent: Descent, last: Reaction
 ):
-    """Compute contact forces on the wanted motion, over the stiffness, and the number of solves."""
+    """Compute contact forces on a motion.
+
+    Return the forces, divided by the stiffness, and the number of solves.
+    """
     reaction = Reaction()
     compliance = settings.compliance
     members, solves, rub, arm = resolve(
@@ -277,8 +284,8 @@ def constrain_motion(
 ):
     """Return a descent with a motion that the contacts allow, their reaction, and a solved flag.
 
-    The flag is 1 where the contacts were solved. Friction begins at the first contact, so the tool
-    first moves there and no contact is solved.
+    The flag is 1 if the contacts were solved. With friction, the tool first moves up to the first
+    contact, because friction starts there. In this case no contact is solved.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -303,7 +310,7 @@ def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, cle
     descent = before
     descent.near = settings.tolerance
     if size > TWO * clear:
-        descent.near = settings.step  # the next step finds another friction
+        descent.near = settings.step  # the friction changes in the next step
     if size > clear:
         descent.shift = before.shift * (clear / size)
         descent.turn = before.turn * (clear / size)
@@ -329,11 +336,11 @@ def take_step(
 ):
     """Take one step from a free pose.
 
-    Return the descent and reaction after it, and whether and how it ends here.
+    Return the descent and the reaction after the step, and the end state of the step.
     """
     if before.solves >= settings.solve_limit:
         return before, last, OUT_OF_SOLVES
-    # The goal itself is free.
+    # The goal is free and has been reached.
     if before.arrived == 1 and gap >= -settings.tolerance:
         return before, last, AT_REST
     aimed = aim_at(before, goal_position, goal_rotation, settings.compliance, spacing)

@@ -1,4 +1,4 @@
-"""Normal and friction forces that keep a rigid tool above planes, by an active set of eight.
+"""Normal and friction forces that keep a rigid tool above planes, by an active-set method.
 
 The tool is held by a spring of stiffness k and, where it may turn, by a rotational spring of
 stiffness k l^2. Forces f_i, here divided by k, move it from the pose of zero spring force:
@@ -6,17 +6,18 @@ stiffness k l^2. Forces f_i, here divided by k, move it from the pose of zero sp
 least constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis.
 Comput. Graph. 13:458), so the spring forces equal the contact forces.
 
-The normal forces are the multipliers of that quadratic problem. The plane most violated joins the
-set, the set's linear system is solved, and a force that would turn into a pull leaves it (Lawson
-and Hanson 1974). Sweeping from contact to contact instead would need (l / distance)^2 sweeps for
-two contacts close together.
+The normal forces are the Lagrange multipliers of this quadratic problem. In each iteration, the
+most violated plane joins the active set, and the linear system of the set is solved. A plane whose
+force would pull leaves the set (Lawson and Hanson 1974). Gauss-Seidel sweeps over the contacts
+would need (l / distance)^2 sweeps for two contacts close together.
 
-Friction: friction of all contacts of a rigid tool together, and the total force of the contacts.
+Friction: the friction of all contacts of a rigid tool is computed as one force.
 
-Friction acts on the resultant: at the centre of pressure, across the resultant normal force, no
-more than ``mu`` times the sum of the normal forces. It holds that point where it can, while every
-normal force adapts. Beyond the cone it acts against the slip of the point. A patch does not resist
-a spin about its own normal.
+The friction force acts at the centre of pressure, perpendicular to the resultant normal force. Its
+magnitude is at most ``mu`` times the sum of the normal forces. Within this limit, friction prevents
+any motion of the centre of pressure, and the normal forces adapt. At the limit, friction acts
+against the slip of this point. Friction does not resist rotation about the normal of a contact
+patch.
 """
 
 import warp as wp
@@ -28,9 +29,12 @@ __all__ = ["MEMBERS", "factorise", "friction_force", "normal_forces", "resolve",
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MEMBERS = 8
-"""Planes in the set: six hold a rigid body, and one more waits while another leaves."""
+"""Largest number of planes in the set.
+
+Six planes fix a rigid body, and one more plane may join before another plane leaves.
+"""
 ROUNDS = 64
-"""Largest number of planes that join in turn: several times the members, in case some alternate."""
+"""Largest number of planes that join, several times `MEMBERS` in case planes alternate."""
 ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-13))
 """Relative increase of the set's matrix that makes dependent planes solvable."""
@@ -40,7 +44,7 @@ TINY = wp.constant(wp.float64(1.0e-13))
 def factorise(contacts: Contacts, members: int, compliance: wp.float64):
     """Compute the Cholesky factor of the coupling between planes.
 
-    The matrix holds each plane's effect on the tool's motion along the normals of the others.
+    The matrix holds the motion along each plane's normal due to a unit force at each other plane.
     """
     for i in range(members):
         a = contacts.member[i]
@@ -53,7 +57,7 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
             for k in range(j):
                 value -= contacts.lower[i, k] * contacts.lower[j, k]
             if i == j:
-                # Rounding may leave dependent planes a negative pivot.
+                # Rounding may lead to a negative pivot if planes are dependent.
                 contacts.lower[i, i] = wp.sqrt(wp.max(value, TINY * TINY))
             else:
                 contacts.lower[i, j] = value / contacts.lower[j, j]
@@ -63,9 +67,9 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 def solve_set(
     contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
 ):
-    """Solve for the forces of the set that undo a shift and a turn, into a column.
+    """Solve for the forces of the set that cancel a shift and a turn, and store them in a column.
 
-    With ``gaps`` 1 they also close the gaps.
+    If ``gaps`` is 1, the forces also close the gaps.
     """
     for i in range(members):
         c = contacts.member[i]
@@ -87,7 +91,7 @@ def solve_set(
 
 @wp.func
 def drop_member(contacts: Contacts, members: int, place: int):
-    """Remove a plane from the set and return the number left."""
+    """Remove a plane from the set and return the remaining number."""
     c = contacts.member[place]
     contacts.press[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
@@ -99,7 +103,7 @@ def drop_member(contacts: Contacts, members: int, place: int):
 def shrink_set(
     contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Solve for the forces of the set that close its gaps, removing pulling forces one by one.
+    """Solve for the forces of the set that close its gaps, and remove planes that pull one by one.
 
     Return the size of the set and the number of solves.
     """
@@ -116,8 +120,8 @@ def shrink_set(
         for m in range(members):
             old = contacts.press[contacts.slot[contacts.member[m]]]
             new = contacts.side[m, 0]
-            # The plane would pull: go only so far that the first such force is 0, and let its plane
-            # leave.
+            # A plane would pull. Change the forces only until the first such force is 0, and remove
+            # its plane.
             if new <= ZERO:
                 part = wp.float64(0.0)
                 if old > ZERO:
@@ -159,7 +163,7 @@ def normal_forces(
     shift: wp.vec3d,
     turn: wp.vec3d,
 ):
-    """Compute the smallest normal forces that keep all planes, starting from the present set.
+    """Compute the smallest normal forces that satisfy all planes, starting from the present set.
 
     Return the size of the set and the number of solves.
     """
@@ -192,12 +196,15 @@ def normal_forces(
 FRICTION_ROUNDS = 4
 """Number of rounds in which friction and normal forces are solved in turn."""
 STEPS = 50
-"""Largest number of rounds between friction and its bound; each is the other's answer."""
+"""Largest number of iterations between the friction force and its bound.
+
+The bound depends on the normal forces, and the normal forces depend on friction.
+"""
 NEWTON_STEPS = 30
-"""Largest number of Newton steps; from below they converge without a bracket, quadratically."""
+"""Largest number of Newton steps. From below, they converge quadratically without a bracket."""
 HALF = wp.constant(wp.float64(0.5))
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance given to a point that the planes hold, relative to about 1 of a free point.
+"""Compliance assigned to a point that the planes hold, relative to about 1 for a free point.
 
 The friction of a held point is not determined.
 """
@@ -214,7 +221,7 @@ def holding_force(
     v1: wp.float64,
     softer: wp.float64,
 ):
-    """Compute the force that undoes the slip v of a point with compliance W: -(W + softer)^-1 v.
+    """Compute the force that cancels the slip v of a point with compliance W: -(W + softer)^-1 v.
 
     The compliance is increased by ``softer``.
     """
@@ -234,7 +241,7 @@ def slipping_force(
     v1: wp.float64,
     bound: wp.float64,
 ):
-    """Compute the force of size ``bound`` against the remaining slip.
+    """Compute the force of magnitude ``bound`` against the remaining slip.
 
     The solution uses Newton's method on reciprocals (More and Sorensen 1983).
     """
@@ -262,9 +269,9 @@ def friction_force(
     turn: wp.vec3d,
     last: wp.vec3d,
 ):
-    """Compute the friction of the set's resultant and its arm from the tool's origin.
+    """Compute the friction force of the set, and its point of action from the tool's origin.
 
-    The normal forces respond linearly.
+    The normal forces depend linearly on the friction force.
     """
     total = wp.float64(0.0)
     along = wp.vec3d()
@@ -280,7 +287,7 @@ def friction_force(
     arm = arm / total
     normal = wp.normalize(along)
     side = wp.vec3d(ONE, ZERO, ZERO)
-    # A direction within 45 degrees of the normal would lose digits in the cross product.
+    # Use an axis more than 45 degrees from the normal, to avoid cancellation in the cross product.
     if wp.abs(normal[0]) > wp.float64(0.7):
         side = wp.vec3d(ZERO, ONE, ZERO)
     first = wp.normalize(wp.cross(normal, side))
@@ -292,7 +299,7 @@ def friction_force(
     slip = shift + wp.cross(turn, arm)
     response_first = first + compliance * wp.cross(wp.cross(arm, first), arm)
     response_second = second + compliance * wp.cross(wp.cross(arm, second), arm)
-    # sum of the normal forces: without friction, and per unit of both friction forces
+    # sum of the normal forces: without friction, and change per unit of the two friction components
     hold = wp.vec3d()
     for m in range(members):
         c = contacts.member[m]
@@ -311,7 +318,7 @@ def friction_force(
     if f0 * f0 + f1 * f1 > bound * bound:
         f0 = wp.dot(first, last)
         f1 = wp.dot(second, last)
-        for _ in range(STEPS):  # the normal forces answer to the friction, and so does the cone
+        for _ in range(STEPS):  # normal forces and cone depend on friction
             before = bound
             bound = friction * wp.max(hold[0] + hold[1] * f0 + hold[2] * f1, ZERO)
             f0, f1 = slipping_force(w00, w01, w11, v0, v1, bound)
@@ -327,13 +334,13 @@ def resolve(
     compliance: wp.float64,  # 1 / l^2 [1/m2], 0 where the tool does not turn
     friction: wp.float64,
     tolerance: wp.float64,  # [m]
-    shift: wp.vec3d,  # where the springs would have the tool [m]
+    shift: wp.vec3d,  # shift to the pose of zero spring force [m]
     turn: wp.vec3d,  # [rad]
-    last_rub: wp.vec3d,  # friction force found before [m] and its arm, from which the search starts
+    last_rub: wp.vec3d,  # last friction force [m] and its arm; start of the search
     last_arm: wp.vec3d,
-    near: wp.float64,  # change of the friction at which it is found [m]
+    near: wp.float64,  # change at which the friction force counts as found [m]
 ):
-    """Return size of the set, number of solves, and friction force [m] with its arm.
+    """Return the size of the set, the number of solves, the friction force [m] and its arm.
 
     The normal forces are written to ``press``.
     """
@@ -341,7 +348,7 @@ def resolve(
     for c in range(count):
         contacts.chosen[c] = 0
         if contacts.press[contacts.slot[c]] > ZERO:
-            # One place is kept for a plane that joins.
+            # One entry is reserved for a plane that joins.
             if members < MEMBERS - 1:
                 contacts.member[members] = c
                 contacts.chosen[c] = 1
@@ -359,7 +366,7 @@ def resolve(
             before = rub
             arm_before = arm
             rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
-            if k > 0:  # halve it, so that two sets of planes do not alternate
+            if k > 0:  # halve the change, so that two sets do not alternate
                 rub = HALF * (rub + before)
                 arm = HALF * (arm + arm_before)
             dragged = turn + compliance * wp.cross(arm, rub)

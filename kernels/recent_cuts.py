@@ -1,11 +1,13 @@
-"""Cuts of a tool at its last poses.
+"""Most recent cuts, computed from the tool's last poses.
 
-These poses are known to rounding, so the bone that they have cut is known more exactly than from
-the voxels. At a pose displaced by d, the tool has cut to ::
+The poses are exact up to rounding errors, so the surface of these cuts is more accurate than the
+surface stored in the voxels. At a pose displaced by d, the tool has cut the bone up to this
+distance::
 
     d . n - k / 2 |d - (d . n) n|**2
 
-in front of an element with normal n and mean curvature k. Rotations are taken to second order.
+in front of a cutting element with the normal n and the mean curvature k. Rotations are included to
+second order.
 """
 
 import warp as wp
@@ -16,10 +18,10 @@ __all__ = ["CLOSE", "Poses", "poses_in_front", "recently_cut"]
 
 wp.set_module_options({"enable_backward": False})
 
-# Number of last poses between two checks whether the other poses can be left out; chosen.
+# Number of poses between two checks whether the remaining poses can be skipped; chosen.
 CHECKED = wp.constant(8)
-# Smallest gap to the cuts at the tool's last poses that counts as cut bone [m]. It is also the
-# width over which the share of an element falls at the surface of these cuts.
+# Smallest distance to the surface of the most recent cuts at which bone counts as cut [m]. It is
+# also the width over which an element's share falls to 0 at this surface.
 CLOSE = wp.constant(2.0e-8)
 
 
@@ -42,15 +44,15 @@ def poses_in_front(
 ):
     """Return the range of last poses that may have cut farther than the present pose.
 
-    A pose counts if the tool lay in front of the present pose there, for the normal of some element
-    of the chunk. A tool that advances has no such poses in front of it.
+    A pose is included if, at this pose, an element of the chunk lay farther along its normal than
+    at the present pose. For a tool that advances, there are no such poses.
     """
     poses = Poses()
     poses.last = recent.shape[0]
     if not turns:
         cone = elements.chunk_cone[chunk]
         axis = wp.vec3(cone[0], cone[1], cone[2])
-        # The normals differ from the cone's axis by a vector of this length at most.
+        # Upper bound for the length of the difference between a normal and the cone's axis.
         differ = float(2.0)
         if cone[3] <= 1.0:
             differ = wp.sqrt(2.0 - 2.0 * wp.sqrt(1.0 - cone[3] * cone[3])) + 1.0e-5
@@ -81,8 +83,8 @@ def recently_cut(
 ):
     """Compute how far the tool has cut in front of eight elements at its last poses [m].
 
-    The result is 0 for elements in front of which the present pose has cut farthest. Once it is
-    more than ``enough`` for all eight, the remaining poses are left out.
+    The result is 0 for elements where the present pose has cut farthest. As soon as the result is
+    more than ``enough`` for all eight elements, the remaining poses are skipped.
     """
     gap = lanes8()
     if poses.first >= poses.last:
@@ -106,7 +108,7 @@ def recently_cut(
             while j < end:
                 most = wp.max(most, cut_straight(recent, j, nx, ny, nz, half))
                 j += 1
-        # More poses would not change which elements have bone within reach.
+        # The remaining poses cannot change which elements have bone within reach.
         if wp.min(most - present) > CLOSE and wp.min(most) > enough:
             j = poses.last
     for lane in range(LANES):
@@ -119,7 +121,7 @@ def recently_cut(
 def cut_straight(
     recent: wp.array2d(dtype=wp.float32), j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8
 ):
-    """Compute how far a tool that has not turned has cut in front of eight elements [m]."""
+    """Compute how far a tool without rotation has cut in front of eight elements [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]
@@ -139,13 +141,13 @@ def cut_turned(
     nz: lanes8,
     half: lanes8,
 ):
-    """Compute how far a tool that has turned has cut in front of eight elements [m]."""
+    """Compute how far a tool with rotation has cut in front of eight elements [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]
-    # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
-    # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
-    # the tool's axis is left out.
+    # To second order in the rotation w, an element at p with normal n moves by w x p, and the
+    # surface at its new position rises by (w x n) . (w x p / 2 + moved). The rotation about the
+    # tool's axis is omitted.
     px = elements.lanes[eight, 0]
     py = elements.lanes[eight, 1]
     pz = elements.lanes[eight, 2]

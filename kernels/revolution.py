@@ -1,4 +1,4 @@
-"""Tool as a surface of revolution: a table of signed distance over radius and height.
+"""Tool as a surface of revolution, stored as a table of signed distances by radius and height.
 
 Lengths are in voxels.
 """
@@ -8,15 +8,19 @@ import warp as wp
 __all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
 
 EDGE_BEND = 8.0
-"""Bend used near an edge of the profile, where no single plane fits a block of voxels.
+"""Value of the bend that marks an edge of the profile.
 
-It marks the edge: a ball of one voxel's radius, smaller than any tool, has a bend of 1/3.
+The bend is a sixth of the sum of the principal curvatures. Near an edge, no single plane
+approximates the surface in a block of voxels.
+
+No smooth tool has this value: a ball with a radius of one voxel, smaller than any tool, has a bend
+of 1/3.
 """
 
 
 @wp.struct
 class Revolution:
-    """Signed distance to a body of revolution, tabulated over (radius, height above the tip)."""
+    """Signed distance to a body of revolution, tabulated by radius and height above the tip."""
 
     distance: wp.array2d(dtype=wp.float32)  # [radius index, height index], negative inside [voxel]
     slope: wp.array2d(dtype=wp.vec2)  # gradient of the distance along (radius, height)
@@ -25,33 +29,36 @@ class Revolution:
     height_min: wp.float32  # height of index 0 above the tip [voxel]
     cells_per_voxel: wp.float32
     radius: wp.float32  # largest radius of the body [voxel]
-    low: wp.float32  # lowest and highest height of the body above the tip [voxel]
+    low: wp.float32  # lowest and highest point of the body above the tip [voxel]
     high: wp.float32
     convex: wp.int32  # 1 where the body is convex
-    # 1 where it is one smooth piece, so that the volume behind it follows from one normal
+    # 1 if the body is one smooth piece, so that one normal gives the volume behind its surface
     round: wp.int32
 
 
 @wp.struct
 class Nearest:
-    """Tool surface nearest to a point."""
+    """Nearest point of the tool's surface to a point."""
 
     distance: wp.float32  # signed distance [voxel]
-    # average contribution of curvature over a block of 2 voxels and inside each voxel [voxel]
+    # average contribution of curvature in a block of 2 voxels and inside each voxel [voxel]
     bend: wp.float32
-    # gradient of the distance: outward, of length 1, shorter where two sides are equally near
+    # Gradient of the distance. It points outward and has length 1, or less where two sides are
+    # equally near.
     slope: wp.vec3
 
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """Return the tool surface at an ``offset`` [voxel] from the tip of a tool along ``axis``.
+    """Return the nearest tool surface to a point.
 
-    It is interpolated bilinearly in the table.
+    The point lies at an ``offset`` [voxel] from the tip of a tool along ``axis``.
 
-    Over a block of 2 x 2 x 2 voxels the distances at the voxel centres exceed the tangent plane's
-    by (k1 + k2) / 8 on average, and the mean over each voxel exceeds its centre's by (k1 + k2) /
-    24: together ``bend``.
+    The values are interpolated bilinearly in the table.
+
+    In a block of 2 x 2 x 2 voxels, the distances at the voxel centres are larger than the distances
+    to the tangent plane, by (k1 + k2) / 8 on average. The mean distance over a voxel is larger than
+    the distance at its centre by (k1 + k2) / 24. ``bend`` is the sum of the two terms.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis
@@ -71,7 +78,7 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
     found = Nearest()
     found.distance = (a * (1.0 - fu) + b * fu) * (1.0 - fv) + (c * (1.0 - fu) + d * fu) * fv
     found.bend = tool.bend[i, j]
-    # On the axis `outward` is zero, and so is its slope.
+    # On the axis, `outward` and the radial slope are zero.
     found.slope = (slope[0] / wp.max(radius, 1.0e-6)) * outward + slope[1] * axis
     return found
 
@@ -80,7 +87,7 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 def offset_from(pose: wp.array2d(dtype=wp.float64), row: int, ix: int, iy: int, iz: int):
     """Return the vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz).
 
-    It is computed in double precision.
+    The vector is computed in double precision.
     """
     return wp.vec3(
         float(wp.float64(ix) - pose[row, 0]),

@@ -1,6 +1,6 @@
 """Projection of a tool's shell points onto a triangulated surface.
 
-The projection follows the normals of the points to the nearest triangle.
+Each point is projected along its normal onto the nearest triangle.
 """
 
 import warp as wp
@@ -13,14 +13,18 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 ONE = wp.constant(wp.float64(1.0))
 TWICE = wp.constant(wp.float64(2.0))
-"""Multiple of a triangle's radius within which each corner lies from any of its points."""
+"""Upper bound of the distance between a corner and a point of a triangle, in triangle radii."""
 GRAZING = wp.constant(wp.float64(0.1))
-"""Cosine between a point's normal and a triangle's inward normal below which they do not touch.
+"""Smallest cosine between a point's normal and a triangle's inward normal that allows contact.
 
-At 84 degrees the line along the normal meets the triangle ten times as far away as the triangle is.
+At 84 degrees, the distance along the normal to the triangle's plane is ten times the distance of
+the plane.
 """
 EDGE = wp.constant(wp.float64(-1e-9))
-"""Barycentric weight down to which a point on an edge belongs to either side."""
+"""Smallest barycentric weight of a point that belongs to a triangle.
+
+A slightly negative value assigns a point on an edge to the triangles on the two sides of the edge.
+"""
 
 
 @wp.kernel
@@ -36,11 +40,11 @@ def project_shell(
     lists: Lists,
     # out
     points_out: Points,
-    triangle_out: wp.array(dtype=wp.int32),  # [point], -1 where the point meets nothing
+    triangle_out: wp.array(dtype=wp.int32),  # [point], -1 if the point meets no triangle
 ):
-    """Move every point to the nearest triangle that the line along its normal crosses.
+    """Project every point onto the nearest triangle that the line along its normal crosses.
 
-    The triangle must lie within reach and within the last motion.
+    The triangle must lie within reach and within the distance of the last motion.
     """
     i = wp.tid() + offset
     pose = pose_of(pose_rows)
@@ -83,7 +87,7 @@ def project_shell(
 
 @wp.kernel
 def link_points(triangle: wp.array(dtype=wp.int32), lists: Lists, points_out: Points):
-    """Chain the points of each nearby triangle; a point without a triangle carries no force."""
+    """Link the points of each nearby triangle. A point without a triangle carries no force."""
     for k in range(lists.count[NEARBY]):
         points_out.first[lists.near[k]] = -1
     for i in range(triangle.shape[0]):

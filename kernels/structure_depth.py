@@ -1,9 +1,10 @@
-"""Depth of a tool of revolution in a closed triangle surface.
+"""Penetration depth of a tool of revolution into a structure with a closed triangle surface.
 
-The tool is the union of the largest balls in it. A ball whose centre lies in the structure is as
-deep as its radius and its centre's depth together. A branch-and-bound search over the centres,
-cells of a segment of the half section's medial axis and of an angle around the tool's axis, finds
-the deepest ball to `DEPTH_TOLERANCE_M`.
+The tool is the union of its largest inscribed balls. The depth of a ball whose centre lies in the
+structure is the sum of its radius and the depth of its centre. The centres form the medial axis of
+the tool. They are divided into cells. A cell is a part of a segment of the half section's medial
+axis, rotated by a range of angles around the tool's axis. A branch-and-bound search over the cells
+finds the deepest ball, with an error of at most `DEPTH_TOLERANCE_M`.
 """
 
 import warp as wp
@@ -22,11 +23,11 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
-"""Largest accepted distance of a bound below the smallest distance [m]."""
+"""Largest accepted difference between the smallest distance and its lower bound [m]."""
 CELLS = wp.constant(128)
-"""Rows of the stack of cells.
+"""Number of rows of the stack of cells.
 
-Each halving adds one; 30 halvings take a cell of 30 mm to a micrometre on both sides.
+Each halving adds one row. 30 halvings reduce the two sides of a cell from 30 mm to a micrometre.
 """
 CELL_COLUMNS = wp.constant(6)
 MOST_QUERIES = wp.constant(20000)
@@ -35,21 +36,21 @@ MOST_QUERIES = wp.constant(20000)
 The limit bounds the time of a tick.
 """
 FAR_M = wp.constant(wp.float64(1.0e3))
-"""Range of the search for the nearest point [m]: any structure is nearer."""
+"""Range of the search for the nearest point [m]. Every structure lies within this range."""
 NEAR_M = wp.constant(wp.float64(1.0e-6))
-"""Distance from the surface below which rounding spoils the direction to it [m]."""
+"""Distance from the surface below which the direction to it has large rounding errors [m]."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
-"""Distance of the outer point of a bound from the surface, over the size of the cell.
+"""Distance of the outer point of a bound from the surface, relative to the size of the cell.
 
-A bound lies below the distance by about a 32nd of the size where the structure leaves that much
-space.
+If the space outside the structure is that large, a bound lies below the distance by about a 32nd of
+the size of the cell.
 """
 HULL = wp.constant(8)
-"""Corners of the hull around a cell, see `hull_corner`."""
+"""Number of corners of the hull around a cell, see `hull_corner`."""
 WIDE_RAD = wp.constant(wp.float64(1.0))
-"""Half angle [rad] above which a cell is bounded by its size alone.
+"""Half angle [rad] of a cell above which only the size of the cell is used for a bound.
 
-The corners on the tangents would lie 1.85 times as far out as the cell.
+At this angle, the hull corners on the tangents have 1.85 times the radius of the cell.
 """
 
 
@@ -59,8 +60,8 @@ class MedialAxis:
 
     starts: wp.array(dtype=wp.vec3d)  # [segment] radius and height of the centre, ball radius [m]
     ends: wp.array(dtype=wp.vec3d)
-    across: wp.array(dtype=wp.int32)  # [segment] 1 where centres outside the structure count too
-    slack: wp.float64  # by how much the true balls may reach out of these [m]
+    across: wp.array(dtype=wp.int32)  # [segment] 1 if centres outside the structure also count
+    slack: wp.float64  # largest distance by which true balls may exceed these balls [m]
 
 
 @wp.func
@@ -78,13 +79,13 @@ def in_structure(
 
 @wp.func
 def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
-    """Return whether a point lies in the structure."""
+    """Return whether a point lies inside the structure."""
     return wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(point), float(FAR_M)).sign < 0.0
 
 
 @wp.func
 def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
-    """Find the distance from the surface, the nearest point of it and its triangle."""
+    """Find the distance from the surface, the nearest point of the surface and its triangle."""
     at = wp.vec3(point)
     query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
     foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))
@@ -100,10 +101,11 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Return corner `k` of a hull around a cell's centres, and its ball radius.
+    """Return corner `k` of a hull around the centres of a cell, and the ball radius at this corner.
 
-    The hull surrounds the cell's own four corners and four corners on the tangents at its middle. A
-    concave function of the centre and the ball radius is smallest at a corner of the hull.
+    The hull has four corners at the corners of the cell, and four on the tangents at its middle. A
+    concave function of the centre and the ball radius has its smallest value at a corner of the
+    hull.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -133,24 +135,24 @@ def cell_bounds(
     moved: wp.float64,
     wanted: wp.float64,
 ):
-    """Compute bounds of the distance over the balls of a cell.
+    """Compute a lower and an upper bound of the smallest distance of the balls of a cell.
 
-    Also return the signed distance from the surface to the centre of the cell's middle.
+    Also return the signed distance of the middle of the cell from the surface.
 
-    `before` is the same signed distance of a point that lies `moved` away. A lower bound above
-    `wanted` is not improved.
+    `before` is the signed distance of a known point, and `moved` is the distance from this point to
+    the middle. A lower bound that is larger than `wanted` is not improved further.
     """
     middle = wp.float64(0.5) * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
     apart, foot, face = nearest_on_surface(mesh, centre)
-    # The sign costs far more than the distance. A sphere that the surface does not enter has one
-    # sign.
+    # The sign takes far more time than the distance. Within a sphere that does not touch the
+    # surface, the sign does not change, so the sign of `before` is used.
     is_inside = before < wp.float64(0.0)
     if wp.abs(before) <= moved + NEAR_M:
         is_inside = is_in_structure(mesh, centre)
     signed = wp.where(is_inside, -apart, apart)
 
-    # The farthest points of a cell from its middle are corners of it.
+    # The point of a cell that is farthest from its middle is one of its corners.
     cosine = wp.cos(half_angle)
     rise = wp.float64(0.5) * (end[1] - start[1])
     size = wp.float64(0.0)
@@ -171,12 +173,13 @@ def cell_bounds(
         if across == 1:
             upper = apart - middle[2]
         elif apart >= size:
-            # No centre lies in the structure: the search over its surface has seen these balls.
+            # No centre lies in the structure. The search over the surface has already covered these
+            # balls.
             return upper, upper, signed
     if half_angle >= WIDE_RAD or lower >= wanted:
         return lower, upper, signed
 
-    # No point of the structure is farther from the surface than from one triangle of it.
+    # Inside the structure, the distance from the surface is at most the distance from any triangle.
     a = wp.vec3d(wp.mesh_get_point(mesh, face * 3 + 0))
     b = wp.vec3d(wp.mesh_get_point(mesh, face * 3 + 1))
     c = wp.vec3d(wp.mesh_get_point(mesh, face * 3 + 2))
@@ -190,8 +193,8 @@ def cell_bounds(
     if lower >= wanted:
         return lower, upper, signed
 
-    # A signed distance falls by at most the path from a point outside. Seen from afar this bound is
-    # nearly flat along the surface.
+    # From a point outside, the signed distance decreases by at most the length of the path. For a
+    # distant point, this bound is nearly constant along the surface.
     normal = wp.vec3d(wp.mesh_eval_face_normal(mesh, face))
     if apart > NEAR_M:
         normal = (centre - foot) / signed
@@ -214,12 +217,12 @@ def over_balls(
     medial: MedialAxis,
     best: wp.float64,
     last_segment: wp.array(dtype=wp.int32),
-    # shares of the segment from and to, angle, half angle, bound, signed distance
+    # start and end as fractions of the segment, angle, half angle, bound, signed distance
     cells: wp.array2d(dtype=wp.float64),
 ):
-    """Compute a lower bound [m] of the distance of balls in the structure, at most `best`.
+    """Compute a lower bound [m] of the smallest distance of balls in the structure, at most `best`.
 
-    The balls are all balls of the tool whose centre lies in the structure.
+    Only balls of the tool whose centre lies in the structure are included.
     """
     smallest = best
     lowest = best
@@ -229,7 +232,8 @@ def over_balls(
     signed = wp.float64(0.0)
     last_middle = wp.vec3d()
     for turn in range(number):
-        # The segment that was deepest at the last tick prunes most of the others.
+        # The search starts at the segment that was deepest in the last tick, which excludes most
+        # others.
         root = (begin + turn) % number
         cells[0, 0] = wp.float64(0.0)
         cells[0, 1] = wp.float64(1.0)
@@ -310,7 +314,7 @@ def over_balls(
                     last_segment[0] = root
             count += 2
             if cells[held, 4] < cells[held + 1, 4]:
-                # The child with the lower bound comes first.
+                # The half with the lower bound is searched first.
                 for column in range(CELL_COLUMNS):
                     swapped = cells[held, column]
                     cells[held, column] = cells[held + 1, column]

@@ -1,10 +1,11 @@
-"""Signed distance between a tool of revolution and a closed triangle surface or field.
+"""Signed distance between a tool of revolution and a structure.
 
-A branch-and-bound search over a tree of boxes, then over halves of triangles, finds the smallest
-distance from the tool over the surface to `TOLERANCE_M`. Where the two overlap,
-`kernels.structure_depth` adds the tool's depth in the structure.
+The structure is a closed triangle surface. A branch-and-bound search over a tree of boxes, and then
+over halves of triangles, finds the point of the surface with the smallest distance from the tool.
+The error is at most `TOLERANCE_M`. If tool and structure overlap, `kernels.structure_depth`
+computes the penetration depth.
 
-Clearance: distance of a tool's surface from another body, by a field of distances to the body.
+Clearance: the distance of a tool's surface from another body, interpolated in a grid of distances.
 """
 
 import warp as wp
@@ -18,23 +19,23 @@ __all__ = ["NODES", "TRIANGLES", "Tree", "clearance", "distance_to_structure"]
 wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
-"""Rows of the stacks of nodes and of triangles."""
+"""Number of rows of the stacks of nodes and triangles."""
 MOST_EVALUATIONS = wp.constant(20000)
 """Number of evaluations after which a search ends with a coarser lower bound.
 
 The limit bounds the time of a tick.
 """
 LEAF = wp.constant(4)
-"""Triangles in a leaf, as `meshes.surfaces.box_tree` fills them."""
+"""Number of triangles in a leaf, the same as in `meshes.surfaces.box_tree`."""
 
 
 @wp.struct
 class Tree:
-    """Triangles in a complete binary tree of boxes; node i has the children 2 i + 1 and 2 i + 2."""
+    """Triangles in a complete binary tree of boxes. Node i has the children 2 i + 1 and 2 i + 2."""
 
     centre: wp.array(dtype=wp.vec3d)  # [node] [m]
     half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative in empty nodes
-    corners: wp.array2d(dtype=wp.vec3d)  # [triangle, 3] [m], LEAF triangles a leaf
+    corners: wp.array2d(dtype=wp.vec3d)  # [triangle, 3] [m], LEAF triangles per leaf
     first_leaf: wp.int32
 
 
@@ -49,9 +50,10 @@ def smallest_in_triangle(
     stack: wp.array2d(dtype=wp.vec3d),
     bound: wp.array(dtype=wp.float64),
 ):
-    """Find the smallest distance over a triangle, but at most `best`.
+    """Find the smallest distance of the points of a triangle, but at most `best`.
 
-    Return it, the evaluations so far, and the part that is left open.
+    Return the distance, the number of evaluations so far, and the smallest bound of the parts that
+    were not searched.
     """
     smallest = best
     # 1e9 m stands for no bound.
@@ -77,7 +79,7 @@ def smallest_in_triangle(
                 pq = wp.length_sq(q - p)
                 qr = wp.length_sq(r - q)
                 rp = wp.length_sq(p - r)
-                # Turn the triangle so that its longest edge runs from q to r.
+                # Rotate the corners so that the longest edge runs from q to r.
                 if pq > qr and pq >= rp:
                     turned = r
                     r = q
@@ -114,16 +116,16 @@ def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
 
 @wp.func
 def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
-    """Compute a lower bound of the distance over a node's box."""
+    """Compute a lower bound of the distance of the points in a node's box."""
     half = tree.half[node]
-    # 1e9 m stands for no bound: an empty node is never entered.
+    # 1e9 m stands for no bound, so that an empty node is never searched.
     bound = wp.float64(1.0e9)
     if half[0] >= wp.float64(0.0):
         centre = in_tool(motion, tree.centre[node])
         for part in range(outline.convex.shape[0]):
             value, gradient, _bend = distance_to_part(outline, part, centre)
-            # A distance falls by at most the path. Over a convex part its tangent plane is a
-            # tighter bound.
+            # The distance decreases by at most the length of the path. For a convex part, the
+            # tangent plane of the distance gives a tighter bound.
             drop = wp.length(half)
             if outline.convex[part] == 1:
                 drop = wp.float64(0.0)
@@ -149,7 +151,7 @@ def over_surface(
     stack: wp.array2d(dtype=wp.vec3d),
     bounds: wp.array(dtype=wp.float64),
 ):
-    """Compute a lower bound of the smallest distance [m] from the tool over the surface.
+    """Compute a lower bound of the smallest distance [m] between the tool and the surface.
 
     The bound is at most `TOLERANCE_M` below the smallest distance.
     """
@@ -157,7 +159,8 @@ def over_surface(
     smallest = wp.float64(1.0e9)
     left = wp.float64(1.0e9)
     count = int(0)
-    # The leaf that was nearest at the last tick prunes most of the tree.
+    # The search starts at the leaf that was nearest in the last tick, which excludes most of the
+    # tree.
     for held in range(2):
         nodes[held] = wp.where(held == 0, 0, last_leaf[0])
         node_bounds[held] = wp.float64(-1.0e9)
@@ -207,7 +210,7 @@ def distance_to_structure(
     # rows: tip [m]; tool axes x, y, z, in the structure's frame
     motion: wp.array2d(dtype=wp.float64),
     medial: MedialAxis,
-    # scratch, not read afterwards
+    # scratch arrays
     last_leaf_out: wp.array(dtype=wp.int32),
     nodes_out: wp.array(dtype=wp.int32),
     node_bounds_out: wp.array(dtype=wp.float64),
@@ -223,15 +226,18 @@ def distance_to_structure(
         outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
     )
     if smallest < wp.float64(0.0) or first_ball_inside(mesh, motion, medial):
-        # The surfaces meet, or the whole tool is inside: see how deep the tool's own balls lie in
-        # the structure.
+        # The surfaces touch, or the whole tool is inside. Compute how deep the balls of the tool
+        # lie in the structure.
         smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
     distance_out[0] = smallest
 
 
 @wp.func
 def clipped(distance: wp.array3d(dtype=wp.float32), i: int, j: int, k: int):
-    """Return the distance [m] at a voxel; outside the grid, at the nearest voxel in the grid."""
+    """Return the distance [m] at a voxel.
+
+    Outside the grid, the nearest voxel of the grid is used.
+    """
     return distance[
         wp.clamp(i, 0, distance.shape[0] - 1),
         wp.clamp(j, 0, distance.shape[1] - 1),
@@ -251,9 +257,9 @@ def clearance(
     # out
     least_out: wp.array(dtype=wp.float32),  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Compute the smallest distance over each chunk of elements.
+    """Compute the smallest distance of the surface elements in each chunk.
 
-    Distances are trilinear between voxel centres.
+    Distances are interpolated trilinearly between voxel centres.
     """
     chunk = wp.tid() + chunk_offset
     # 1e9 m stands for no distance yet.

@@ -1,14 +1,15 @@
-"""Contact of a tool with triangles of a body whose nodes move by a dense compliance.
+"""Contact of a tool with triangles of a body whose displacements follow from a dense compliance.
 
 The solver is a nonlinear Gauss-Seidel iteration on one thread.
 
-The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a
-triangle's turn, the force of one contact after the other is solved at its points
-(``kernels.contact_state``). Distance and normal of the tool are taken at the present position of
-the point, so normals need no outer loop. Then each of its nodes whose force F_a changed adds to the
-displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only
-triangles that touch or carry force take turns. When their points rest, all other nearby triangles
-are checked again, and triangles that the tool would enter join.
+The unknowns are the forces at contact points. A contact point has barycentric weights on its
+triangle. For one triangle after another, the forces at its contact points are solved
+(``kernels.contact_state``). The tool's distance and normal are evaluated at the present position of
+the point, so no outer loop over normals is needed. The changed force F_a of each node of the
+triangle is then added to the displacements of all loaded nodes, ``u_b += W_ba dF_a``
+(``kernels.near_compliance``). Only working triangles, which touch the tool or carry force, are
+solved. When their points no longer move, all other nearby triangles are checked again, and
+triangles that the tool would penetrate are added.
 """
 
 import warp as wp
@@ -46,7 +47,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def load(body: Body, patch: Patch, node: int, change: wp.vec3d):
-    """Add to a node's force, and move all loaded nodes."""
+    """Add a change to a node's force, and displace all loaded nodes."""
     if wp.length_sq(change) > ZERO:
         body.force[node] = body.force[node] + change
         push(patch, patch.slot[node], change, patch.count[LOADED])
@@ -63,9 +64,9 @@ def turn_of(
     friction: wp.float64,
     triangle: int,
 ):
-    """Solve a triangle's points in turn.
+    """Solve the contact points of a triangle one after another.
 
-    Return the largest step of a point and the largest displacement of a node [m].
+    Return the largest change of a point's position and the largest displacement of a node [m].
     """
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]
@@ -111,9 +112,9 @@ def turn_of(
 
 @wp.func
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
-    """Sum nodal forces and displacements afresh.
+    """Recompute nodal forces and displacements.
 
-    Sums of changes carry rounding errors, which would accumulate.
+    Rounding errors would accumulate if only changes were added.
     """
     for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
@@ -144,7 +145,7 @@ def report(
 ):
     """Sum the force and torque on the tool.
 
-    A penetration that no force can end turns a finished solve into an immovable one.
+    If a penetration remains that no force can remove, the end state is changed to IMMOVABLE.
     """
     force = wp.vec3d()
     torque = wp.vec3d()
@@ -165,8 +166,8 @@ def report(
             distance, direction = distance_to(kind, size, pose, points, point, place)
             deepest = wp.max(deepest, -distance)
             compliance = points.response[point, 3]
-            # A compliance of rounding along the normal: the body cannot yield there, for example at
-            # a support.
+            # The compliance along the normal is only a rounding error. The body cannot yield at
+            # this point, for example at a support.
             if (
                 ended == DONE
                 and distance < -slack
@@ -197,7 +198,7 @@ def solve_contact(
     pose_rows: wp.array2d(dtype=wp.float64),
     # law and limits
     friction: wp.float64,
-    tolerance: wp.float64,  # largest step of a point, relative to the largest displacement
+    tolerance: wp.float64,  # largest change of a point, relative to the largest displacement
     sweeps: int,
     # in and out
     body_out: Body,
@@ -206,7 +207,7 @@ def solve_contact(
     patch_out: Patch,
     results_out: wp.array(dtype=wp.float64),
 ):
-    """Sweep over working triangles until their points rest and no other triangle is entered."""
+    """Sweep over working triangles until their points rest and no other triangle is penetrated."""
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)
     missing = start_over(body_out, points_out, lists_out, patch_out, pose)

@@ -1,6 +1,6 @@
-"""Energy, force and tangent stiffness of tetrahedra under laws of principal stretches, any order.
+"""Energy, force and tangent stiffness of tetrahedra of any order, for laws of principal stretches.
 
-The laws are those of ``tissue.materials.hyperelasticity``, with moduli as shares of a cell's shear
+The laws are defined in ``tissue.materials.hyperelasticity``, with moduli relative to a cell's shear
 modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
 (``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``,
 ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
@@ -8,15 +8,16 @@ modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature 
     psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
         + sum_e (s_e / (2 b_e)) (exp(b_e x) - 1)) + (kappa / 4) (J^2 - 1 - 2 ln J)
 
-Neo-Hookean is one term of exponent 2.
+The neo-Hookean law is one term with the exponent 2.
 
-Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's
-energy is infinite.
+Stress and tangent follow from the derivatives of psi by ``ln l_i`` in the frames U and V. The
+energy of an inverted cell is infinite.
 
-The second derivative of psi by F has nine eigenvalues in these frames. Three belong to changes of
-the stretches and are those of a matrix of shape (3, 3). The others belong to the symmetric and
-the antisymmetric change of each pair of axes (Smith, De Goes and Kim 2019, ACM Trans. Graph.
-38:3). The definite tangent replaces each eigenvalue by its magnitude (Chen et al. 2024, SIGGRAPH).
+The second derivative of psi by F has nine eigenvalues in these frames. Three of them belong to
+changes of the stretches and are the eigenvalues of a matrix of shape (3, 3). The other six belong
+to the symmetric and the antisymmetric change of each pair of axes (Smith, De Goes and Kim 2019, ACM
+Trans. Graph. 38:3). The definite tangent replaces each eigenvalue by its magnitude (Chen et al.
+2024, SIGGRAPH).
 """
 
 import warp as wp
@@ -31,7 +32,7 @@ SWEEPS = wp.constant(12)
 """Largest number of sweeps over the three pairs; Jacobi's method needs about five."""
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 LEAST = wp.constant(wp.float64(1.0e-3))
-"""Smallest eigenvalue of the definite tangent, over the shear modulus."""
+"""Smallest eigenvalue of the definite tangent, relative to the shear modulus."""
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 THREE = wp.constant(wp.float64(3.0))
@@ -47,9 +48,9 @@ def removed(
     u: wp.vec3d,
     v: wp.vec3d,
 ):
-    """Remove an off-diagonal entry by a rotation of two axes.
+    """Eliminate an off-diagonal entry by a rotation of two axes.
 
-    Returned are the two diagonal entries, the other entries of both rows, and both axes.
+    Return the two diagonal entries, the other entries of the two rows, and the two axes.
     """
     t = ZERO
     if off != ZERO:
@@ -73,8 +74,8 @@ def removed(
 def stretches_of(f: wp.mat33d):
     """Compute the stretches and the frame V of a gradient with det F > 0.
 
-    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5), written out: products of
-    matrices take three times as long.
+    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5). The rotations are written out,
+    because products of matrices take three times as long.
     """
     c = wp.transpose(f) * f
     xx = c[0, 0]
@@ -124,7 +125,7 @@ def derivatives(
     powers: wp.array(dtype=wp.float64),
     exponentials: wp.array2d(dtype=wp.float64),
 ):
-    """Compute energy density [Pa], its slope and curvature by the logarithms of the stretches."""
+    """Compute the energy density [Pa], and its derivatives by the logarithms of the stretches."""
     j = stretch[0] * stretch[1] * stretch[2]
     isochoric = stretch / wp.pow(j, ONE / THREE)
     energy = wp.float64(0.25) * bulk * (j * j - ONE - TWO * wp.log(j))
@@ -165,7 +166,8 @@ def stretch_force(
     # [cell, corner], gradient of the barycentric coordinate [1/m]
     corner: wp.array2d(dtype=wp.vec3d),
     volume: wp.array(dtype=wp.float64),  # [cell] [m3]
-    # element: derivatives of the shape functions by barycentric coordinates, shares of the volume
+    # finite element: derivatives of the shape functions by barycentric coordinates, volume
+    # fractions
     reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
     share: wp.array(dtype=wp.float64),  # [point]
     # law
@@ -188,7 +190,7 @@ def stretch_force(
     for q in range(share.shape[0]):
         f = deformation(cell, q, nodes, reference, corner, displacement)
         weight = share[q] * volume[cell]
-        # A turned-over cell.
+        # The cell is inverted.
         if wp.determinant(f) <= ZERO:
             energy = wp.float64(wp.INF)
         else:
@@ -209,7 +211,7 @@ def stretch_force(
 
 @wp.func
 def at_least(value: wp.float64, smallest: wp.float64):
-    """Return the magnitude of a value, or the smallest one allowed if that is larger."""
+    """Return the magnitude of a value, but at least the smallest magnitude allowed."""
     return wp.max(wp.abs(value), smallest)
 
 
@@ -217,7 +219,7 @@ def at_least(value: wp.float64, smallest: wp.float64):
 def definite(matrix: wp.mat33d, smallest: wp.float64):
     """Replace the eigenvalues of a symmetric matrix by their magnitudes.
 
-    Each is at least the smallest one allowed.
+    Each magnitude is at least the smallest one allowed.
     """
     frame, values = wp.eig3(matrix)
     raised = wp.vec3d(
@@ -230,7 +232,7 @@ def definite(matrix: wp.mat33d, smallest: wp.float64):
 def pair_moduli(
     stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d, is_definite: int, smallest: wp.float64
 ):
-    """Compute moduli of changes of the shear ij along itself and along its transpose.
+    """Compute the moduli that couple a shear ij with itself and with its transpose.
 
     The matrices are symmetric and their diagonals are unused.
     """
@@ -241,7 +243,7 @@ def pair_moduli(
             if i != j:
                 a = stretch[i]
                 b = stretch[j]
-                # Limit of the difference quotient below for equal stretches.
+                # Limit of the difference quotient (computed below) for equal stretches.
                 stretching = HALF * (second[i, i] + second[j, j]) - second[i, j]
                 if wp.abs(a - b) >= EQUAL * (a + b):
                     stretching = (first[i] - first[j]) / (a - b)
@@ -259,7 +261,7 @@ def stretch_stiffness(
     # pairs a <= b of a cell's nodes
     pair_first: wp.array(dtype=wp.int32),
     pair_second: wp.array(dtype=wp.int32),
-    is_definite: int,  # 1: eigenvalues made positive
+    is_definite: int,  # 1 to make the eigenvalues positive
     # mesh
     nodes: wp.array2d(dtype=wp.int32),
     corner: wp.array2d(dtype=wp.vec3d),
@@ -272,7 +274,7 @@ def stretch_stiffness(
     terms: wp.array2d(dtype=wp.float64),
     powers: wp.array(dtype=wp.float64),
     exponentials: wp.array2d(dtype=wp.float64),
-    # state, no cell of it turned over
+    # state without inverted cells
     displacement: wp.array(dtype=wp.vec3d),
     offset: int,
     # out
@@ -312,7 +314,7 @@ def stretch_stiffness(
                             second[i, k] * g_a[i] * g_b[k] + across[i, k] * g_a[k] * g_b[i]
                         )
             block = u * local * wp.transpose(u)
-            # A node's own block is symmetric but for rounding.
+            # A node's own block is symmetric up to rounding. Mirror it for exact symmetry.
             if pair_first[pair] == pair_second[pair]:
                 block = HALF * (block + wp.transpose(block))
             block_out[cell, pair] = block_out[cell, pair] + weight * block

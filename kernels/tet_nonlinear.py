@@ -1,21 +1,23 @@
-"""Energy, force and tangent stiffness of tetrahedra under large deformation: three laws, any order.
+"""Energy, force and tangent stiffness of tetrahedra of any order under large deformation.
 
-The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``,
-``g_a = sum_c reference[q, a, c] grad L_c`` the gradient of node a's shape function and ``L_c`` the
-barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress
-``P = d psi / dF`` the force is ``f_a = sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
+The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``. Here
+``g_a = sum_c reference[q, a, c] grad L_c`` is the gradient of node a's shape function, and ``L_c``
+are the barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress
+``P = d psi / dF`` the force is ``f_a = sum_q w P g_a`` and the tangent is ``K_ab = d f_a / d x_b``.
+There are three laws:
 
 linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
-The neo-Hookean law here differs from the one of ``kernels.tet_hyperelastic``, which splits off the
-change of volume. Both have the linear law's moduli at small strain.
+The neo-Hookean law of this module differs from the neo-Hookean law in ``kernels.tet_hyperelastic``,
+which separates the change of volume. At small strain, the two laws have the moduli of the linear
+law.
 
-Corotational is the linear law in the rotated frame with the rotation's own derivative: with
-``R^T dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
-Nonlinear Continuum Mechanics. All three have the same small-strain limit. The energy of a
-turned-over cell (J <= 0) is infinite except in the linear law.
+The corotational law is the linear law in the rotated frame. Its tangent includes the derivative of
+the rotation: ``(tr S I - S) w = axial(R^T dF - dF^T R)`` with ``R^T dR = [w]x``. The neo-Hookean
+law follows Bonet and Wood 2008, Nonlinear Continuum Mechanics. All three laws have the same
+small-strain limit. The energy of an inverted cell (J <= 0) is infinite, except with the linear law.
 """
 
 import warp as wp
@@ -49,9 +51,9 @@ IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 @wp.func
 def rotation_of(f: wp.mat33d):
-    """Compute the rotation of the polar decomposition, det F > 0.
+    """Compute the rotation of the polar decomposition of F, for det F > 0.
 
-    It uses scaled Newton steps (Higham 1986).
+    The method is Newton's method with scaled steps (Higham 1986).
     """
     x = f
     for _ in range(POLAR_STEPS):
@@ -104,7 +106,8 @@ def tet_force(
     # [cell, corner], gradient of the barycentric coordinate [1/m]
     corner: wp.array2d(dtype=wp.vec3d),
     volume: wp.array(dtype=wp.float64),  # [cell] [m3]
-    # element: derivatives of the shape functions by barycentric coordinates, shares of the volume
+    # finite element: derivatives of the shape functions by barycentric coordinates, volume
+    # fractions
     reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
     share: wp.array(dtype=wp.float64),  # [point]
     # law
@@ -173,7 +176,7 @@ def tet_stiffness(
     # law
     law: int,
     lame: wp.array2d(dtype=wp.float64),
-    # state, no cell of it turned over
+    # state without inverted cells
     displacement: wp.array(dtype=wp.vec3d),
     offset: int,
     # out
@@ -188,8 +191,8 @@ def tet_stiffness(
     for q in range(share.shape[0]):
         f = deformation(cell, q, nodes, reference, corner, displacement)
         weight = share[q] * volume[cell]
-        turn = wp.mat33d(IDENTITY)  # the gradients are taken to this frame: identity, R, or F^-T
-        # The values below are those of the linear law; the other laws replace what differs.
+        turn = wp.mat33d(IDENTITY)  # frame of the gradients: identity, R, or F^-T
+        # The values below are for the linear law. The other laws replace the values that differ.
         spin = wp.mat33d()
         c_dot = mu
         c_ab = lam
@@ -225,13 +228,13 @@ def tet_stiffness(
 @wp.kernel
 def gather_forces(
     start: wp.array(dtype=wp.int32),  # [node + 1]
-    place: wp.array(dtype=wp.int32),  # flat place of each share in a cell's forces
+    place: wp.array(dtype=wp.int32),  # flat index of each contribution in the cells' forces
     share: wp.array(dtype=wp.vec3d),
     offset: int,
     # out
     force_out: wp.array(dtype=wp.vec3d),  # [node] [N]
 ):
-    """Sum the shares of each node in the order of its cells."""
+    """Sum the contributions to each node in the order of its cells."""
     node = wp.tid() + offset
     total = wp.vec3d()
     for k in range(start[node], start[node + 1]):
@@ -242,17 +245,17 @@ def gather_forces(
 @wp.kernel
 def gather_blocks(
     pair_start: wp.array(dtype=wp.int32),  # [pair of nodes + 1]
-    contribution: wp.array(dtype=wp.int32),  # flat place in the cells' blocks; complement: reversed
-    place: wp.array(dtype=wp.int32),  # [pair of nodes], block written
-    mirror: wp.array(dtype=wp.int32),  # [pair of nodes], block of the transpose
+    contribution: wp.array(dtype=wp.int32),  # flat index in the blocks; complement: transposed
+    place: wp.array(dtype=wp.int32),  # [pair of nodes], index of the block
+    mirror: wp.array(dtype=wp.int32),  # [pair of nodes], index of the transposed block
     share: wp.array(dtype=wp.mat33d),
     offset: int,
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
 ):
-    """Sum the cells of each pair of nodes once and write the sum twice.
+    """Sum the contributions to each pair of nodes, and write the sum and its transpose.
 
-    The matrix is therefore bitwise symmetric.
+    The matrix is therefore symmetric to the last bit.
     """
     pair = wp.tid() + offset
     total = wp.mat33d()

@@ -1,26 +1,27 @@
-"""Stiffness of straight-sided tetrahedra, summed by pairs of nodes, and their stress.
+"""Stiffness and stress of straight-sided tetrahedra.
 
-The gradients g_c of the barycentric coordinates are constant in a cell, so for shape functions A
-and B the exact integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T`` with
-weights that depend on the pair alone, and the block of the stiffness is linear in it::
+The gradients g_c of the barycentric coordinates are constant in a cell. For shape functions A and
+B, the exact integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T``, with
+weights that only depend on the pair. The block of the stiffness is linear in S::
 
     K_AB[i, j] = sum_pq C[ip, jq] S[p, q]            any material
     K_AB = lambda S + mu S^T + mu tr(S) I            isotropic
 
-Quadratic cells lock as lambda / mu grows. With ``M = V mean(grad A) mean(grad B)^T`` in place of S
-for a part of lambda, that part resists the mean change of a cell's volume alone::
+Quadratic cells lock (become too stiff) as lambda / mu grows. A part of lambda, ``softened``,
+therefore uses ``M = V mean(grad A) mean(grad B)^T`` instead of S. This part only resists the mean
+volume change of a cell::
 
     K_AB = K_AB - softened (S - M)
 
-A pair is summed over its cells in fixed order by one thread and written twice, once transposed: the
-matrix equals its transpose bitwise, on any number of threads.
+For each pair of nodes, one thread sums the cells in fixed order and writes the sum and its
+transpose. The matrix is therefore symmetric to the last bit, on any number of threads.
 
-Stress: strain and stress in linear or quadratic tetrahedra, averaged over groups of places.
+Stress: strain and stress in linear or quadratic tetrahedra, averaged over groups of points.
 
-At a place of barycentric coordinates l the displacement gradient is
-``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, strain is its symmetric part, and stress is D times
-strain. A group holds the middle of a cell, or one place for a node in each cell around it. Places
-are weighted by the volume of their cells.
+At a point with the barycentric coordinates l, the displacement gradient is
+``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, the strain is its symmetric part, and the stress is D
+times the strain. A group is the centre of a cell, or a node as a point of each adjacent cell.
+Points are weighted by the volume of their cells.
 """
 
 import warp as wp
@@ -41,7 +42,7 @@ def cell_gradients(
     gradient_out: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
     volume_out: wp.array(dtype=wp.float64),  # [cell] [m3]
 ):
-    """Compute gradients of the barycentric coordinates and the volume of each cell."""
+    """Compute the gradients of the barycentric coordinates, and the volume, of each cell."""
     cell = wp.tid() + offset
     origin = nodes[cell_nodes[cell, 0]]
     u = nodes[cell_nodes[cell, 1]] - origin
@@ -66,10 +67,13 @@ def gradient_product(
     pair_weight: wp.array2d(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    """Compute S of a pair over the cell's volume, transposed where the pair is reversed."""
+    """Compute S of a pair, divided by the cell's volume.
+
+    S is transposed if the pair is reversed.
+    """
     entry = contribution
     if contribution < 0:
-        entry = -contribution - 1  # its bitwise complement
+        entry = -contribution - 1  # bitwise complement of the entry
     pairs = pair_corner.shape[0]
     cell = entry / pairs
     pair = entry - cell * pairs
@@ -96,7 +100,7 @@ def write_pair(
     mirror: int,
     block_out: wp.array(dtype=wp.mat33d),
 ):
-    """Write a pair's block and its transpose; on the diagonal the upper half is mirrored."""
+    """Write a pair's block and its transpose. On the diagonal, the upper half is mirrored."""
     if place == mirror:
         block[1, 0] = block[0, 1]
         block[2, 0] = block[0, 2]
@@ -111,24 +115,24 @@ def write_pair(
 def pair_stiffness_isotropic(
     # pairs of nodes
     pair_start: wp.array(dtype=wp.int32),  # [pair + 1]
-    # cell times pairs a cell plus pair; complement: reversed
+    # cell x pairs per cell + pair; bitwise complement: reversed pair
     contribution: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),  # [pair], block written
-    mirror: wp.array(dtype=wp.int32),  # [pair], block of the transpose
+    place: wp.array(dtype=wp.int32),  # [pair], index of the block
+    mirror: wp.array(dtype=wp.int32),  # [pair], index of the transposed block
     # pairs of shape functions
-    pair_corner: wp.array2d(dtype=wp.int32),  # [pair in cell, 4]: two corners of A, two of B
+    pair_corner: wp.array2d(dtype=wp.int32),  # [pair in cell, 4]: 2 corners of A, 2 of B
     pair_weight: wp.array2d(dtype=wp.float64),  # [pair in cell, 4]
-    pair_mean: wp.array2d(dtype=wp.float64),  # [pair in cell, 4], of the mean gradients
+    pair_mean: wp.array2d(dtype=wp.float64),  # [pair in cell, 4], weights of the mean gradients
     # cells
     gradient: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
     volume: wp.array(dtype=wp.float64),  # [cell] [m3]
     lame: wp.array2d(dtype=wp.float64),  # [1 or cell, 2]: lambda, mu [Pa]
-    softened: wp.array(dtype=wp.float64),  # [1 or cell], part of lambda for the mean [Pa]
+    softened: wp.array(dtype=wp.float64),  # [1 or cell], part of lambda that uses M [Pa]
     offset: int,
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
 ):
-    """Compute the blocks of isotropic cells."""
+    """Compute the stiffness blocks of isotropic cells."""
     pair = wp.tid() + offset
     last = lame.shape[0] - 1
     first_sum = wp.mat33d()
@@ -149,7 +153,7 @@ def pair_stiffness_isotropic(
 
 @wp.func
 def voigt(i: int, j: int):
-    """Return the place of a tensor component in the order xx, yy, zz, yz, xz, xy."""
+    """Return the index of a tensor component in the order xx, yy, zz, yz, xz, xy."""
     # The pairs (1, 2), (0, 2) and (0, 1) add up to 3, 2 and 1.
     where = 6 - i - j
     if i == j:
@@ -177,7 +181,7 @@ def pair_stiffness(
     # out
     block_out: wp.array(dtype=wp.mat33d),
 ):
-    """Compute the blocks of cells of any linear material."""
+    """Compute the stiffness blocks of cells of any linear material."""
     pair = wp.tid() + offset
     last = stiffness.shape[0] - 1
     block = wp.mat33d()
@@ -203,10 +207,10 @@ def pair_stiffness(
 def group_stress(
     # groups
     group_start: wp.array(dtype=wp.int32),  # [group + 1]
-    member: wp.array(dtype=wp.int32),  # cell times places a cell plus place
+    member: wp.array(dtype=wp.int32),  # cell x points per cell + point
     # places and shape functions
-    place_at: wp.array(dtype=wp.vec4d),  # [place], barycentric coordinates
-    slope: wp.array2d(dtype=wp.vec4d),  # [shape function, corner], by barycentric coordinate
+    place_at: wp.array(dtype=wp.vec4d),  # [point in a cell], barycentric coordinates
+    slope: wp.array2d(dtype=wp.vec4d),  # [shape function, corner], barycentric derivative
     # cells
     cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, shape function]
     gradient: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
@@ -220,7 +224,7 @@ def group_stress(
     von_mises_out: wp.array(dtype=wp.float64),  # [group] [Pa]
     principal_out: wp.array(dtype=wp.vec3d),  # [group] [Pa], largest first
 ):
-    """Compute mean strain and stress of each group; zero where a group is empty."""
+    """Compute the mean strain and stress of each group. They are zero if the group is empty."""
     group = wp.tid() + offset
     strain = wp.mat33d()
     voigt = wp.vector(length=6, dtype=wp.float64)

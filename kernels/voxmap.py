@@ -1,12 +1,12 @@
-"""Obstacles of a rigid tool: voxels and exact solids as distances with their gradients.
+"""Distances and gradients of the obstacles of a rigid tool: voxels and exact solids.
 
-Voxels carry no stored distance. The distance to their surface is computed on demand from the
-remaining fractions of the eight voxels around the point. With F the trilinear fraction and h the
-spacing, ``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. Carving
-therefore needs no update of distances. ``SURFACE`` lies below one half, because a wall one voxel
-thick that lies across two voxels fills neither by more than half; a shell point is moved inward by
-the difference to compensate. Away from bone, ``clearance`` holds a lower bound of the distance to
-the initial bone, which removal can only increase.
+No distance to the surface of the voxels is stored. The distance is computed on demand from the
+remaining fractions of the eight voxels around the point. With the trilinear fraction F and the
+spacing h, the level ``(SURFACE - F) h`` is zero on the surface and has a slope of about one in the
+outward direction. Carving therefore does not have to update distances. ``SURFACE`` is less than one
+half, because a plate that is one voxel thick may fill two layers of voxels by half. Shell points
+are moved inward to compensate for the difference to one half. Away from bone, ``clearance`` holds a
+lower bound of the distance to the initial bone. Removal can only increase this distance.
 """
 
 import warp as wp
@@ -31,9 +31,9 @@ HALF_SPACE = 0
 BOX = 1
 BALL = 2
 CELL = 2
-"""Edge of a cell of the clearance [voxel]."""
+"""Edge length of a cell of ``clearance`` [voxel]."""
 SURFACE = 0.25
-"""Trilinear fraction on the surface that a tool feels."""
+"""Trilinear fraction on the surface that the tool touches."""
 LEVEL = wp.constant(wp.float64(SURFACE))
 STEP = wp.constant(wp.float64(1.0 / 65535.0))
 """Fraction of one stored step, see `kernels.bricks.FULL`."""
@@ -45,12 +45,12 @@ HALF = wp.constant(wp.float64(0.5))
 
 @wp.struct
 class Field:
-    """Solids, each convex and a contact of its own, and voxels in brick storage."""
+    """Convex solids, each with its own contact, and voxels in brick storage."""
 
     kind: wp.array(dtype=wp.int32)
-    centre: wp.array(dtype=wp.vec3d)  # [m]; a point on the face of a half-space
+    centre: wp.array(dtype=wp.vec3d)  # [m]; for a half-space, a point on its face
     turn: wp.array(dtype=wp.mat33d)  # solid to world; a half-space lies behind its third axis
-    size: wp.array(dtype=wp.vec3d)  # half edges of a box, radius of a ball first [m]
+    size: wp.array(dtype=wp.vec3d)  # half edges of a box; radius of a ball as first entry [m]
     brick_of: wp.array3d(dtype=wp.int32)
     remaining: wp.array2d(dtype=wp.uint16)
     origin: wp.vec3d  # [m]
@@ -62,9 +62,9 @@ class Field:
 
 @wp.func
 def box_distance(half: wp.vec3d, local: wp.vec3d):
-    """Compute the distance to a box about the origin and its gradient.
+    """Compute the distance to a box around the origin, and the gradient of the distance.
 
-    Inside the box, it is the distance to the nearest face.
+    Inside the box, the magnitude is the distance to the nearest face.
     """
     outside = wp.vec3d()
     toward = wp.vec3d()
@@ -117,7 +117,7 @@ def voxel_clearance(field: Field, point: wp.vec3d):
     cz = wp.clamp(int(wp.floor(uz * CELLS_PER_VOXEL)), 0, nz - 1)
     bound = wp.float64(field.clearance[cx, cy, cz])
     if ux < ZERO or uy < ZERO or uz < ZERO or cx == nx - 1 or cy == ny - 1 or cz == nz - 1:
-        # A voxel is felt half a voxel beyond itself, also beyond the grid.
+        # A voxel has an effect up to half a voxel outside its faces, also outside the grid.
         ax = ux - wp.clamp(ux, -HALF, wp.float64(CELL * nx) + HALF)
         ay = uy - wp.clamp(uy, -HALF, wp.float64(CELL * ny) + HALF)
         az = uz - wp.clamp(uz, -HALF, wp.float64(CELL * nz) + HALF)
@@ -158,9 +158,9 @@ def column_pair(
 
 @wp.func
 def voxel_level(field: Field, point: wp.vec3d):
-    """Compute the level [m] of the voxels' surface and its gradient, of length about one.
+    """Compute the level [m] of a point relative to the voxels' surface, and its gradient.
 
-    The level is positive outside and zero on the surface.
+    The level is positive outside and zero on the surface. Its gradient has a length of about one.
     """
     ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
     uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
@@ -205,7 +205,7 @@ def field_distance(
 ):
     """Compute the distance from each point to the nearest solid, and the outward direction.
 
-    Voxels count only within the range in which they are felt.
+    Voxels only count within the range in which they have an effect.
     """
     i = wp.tid()
     # 1e30 m: no solid yet

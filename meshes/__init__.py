@@ -1,8 +1,9 @@
-"""Geometry: signed distances, anatomy, voxels, surfaces and images. No physics, no Warp.
+"""Geometry: signed distances, anatomy, voxels, surfaces and images, without physics and Warp.
 
-Shapes live in `meshes.shapes.sdf`; everything else that a scene needs is named here. Lengths are in
-metres unless the name differs. Modules that read files or search surfaces import pyvista, trimesh
-and scikit-image when called. The names below are imported when they are first used.
+Shapes are in `meshes.shapes.sdf`. This package provides everything else that a scene needs. Lengths
+are in metres unless a name states another unit. Modules that read files or search surfaces import
+pyvista, trimesh and scikit-image when their functions are called. The names below are imported when
+they are first used.
 """
 
 from importlib import import_module
@@ -80,7 +81,7 @@ _HOMES = {
     "surface_anatomy": "meshes.surfaces.glenoid",
     "voxelise": "meshes.voxels.voxelise",
 }
-"""Module of each name."""
+"""Module that defines each name."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,5 @@
-"""Simulate cutting bone, drilling teeth and pressing soft organs, and what a hand feels while doing
-it.
+"""Simulate the cutting of bone, the drilling of teeth and the pressing of soft organs, and the
+forces that a hand feels.
 
 >>> import tissue
 >>> run = tissue.simulate(tissue.load_scene("glenoid"))  # doctest: +SKIP
@@ -129,9 +129,7 @@ _MODULES = {
 
 
 def _require_siblings() -> None:
-    """Refuse another package named ``meshes`` or ``kernels`` that hides the one next to this
-    package.
-    """
+    """Refuse a foreign ``meshes`` or ``kernels`` package that hides the one of this project."""
     root = Path(__file__).resolve().parent.parent
     for name in ("meshes", "kernels"):
         spec = find_spec(name)

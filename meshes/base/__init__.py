@@ -1,1 +1,1 @@
-"""Base of all geometry: errors, progress, cache, whole files, parsing in a child process."""
+"""Basic functions of all geometry modules: errors, progress, cache, files, isolated parsing."""

@@ -1,4 +1,4 @@
-"""Types of arrays, points of a lattice, and triangles or cells that name points by number."""
+"""Array types, points of a lattice, and functions for triangles and cells."""
 
 from typing import Any
 
@@ -39,21 +39,25 @@ Triangles = tuple[Array, Ints]
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all combinations of coordinates along axes, shape (n, axes), last axis fastest."""
+    """Return all combinations of coordinates along axes, shape (n, axes).
+
+    The last axis varies fastest.
+    """
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
-    """Return the points that cells name, shape (n, 3), and the cells, shape (m, k), renumbered."""
+    """Return the points that cells use, shape (n, 3), and the renumbered cells, shape (m, k)."""
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
     return (points, cells) if used.all() else (points[used], (np.cumsum(used) - 1)[cells])
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return start and end of the edges of triangles, shape (3 m, 2).
+    """Return the start and end points of the edges of triangles, shape (3 m, 2).
 
-    All first edges come first, then all second, then all third.
+    The result contains the first edges of all triangles, then the second edges, then the third
+    edges.
     """
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
@@ -61,22 +65,22 @@ def directed_edges(triangles: Ints) -> Ints:
 def windings(triangles: Ints) -> Ints:
     """Return 1 or -1 for the two windings of a triangle, shape (m,).
 
-    It is 0 where a triangle names a point twice.
+    The value is 0 if a triangle uses a point twice.
     """
     a, b, c = triangles.T
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
 
 
 def cross_products(points: Array, triangles: Ints) -> Array:
-    """Compute normals of triangles, as long as twice their area, shape (m, 3)."""
+    """Compute normals of triangles with a length of twice the area, shape (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 
 
 def enclosed_volume(points: Array, triangles: Ints) -> float:
-    """Compute the volume that triangles wound outward enclose, in cubed units of the points."""
-    # Volumes of the tetrahedra from the centroid to each triangle, a sixth of the triple product.
-    # An origin far away would cost digits.
+    """Compute the volume enclosed by triangles with outward normals, in cubed point units."""
+    # Sum the volumes of the tetrahedra between the centroid and each triangle, a sixth of the
+    # triple product. A distant origin instead of the centroid would cause rounding errors.
     corners = points - points.mean(axis=0)
     return (
         float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles)))

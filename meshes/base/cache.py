@@ -1,6 +1,6 @@
 """On-disk cache for expensive arrays, and in-memory store of recent results.
 
-Both are addressed by all inputs.
+Entries of the cache and of the store are identified by all inputs of the computation.
 """
 
 import hashlib
@@ -21,14 +21,15 @@ __all__ = ["Kept", "cache_folder", "cached_arrays", "read_entry", "write_entry"]
 
 _SEAL = "tissue cache entry"
 _DIGEST_BYTES = 16
-"""Size of a checksum: at 128 bits, two of 1e9 entries agree with a probability of 2e-21."""
+"""Size of a checksum. With 128 bits, the chance that two of 1e9 entries agree is 2e-21."""
 Arrays = dict[str, NDArray[np.generic]]
 
 
 def cache_folder() -> Path:
     """Return the folder of computed arrays.
 
-    It is ``TISSUE_CACHE`` if that is set, else the user's cache folder.
+    The folder is ``TISSUE_CACHE`` if this environment variable is set, else the user's cache
+    folder.
     """
     named = os.environ.get("TISSUE_CACHE")
     if named:
@@ -46,18 +47,19 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Parameters
     ----------
     kind
-        Kind of the arrays, one word: the start of the file's name. Change it when the meaning of
-        the arrays changes.
+        Kind of the arrays, one word, with which the file name starts. Change the word when the
+        meaning of the arrays changes.
     key
-        All inputs of the arrays: arrays by their bytes, other values by their ``repr``.
+        All inputs of the computation. Arrays are identified by their bytes, other values by their
+        ``repr``.
     make
         Function that computes the arrays.
 
     Notes
     -----
-    A file holds its arrays, the version of the code that made them (the version of tissue,
-    and the module of ``make``), their kinds, their shapes and a checksum. A file that does not
-    match, or cannot be read, is made again. If the folder cannot be written, nothing is stored.
+    A file contains the arrays, their types and shapes, a checksum, and the version of the code (the
+    version of tissue and of the module of ``make``). If a file does not match or cannot be read,
+    its arrays are computed again. If the folder cannot be written, nothing is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in key:
@@ -86,7 +88,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 def read_entry(path: Path) -> str | None:
     """Return the text of a cache entry, or None.
 
-    The result is None if the entry is missing, damaged or of another version of tissue.
+    The result is None if the entry is missing or damaged, or was written by another version of
+    tissue.
     """
     try:
         head, _, text = path.read_bytes().decode("utf-8").partition("\n")
@@ -96,9 +99,9 @@ def read_entry(path: Path) -> str | None:
 
 
 def write_entry(path: Path, text: str) -> None:
-    """Write text under a first line with the version of tissue and a checksum.
+    """Write text after a first line with the version of tissue and a checksum.
 
-    The file is written atomically: a reader never gets half of it.
+    The file is written atomically, so another process never reads an incomplete file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
@@ -113,19 +116,19 @@ def _head(text: str) -> str:
 
 
 def _read(path: Path, code: str) -> Arrays | None:
-    """Return the arrays of a file that is complete and was written by the same code, else None."""
+    """Return the arrays of a complete file that was written by the same code, else None."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
             return arrays if str(arrays.pop(_SEAL)) == _seal(arrays, code) else None
     except FileNotFoundError:
         return None
-    except Exception:  # a damaged archive raises many kinds, and is made again
+    except Exception:  # a damaged archive raises many types of errors
         return None
 
 
 def _seal(arrays: Arrays, code: str) -> str:
-    """Describe the arrays of a file as JSON: code, kinds, shapes and a checksum."""
+    """Describe the arrays of a file as JSON: version of the code, types, shapes and a checksum."""
     checksum = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for array in arrays.values():
         checksum.update(np.ascontiguousarray(array).tobytes())
@@ -143,7 +146,8 @@ def _code(make: Callable[[], Arrays]) -> str:
             Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""
         )
     except OSError:
-        # A module without a source file, as in a frozen program, is known by the version alone.
+        # A module without a source file, as in a frozen program, is identified only by the version
+        # of tissue.
         source = b""
     # 64 bits are enough to distinguish the few versions of one module.
     return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"
@@ -155,13 +159,12 @@ Result = TypeVar("Result")
 class Kept(Generic[Result]):
     """Most recently requested results.
 
-    Trials of a study build the same meshes, voxels and tables again and again.
+    The trials of a study use the same meshes, voxels and tables many times.
 
     Parameters
     ----------
     most
-        Number of results kept. The least recently requested result is dropped first, so that memory
-        does not grow.
+        Largest number of stored results. The least recently requested result is removed first.
     """
 
     def __init__(self, most: int) -> None:
@@ -172,7 +175,7 @@ class Kept(Generic[Result]):
         return len(self._results)
 
     def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
-        """Return the result of a key, computed if it is not kept.
+        """Return the stored result of a key, or compute and store it.
 
         All callers share the result and must not change it.
         """

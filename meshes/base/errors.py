@@ -1,6 +1,7 @@
-"""Error for an input that cannot be used, the checks that raise it, and dataclasses with ranges.
+"""Error for an invalid input, checks that raise this error, and dataclasses with ranges.
 
-NumPy is imported when a vector is checked, because the command line imports this module first.
+NumPy is only imported when a vector is checked. The command line imports this module first, and
+should start fast.
 """
 
 import math
@@ -35,32 +36,32 @@ __all__ = [
 ]
 
 _LONGEST_PATH = 500
-"""Longest path in an error message [characters]; the middle of a longer one is left out."""
+"""Longest path in an error message [characters]. The middle of a longer path is omitted."""
 
 
 PRESENT = "it"
-"""Value of an argument whose presence is wrong, such as a flag. The message does not repeat it."""
+"""Value for an argument that must not be present, such as a flag. The message does not print it."""
 
 
 class InputError(ValueError):
-    """Input that cannot be used.
+    """Error for an invalid input.
 
-    The message is formatted from the fields when it is printed, so a caller can give its own name
-    of the argument (`names_of_caller`). Line breaks, such as one in a file name, are printed as in
-    a string literal.
+    The message is formatted from the attributes when it is printed, so a caller can replace the
+    name of the argument (`names_of_caller`). Line breaks, for example in a file name, are printed
+    as in a string literal.
 
     Parameters
     ----------
     argument
-        Name of the argument. If no requirement is given, the whole message.
+        Name of the argument, or the whole message if no requirement is given.
     requirement
-        Requirement on it, which follows "must".
+        Requirement on the argument. The text follows "must" in the message.
     value
         Value that was given.
     remedy
         Instruction for the user.
     unit
-        Unit of the value, where neither the name nor the value states it.
+        Unit of the value, if neither the name nor the value contains the unit.
     """
 
     def __init__(
@@ -88,25 +89,25 @@ class InputError(ValueError):
 
 
 def _sentence(remedy: str) -> str:
-    """Return a remedy with a capital letter, unless it begins with a name of code."""
+    """Capitalise the first letter of a remedy, unless the remedy begins with a name from code."""
     first = remedy.split(" ", 1)[0]
     return remedy if not first.isalpha() else remedy[:1].upper() + remedy[1:]
 
 
 class DamagedFileError(Exception):
-    """Damage inside a file, described in terms of the file's format.
+    """Error for damage inside a file, described in terms of the file's format.
 
-    The file's reader inserts the description into its own error message.
+    The function that reads the file inserts the description into its own error message.
     """
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a number and its noun, in the plural unless the number is one."""
+    """Return a number and its noun. The noun is in the plural unless the number is one."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def by(numbers: Iterable[float], form: str = "g") -> str:
-    """Format sizes along the axes, such as 3 x 4 x 5."""
+    """Format sizes along the axes, for example 3 x 4 x 5."""
     return " x ".join(format(number, form) for number in numbers)
 
 
@@ -121,11 +122,11 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     Parameters
     ----------
     name
-        Argument as the caller knows it, unit in the name.
+        Name of the caller's argument, which includes the unit.
     value
-        The number to check, in that unit.
+        Number to check, in this unit.
     remedy
-        Value or text to write instead.
+        Instruction for the user.
 
     Raises
     ------
@@ -157,18 +158,20 @@ def require_length(
 ) -> float:
     """Return `value_m` as a float if it lies in the closed interval [lowest_m, highest_m].
 
-    The error states lengths in millimetres: callers have arguments in metres and in millimetres.
+    The error message has lengths in millimetres, because some callers have arguments in
+    millimetres.
 
     Parameters
     ----------
     name
-        Argument as the caller knows it.
+        Name of the caller's argument.
     value_m
-        The length to check [m].
+        Length to check [m].
     lowest_m, highest_m
-        Smallest and largest valid length [m]; 0 and infinity are no bounds.
+        Smallest and largest valid length [m]. The values 0 and infinity mean that there is no
+        bound.
     advised_m
-        Length that the error advises [m].
+        Length that the error message recommends [m].
 
     Raises
     ------
@@ -188,9 +191,9 @@ def require_length(
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
-    """Return values that lie in their closed intervals.
+    """Check that values lie in their closed intervals, and return the values.
 
-    Each row holds the arguments of one call of `require_range`.
+    Each argument is a tuple with the arguments of one call of `require_range`.
     """
     return [require_range(*row) for row in rows]
 
@@ -268,7 +271,9 @@ def is_folder(path: Path) -> bool:
 
 
 def require_file(file: Path, content: str) -> None:
-    """Refuse a file that is missing or empty, where it should hold `content`, such as "a surface".
+    """Raise an error if a file is missing or empty.
+
+    `content` is the expected content, such as "a surface".
 
     Raises
     ------
@@ -289,7 +294,7 @@ def require_file(file: Path, content: str) -> None:
 
 
 def _as_number(name: str, value: object, remedy: str) -> float:
-    """Convert to float; raise for values that are not numbers (including booleans)."""
+    """Convert to float; raise an error for values that are not numbers, such as booleans."""
     if isinstance(value, bool):
         # Python would count True as 1.
         raise InputError(name, "be a number", f"{value!r}", remedy)
@@ -299,7 +304,7 @@ def _as_number(name: str, value: object, remedy: str) -> float:
         raise InputError(name, "be a number", f"{value!r}", remedy) from problem
     except OverflowError as problem:
         raise InputError(
-            # The whole number has 309 digits or more.
+            # The integer has 309 digits or more.
             name,
             "be a number below 1e308",
             f"{str(value)[:12]}...",
@@ -309,11 +314,11 @@ def _as_number(name: str, value: object, remedy: str) -> float:
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Replace the argument's name in an `InputError` by the caller's name, such as a scene's key.
+    """Replace the name of an argument in an `InputError` by the caller's name, such as a scene key.
 
-    `names` maps the argument's name here to the caller's name.
+    `names` maps the name in the called function to the caller's name.
 
-    An element, such as ``tau_s[0]``, is named by the whole.
+    If the argument is an element such as ``tau_s[0]``, only the name ``tau_s`` is replaced.
     """
     try:
         yield
@@ -327,7 +332,7 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
 
 
 def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
-    """Declare a number of a `Ranged` with its default and its closed range."""
+    """Declare a numeric field of a `Ranged` dataclass with its default and its closed range."""
     return field(
         default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")}
     )
@@ -335,7 +340,7 @@ def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> A
 
 @dataclass(frozen=True)
 class Ranged:
-    """Base of dataclasses whose numbers are declared by `ranged`.
+    """Base class of dataclasses whose numeric fields are declared by `ranged`.
 
     Raises
     ------

@@ -9,7 +9,7 @@ __all__ = ["install_command"]
 def install_command(extra: str) -> str:
     """Return the pip command for the packages of an extra.
 
-    It names the packages themselves, so that it works for a checkout and for a released version.
+    The command lists the packages by name, so it works for a checkout and for a released version.
     """
     try:
         listed = requires("tissue-sim") or []

@@ -1,4 +1,4 @@
-"""Limits on files that are read: regular files only, and no more memory than is allowed."""
+"""Limits on input files: only regular files, and a limit on the memory for their content."""
 
 import os
 import stat
@@ -28,16 +28,22 @@ __all__ = [
 
 _GB = 1e9
 _FREE_SHARE = 0.5
-"""Share of the free memory for a file's content; the rest is for the results computed from it."""
+"""Share of the free memory for a file's content.
+
+The rest is for results computed from the content.
+"""
 _limit_GB: ContextVar[float | None] = ContextVar("max_memory_GB", default=None)
 _LONGEST_HEADER = 1 << 16
-"""Bytes read for the header of a NumPy array. NumPy itself refuses headers above 10,000 bytes."""
+"""Number of bytes read for the header of a NumPy array.
+
+NumPy refuses headers above 10,000 bytes.
+"""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
 @contextmanager
 def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
-    """Set the memory that the content of a file may take [GB]; None leaves the limit unchanged."""
+    """Set the memory that the content of a file may use [GB]. None does not change the limit."""
     if max_memory_GB is None:
         yield
         return
@@ -56,16 +62,16 @@ def given_limit_GB() -> float | None:
 
 
 def memory_limit_bytes() -> int:
-    """Return the number of bytes that the content of a file may take.
+    """Return the number of bytes that the content of a file may use.
 
-    It is the limit set by `memory_limit`, else half of the free memory.
+    The number is the limit set by `memory_limit`, or half of the free memory if no limit is set.
     """
     given = _limit_GB.get()
     return int(given * _GB) if given is not None else int(_FREE_SHARE * _free_bytes())
 
 
 def require_memory(needed: int, file: str, content: str) -> None:
-    """Refuse a file whose decoded content exceeds the memory limit.
+    """Raise an error if the decoded content of a file exceeds the memory limit.
 
     Parameters
     ----------
@@ -74,12 +80,12 @@ def require_memory(needed: int, file: str, content: str) -> None:
     file
         Name of the file.
     content
-        Stated content, such as "4000 x 4000 x 600 voxels".
+        Content according to the header, such as "4000 x 4000 x 600 voxels".
 
     Raises
     ------
     InputError
-        If the content is larger than the limit; the message names the option that raises it.
+        If the content is larger than the limit. The message names the option that raises the limit.
     """
     limit = memory_limit_bytes()
     if needed <= limit:
@@ -97,15 +103,15 @@ def require_memory(needed: int, file: str, content: str) -> None:
 
 
 def require_regular(file: Path) -> Path:
-    """Return a path that leads to a regular file or does not exist.
+    """Check that a path is a regular file or does not exist, and return the path.
 
-    Devices such as /dev/zero have no end, and a named pipe blocks until a process writes into it. A
-    path that does not exist is left to the code that opens it.
+    Devices such as /dev/zero have no end, and a named pipe blocks until a process writes into it.
+    For a path that does not exist, the code that opens the file reports the error.
 
     Raises
     ------
     InputError
-        If the path leads to a folder, a device, a named pipe or a socket.
+        If the path is a folder, a device, a named pipe or a socket.
     """
     try:
         mode = file.stat().st_mode
@@ -120,16 +126,17 @@ def require_regular(file: Path) -> Path:
 
 
 def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
-    """Read the arrays of a NumPy archive, after checking their stated sizes.
+    """Check the sizes of the arrays in a NumPy archive, and read the arrays.
 
-    The sizes are compared with the file and the memory limit.
+    The sizes stated in the headers are compared with the file size and the memory limit.
 
     Raises
     ------
     InputError
         If the arrays would exceed the memory limit.
     ValueError
-        If an array states another size than its entry of the archive, or holds objects.
+        If the header of an array does not match the size of its archive entry, or the array
+        contains Python objects.
     """
     import numpy as np
 
@@ -154,26 +161,29 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
 
 
 def _npy_bytes(first: bytes) -> int:
-    """Return the bytes of a file of one array by its header, which `first` begins with."""
+    """Return the size [byte] of an array file that its header states; `first` begins with the
+    header.
+    """
     import numpy as np
 
     stream = BytesIO(first)
     version = np.lib.format.read_magic(stream)
-    # Version 1 has a length of two bytes, later versions have one of four.
+    # In version 1, the length of the header is stored in two bytes, in later versions in four
+    # bytes.
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
     if dtype.hasobject:
-        # Their size is unknown, and reading pickled objects can run any code.
+        # The size of Python objects is unknown, and reading pickled objects can run any code.
         raise ValueError("an array of objects")
     return len(first) - len(stream.read()) + prod(shape) * dtype.itemsize
 
 
 def _free_bytes() -> int:
-    """Return the memory [byte] that this process may still take.
+    """Return the memory [byte] that this process may still use.
 
-    It is limited by the machine, its container and the process's own limit.
+    The limits of the machine, the container and the process are taken into account.
     """
     import psutil
 
@@ -182,7 +192,7 @@ def _free_bytes() -> int:
         held = int((_CGROUP / "memory.current").read_text())
         free.append(int((_CGROUP / "memory.max").read_text()) - held)
     except (OSError, ValueError):
-        pass  # no container, or one without a limit
+        pass  # no container, or no limit
     if os.name == "posix":
         import resource
 

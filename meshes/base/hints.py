@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 __all__ = ["closest", "did_you_mean", "nearest"]
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jkn]|nm|mm2|mm3")
-"""Unit in a name, which does not add to the meaning of the name."""
+"""Regular expression for a unit in a name. Units are ignored when names are compared."""
 SAME_MEANING = tuple(
     frozenset(words.split())
     for words in (
@@ -35,9 +35,11 @@ SAME_MEANING = tuple(
         "scenes list",
     )
 )
-"""Words that users of simulators, CAD and other command lines write for each other."""
+"""Groups of words that users of simulators, CAD programs and command lines use with the same
+meaning.
+"""
 LEAST_SCORE = 0.62
-"""Similarity below which a name is no suggestion."""
+"""Similarity below which a name is not suggested."""
 TIE = 0.07
 """Difference of similarity within which names are suggested together."""
 MOST = 3
@@ -63,12 +65,15 @@ def closest(word: str, known: Iterable[str]) -> list[str]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the names that a word most likely means as a question in brackets; else no text."""
+    """Return the names that a word most likely means as a question in brackets.
+
+    The result is an empty string if there is no such name.
+    """
     return did_you_mean(closest(word, known))
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """Return names as a question in brackets; no text without names."""
+    """Return names as a question in brackets, or an empty string without names."""
     if not names:
         return ""
     *first, last = names

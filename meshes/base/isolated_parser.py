@@ -1,10 +1,10 @@
 """Parsing of a file in a separate process.
 
-The parsers of some libraries end their process on a damaged file.
+Some libraries terminate the process when they parse a damaged file.
 
-The child runs one named function and sends plain numbers back through a pipe: a line of JSON, then
-the bytes of the arrays. It is ended when it takes too long or too much memory, and ends with the
-process that started it.
+The child process runs one function and returns its results through a pipe, as a line of JSON and
+the bytes of arrays. The child process is killed if it takes too long or uses too much memory, or
+when the process that started it ends.
 """
 
 import faulthandler
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "kill_with_parent", "parse_isolated", "python_command", "start_code"]
 
 _DIE_WITH_PARENT = 1
-"""PR_SET_PDEATHSIG of Linux."""
+"""Value of PR_SET_PDEATHSIG on Linux."""
 
 
 def start_code(module: str, function: str) -> str:
-    """Return code that calls a function of this checkout.
+    """Return Python code that calls a function of this checkout.
 
-    The function finds its arguments in `sys.argv[1:]`.
+    The function reads its arguments from `sys.argv[1:]`.
     """
     return (
         f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import {function}; "
@@ -50,15 +50,18 @@ def start_code(module: str, function: str) -> str:
 
 
 def python_command(code: str, *arguments: str) -> list[str]:
-    """Return the command that runs `start_code` in another Python; empty if none can be started."""
+    """Return the command that runs `start_code` in a new Python process, or an empty list.
+
+    The list is empty if no Python process can be started.
+    """
     if not sys.executable:
         return []
-    # -P: a file of the working folder must not stand in for a module of Python.
+    # -P: a file in the working folder must not replace a module of Python.
     return [sys.executable, "-P", "-c", code, str(Path(__file__).resolve().parents[2]), *arguments]
 
 
 def kill_with_parent() -> None:
-    """Make the system kill this process when the thread that started it ends.
+    """Request that the system kills this process when the thread that started it ends.
 
     This works on Linux only.
     """
@@ -70,35 +73,36 @@ def kill_with_parent() -> None:
 
 
 Facts = dict[str, Any]
-"""Values that JSON can hold, by name."""
+"""Values that JSON can represent, by name."""
 Answer = tuple[Facts, "dict[str, NDArray[np.number]]"]
 """Result of a parser: facts, and arrays by name."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S = 60.0
 _BYTES_A_SECOND = 1_000_000
-"""Time that a parser may take [s], and bytes of the file for each further second.
+"""Time limit of a parser [s], and number of file bytes that add one second to the limit.
 
-VTK files are read at 2 to 5 MB a second on a busy machine.
+On a busy machine, VTK files are read at 2 to 5 MB per second.
 """
 _LEAST_BYTES = 2 << 30
 _BYTES_A_BYTE = 64
-"""Bytes of memory allowed for each byte of the file, at least ``_LEAST_BYTES`` in all.
+"""Allowed memory per byte of the file [byte]. The total is at least ``_LEAST_BYTES``.
 
-Label images are compressed to a hundredth.
+Compressed label images may have a hundredth of their original size.
 """
 _LIBRARIES_BYTES = 256 << 20
 """Memory of the interpreter and its libraries.
 
-It does not count against the memory limit of files.
+This memory does not count towards the memory limit of files.
 """
 _LOOK_EVERY_S = 0.05
-"""Interval at which time and memory of a parser are checked [s].
+"""Interval at which the time and memory of a parser are checked [s].
 
-A process takes some 0.1 GB of memory in it, little against the smallest allowance of 2 GiB.
+In this interval, a process can allocate about 0.1 GB, which is little compared with the smallest
+limit of 2 GiB.
 """
 _LAST_S = 2.0
-"""Time that a parser whose pipe has closed has to end, so that its exit code is known [s]."""
+"""Time limit for a parser to exit after its pipe is closed [s]. Its exit code is then known."""
 
 
 def parse_isolated(
@@ -116,18 +120,19 @@ def parse_isolated(
     ----------
     parser
         ``module:function`` of this checkout. The function takes the path and the options, and
-        returns a pair: a dictionary of values that JSON can hold, and a dictionary of arrays. It
-        may raise InputError, or DamagedFileError with a description of the damage. Any other
-        exception means that the file is damaged; its text is of no use to a user.
+        returns a pair: a dictionary of values that JSON can represent, and a dictionary of arrays.
+        The function may raise InputError, or DamagedFileError with a description of the damage. Any
+        other exception means that the file is damaged. The text of such an exception is not shown
+        to the user.
     file
         File, or folder of files.
     what, remedy
-        Expected kind of file ("VTK surface"), and the instruction for the user if the file is
-        another.
+        Expected kind of file ("VTK surface"), and instruction for the user if the file has another
+        kind.
     longest_s
-        Time limit [s]; None: 60 s and a second for each megabyte.
+        Time limit [s]. None: 60 s plus one second per megabyte.
     options
-        Further arguments of the function, values that JSON can hold.
+        Further arguments of the function. JSON must be able to represent them.
 
     Returns
     -------
@@ -136,7 +141,8 @@ def parse_isolated(
     Raises
     ------
     InputError
-        If the function raises it, fails, crashes, or takes too long or too much memory.
+        If the function raises an InputError, fails, crashes, takes too long or uses too much
+        memory.
     """
     if not sys.executable:
         raise InputError(
@@ -153,7 +159,8 @@ def parse_isolated(
         if each.is_file()
     )
     limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
-    # The child has no context variables of this process, so the memory limit is sent along.
+    # The child process does not have the context variables of this process, so the memory limit is
+    # passed to it.
     request = json.dumps([parser, str(file.absolute()), options, given_limit_GB()])
     command = python_command(_START, request, str(os.getpid()), str(limit_s))
     with subprocess.Popen(
@@ -165,7 +172,7 @@ def parse_isolated(
             answer, arrays = _receive(process.stdout)
         except (ValueError, MemoryError) as problem:
             with suppress(subprocess.TimeoutExpired):
-                process.wait(_LAST_S)  # its pipe closes before it has ended
+                process.wait(_LAST_S)  # the pipe closes before the process exits
             process.kill()
             process.wait()
             reason = monitor.reason or (
@@ -190,7 +197,10 @@ def parse_isolated(
 
 
 class _Monitor:
-    """Ends a process that takes too long or too much memory; `reason` names which."""
+    """Monitor that kills a process if it takes too long or uses too much memory.
+
+    `reason` is the exceeded limit.
+    """
 
     def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:
         import psutil
@@ -200,16 +210,16 @@ class _Monitor:
         most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
 
         def end_when_over() -> None:
-            """Monitor the process until `done` is set, and kill it if it exceeds a limit.
+            """Check the process until `done` is set, and kill the process if it exceeds a limit.
 
-            The reason for killing it is recorded.
+            The exceeded limit is stored in `reason`.
             """
             end = monotonic() + longest_s
             while not self.done.wait(_LOOK_EVERY_S):
                 try:
                     taken = psutil.Process(process.pid).memory_info().rss
                 except psutil.Error:
-                    return  # it has ended
+                    return  # the process has exited
                 if monotonic() > end:
                     self.reason = f"its parser took longer than {longest_s:g} s"
                 elif taken > most_bytes:
@@ -224,7 +234,7 @@ class _Monitor:
 
 
 def _receive(answers: IO[bytes]) -> Answer:
-    """Return the child's answer; raise ValueError if it is incomplete."""
+    """Return the answer of the child process; raise ValueError if the answer is incomplete."""
     import numpy as np
 
     answer: Facts = json.loads(answers.readline() or b"{")
@@ -240,22 +250,23 @@ def _receive(answers: IO[bytes]) -> Answer:
 
 
 def _serve() -> None:
-    """Parse the file named on the command line in this child process.
+    """Parse the file that the command line names, in the child process.
 
-    The answer goes to the standard output.
+    The answer is written to the standard output.
     """
     import numpy as np
 
     request, parent, limit_s = sys.argv[1:]
-    # A parent that lives ends this process at limit_s. Twice as late it ends itself: its parent has
-    # died, and only Linux kills it with its parent.
+    # A running parent kills this process after limit_s. After twice this time, the process ends
+    # itself, because its parent has died. Only Linux kills a child process together with its
+    # parent.
     faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)
     kill_with_parent()
-    # The parent died before the call above, which then has no effect.
+    # If the parent died before the call above, the call has no effect.
     if sys.platform.startswith("linux") and os.getppid() != int(parent):
         return
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # discards the output of the libraries
+    os.dup2(2, 1)  # discard output of the libraries
     name, file, options, max_memory_GB = json.loads(request)
     module, function = name.split(":")
     arrays: Mapping[str, NDArray[np.number]] = {}
@@ -270,9 +281,9 @@ def _serve() -> None:
     except InputError as problem:
         answer = {"refused": [str(field) for field in problem.args]}
     except DamagedFileError as problem:
-        # One line, cut off because it may quote the damaged content of the file.
+        # The text is one line and truncated, because it may quote damaged content of the file.
         answer = {"problem": " ".join(str(problem).split())[:160]}
-    except Exception:  # the libraries raise many kinds, none documented
+    except Exception:  # the libraries raise many undocumented types of errors
         answer = {"problem": "it is damaged or cut off"}
         arrays = {}
     answers.write(json.dumps(answer).encode() + b"\n")
@@ -280,4 +291,4 @@ def _serve() -> None:
         if array.size:
             answers.write(array.reshape(-1).view(np.uint8).data)
     answers.flush()
-    os._exit(0)  # a library damaged by the file must not hang while it is taken down
+    os._exit(0)  # exit at once; a library could hang in its cleanup after damaged input

@@ -1,4 +1,4 @@
-"""Placement of a scene's frame in the frame of the file that its anatomy came from."""
+"""Placement of a scene's frame in the frame of the file that contains the anatomy."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from meshes.base.errors import InputError
 __all__ = ["Placement"]
 
 _ORTHONORMAL = 1e-6
-"""Largest deviation of R R^T from the identity: a point 1 m away is then off by about 1 um."""
+"""Largest deviation of R R^T from the identity.
+
+The error of a point 1 m away is then about 1 um.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A rigid motion between a file's frame and the scene's, and the unit of the file.
+    """Rigid transform between the frame of a file and the frame of the scene, and the file's unit.
 
-    The file's frame is the frame of its coordinates: for a surface the stored coordinates, for an
-    image its patient frame (LPS).
+    For a surface, the file's frame is the frame of the stored coordinates. For an image, it is the
+    patient frame (LPS).
 
     Attributes
     ----------
@@ -31,7 +34,7 @@ class Placement:
     rotation
         The scene's axes as columns in the file's frame, shape (3, 3), right-handed.
     unit_mm
-        Length of a unit of the file [mm].
+        Length unit of the file [mm].
     """
 
     origin_mm: Array
@@ -40,9 +43,9 @@ class Placement:
 
     @property
     def file_to_scene_mm(self) -> Array:
-        """Return the homogeneous matrix from the file's coordinates to the scene's.
+        """Return the homogeneous matrix from the file's frame to the scene's frame.
 
-        Both are in mm; the matrix has the shape (4, 4).
+        Lengths in the two frames are in mm. The matrix has the shape (4, 4).
         """
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation.T
@@ -62,7 +65,7 @@ class Placement:
         ) @ self.rotation
 
     def to_record(self) -> dict[str, Any]:
-        """Return matrix and unit as plain numbers, for a run's summary."""
+        """Return the matrix and the unit as plain numbers, for a run's summary."""
         return {
             "file_to_scene_mm": self.file_to_scene_mm.tolist(),
             "file_unit_mm": float(self.unit_mm),
@@ -75,7 +78,7 @@ class Placement:
         Raises
         ------
         InputError
-            If the record holds no rigid motion or no unit.
+            If the record does not contain a rigid transform and a unit.
         """
         try:
             matrix = np.array(record["file_to_scene_mm"], dtype=np.float64)

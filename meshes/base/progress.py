@@ -5,8 +5,8 @@ from collections.abc import Callable
 __all__ = ["Progress", "silent"]
 
 Progress = Callable[[str, float], None]
-"""Called with the name of the current task and the finished fraction of it, 0 to 1."""
+"""Function that is called with the name of the current task and its finished fraction, 0 to 1."""
 
 
 def silent(doing: str, share: float) -> None:
-    """Ignore the progress."""
+    """Ignore a progress report."""

@@ -1,7 +1,7 @@
-"""Tables of text as programs and instruments export them.
+"""Text tables exported by programs and instruments.
 
-The encoding, the separator, the decimal mark and the header line are found from the content.
-Dates and times of day are read as seconds.
+The encoding, the separator, the decimal mark and the header line are detected from the content.
+Dates and times of day are converted to seconds.
 """
 
 import csv
@@ -22,9 +22,9 @@ __all__ = ["TextTable", "decoded_text", "read_table"]
 
 _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
-"""Number of lines at the end of a file that determine the form of a data line.
+"""Number of lines at the end of a file from which the format of a data line is detected.
 
-Lines at the start may be text of the instrument. The last line may be cut short.
+Lines at the start may be text of the instrument. The last line may be incomplete.
 """
 _SPACES = "'’\u00a0\u202f"
 """Thousands separators in addition to point, comma and space."""
@@ -52,19 +52,19 @@ class TextTable:
     path
         File.
     what
-        Name of the file in errors.
+        Description of the file in error messages.
     names
-        Header of each column; without a header line its number, from 1.
+        Header of each column, or the number of the column, from 1 on, if there is no header line.
     rows
         Cells of each row.
     lines
-        Number of each row's line in the file.
+        Line number of each row in the file.
     above
         Lines of text before the header.
     marks
-        Decimal mark, and thousands separator, which may be empty.
+        Decimal mark and thousands separator. The separator may be empty.
     notes
-        Findings, in sentences.
+        Assumptions and changes, one sentence each.
     """
 
     path: Path
@@ -79,12 +79,13 @@ class TextTable:
     def numbers(self, name: str) -> Array:
         """Return the numbers of a column, shape (n,), NaN for empty cells.
 
-        Dates with times are seconds from 1970 in UTC, and times of day are seconds from midnight.
+        Dates with times are converted to seconds since 1970 in UTC, and times of day to seconds
+        since midnight.
 
         Raises
         ------
         InputError
-            If two columns have the name, or a cell holds no number.
+            If two columns have this name, or a cell does not contain a number.
         """
         if self.names.count(name) != 1:
             problem = f"{self.names.count(name)} columns named {name} in {self.path.name}"
@@ -105,7 +106,7 @@ class TextTable:
         return found
 
     def finite(self, name: str) -> Array:
-        """Return the numbers of a column without empty cells; see `numbers`.
+        """Return the numbers of a column in which no cell may be empty; see `numbers`.
 
         Raises
         ------
@@ -130,7 +131,7 @@ class TextTable:
             cell = cell.replace(thousands, "")
         if decimal == ",":
             cell = cell.replace(",", ".")
-        # a space stays if it does not separate thousands
+        # a space that does not separate thousands is kept
         return number_in(_BETWEEN_DIGITS.sub("", cell))
 
     def _seconds(self, name: str, cells: list[str]) -> Array:
@@ -141,19 +142,19 @@ class TextTable:
                 found[row] = _date_s(cell)
             except ValueError:
                 raise self._bad(name, cell, row) from None
-        # a time of day begins again at midnight
+        # a time of day restarts at midnight
         if not (found > _DAY_S).any():
             found += _DAY_S * np.cumsum(np.diff(found, prepend=found[0]) < -0.5 * _DAY_S)
         return found
 
     def _bad(self, name: str, cell: str, row: int) -> InputError:
-        # a cell of a damaged file may be long
+        # a cell of a damaged file may be very long
         text = f"{cell[:40]!r} for {name} in line {self.lines[row]} of {self.path.name}"
         return InputError(self.what, "hold numbers", text, _AGAIN)
 
 
 def _date_s(text: str) -> float:
-    """Return seconds from 1970 of a date with a time, or from midnight of a time of day."""
+    """Convert a date and time to seconds since 1970, or a time of day to seconds since midnight."""
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
@@ -164,7 +165,7 @@ def _date_s(text: str) -> float:
         if found[4]:
             hours = hours % 12 + (12 if found[4].upper() == "PM" else 0)
         return 3600.0 * hours + 60.0 * int(found[2]) + float(found[3].replace(",", "."))
-    # without a time zone all times are of one zone, so UTC gives the same differences
+    # without a time zone, all times are in the same zone, so UTC gives the same differences
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
@@ -176,23 +177,23 @@ def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> 
     path
         File.
     what
-        Name of the file in errors.
+        Description of the file in error messages.
     remedy
         Advice for a file that is not text.
 
     Raises
     ------
     InputError
-        If the file holds other data.
+        If the file does not contain text.
     """
     content = path.read_bytes()
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):  # the byte order mark of UTF-16
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):  # byte order mark of UTF-16
         return content.decode("utf-16", "replace")
-    # text in ASCII letters as UTF-16 has a zero in every second byte
+    # in UTF-16, ASCII text has a zero in every second byte
     for start, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
         if content[start:4096:2].count(0) > 0.9 * len(content[start:4096:2]) > 1.0:
             return content.decode(encoding, "replace")
-    # text in other encodings has no zero bytes; the start of a binary file has some
+    # text in other encodings has no zero bytes, but a binary file has zero bytes near its start
     if b"\0" in content[:4096]:
         raise InputError(what, "hold text", f"other data in {path.name}", remedy)
     try:
@@ -202,21 +203,22 @@ def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> 
 
 
 def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
-    """Read a table of text, without any text before it.
+    """Read a text table, without the text before the table.
 
     Parameters
     ----------
     path
         File.
     what
-        Name of the file in errors.
+        Description of the file in error messages.
     may_be_cut
-        Whether the last line may be incomplete, as of a logger that was stopped. It is left out.
+        Whether the last line may be incomplete, for example because a logger was stopped. An
+        incomplete line is omitted.
 
     Raises
     ------
     InputError
-        If the file holds no table, or a row has another number of cells.
+        If the file does not contain a table, or a row has a different number of cells.
     """
     lines = decoded_text(path, what).splitlines()
     while lines and not lines[-1].strip():
@@ -262,9 +264,9 @@ def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
 
 
 def _form(lines: list[str], path: Path, what: str) -> tuple[str, int]:
-    """Return the delimiter and the number of cells of the lines that hold data.
+    """Return the delimiter and the number of cells of the data lines.
 
-    The delimiter that yields the most numbers is chosen.
+    The delimiter that gives the most numbers is chosen.
     """
     best = 0
     form = (",", 0)
@@ -274,7 +276,8 @@ def _form(lines: list[str], path: Path, what: str) -> tuple[str, int]:
         if not widths:
             continue
         width = widths.most_common(1)[0][0]
-        # numbers minus other cells, so that a wrong delimiter that cuts numbers apart loses
+        # score of numbers minus other cells, so that a wrong delimiter that splits numbers has a
+        # lower score
         score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
         if score > best:
             best = score
@@ -291,14 +294,14 @@ def _form(lines: list[str], path: Path, what: str) -> tuple[str, int]:
 
 def _cells(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line."""
-    # columns aligned by several spaces
+    # columns may be aligned by several spaces
     if delimiter == " ":
         return line.split()
     return next(csv.reader(StringIO(line), delimiter=delimiter, skipinitialspace=True), [])
 
 
 def _count(row: list[str]) -> int:
-    """Return the number of cells that hold numbers, dates or times."""
+    """Return the number of cells that contain numbers, dates or times."""
     return sum(_is_number(cell.strip()) for cell in row)
 
 
@@ -313,7 +316,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _is_data(row: list[str]) -> bool:
-    """Return whether at least half of the non-empty cells hold numbers."""
+    """Return whether at least half of the non-empty cells contain numbers."""
     filled = sum(bool(cell.strip()) for cell in row)
     return filled > 0 and 2 * _count(row) >= filled
 
@@ -321,9 +324,9 @@ def _is_data(row: list[str]) -> bool:
 def _require_decimal_points(
     above: list[list[str]], rows: list[list[str]], delimiter: str, path: Path, what: str
 ) -> None:
-    """Refuse decimal commas in a table whose separator is the comma.
+    """Raise an error for decimal commas in a table whose separator is the comma.
 
-    Rows then have more cells than the header, and no cell has a decimal point.
+    In such a table, rows have more cells than the header, and no cell has a decimal point.
     """
     header = next((row for row in reversed(above) if len(row) > 1), [])
     if delimiter != "," or not header or _count(header):
@@ -342,7 +345,8 @@ def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tupl
     commas = [cell for cell in map(str.strip, cells) if _NUMBER.fullmatch(cell)]
     if not commas:
         return ".", ""
-    # the last of two marks is the decimal mark; a mark that comes twice separates thousands
+    # if a number has two different marks, the last one is the decimal mark; a mark that occurs
+    # twice separates thousands
     decimals = set[str]()
     for cell in commas:
         if "," in cell and "." in cell:
@@ -372,9 +376,9 @@ def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tupl
 
 
 def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
-    """Return the column names, the number of lines before them, and a flag.
+    """Return the column names, the number of lines before the names, and a flag.
 
-    The flag is set if a line of units stands between the names and the data.
+    The flag is set if there is a line of units between the names and the data.
     """
     at = len(above) - 1
     while at >= 0 and not any(cell.strip() for cell in above[at]):

@@ -1,4 +1,4 @@
-"""Text from files: TOML and JSON that are not nested too deeply, numbers, and text for display."""
+"""Text from files: TOML and JSON with limited nesting, numbers, and text for display."""
 
 import codecs
 import json
@@ -30,15 +30,15 @@ __all__ = [
 ]
 
 LONGEST_NUMBER = 308
-"""Most digits of a whole number; a longer one fits no float."""
+"""Largest number of digits of an integer. A longer integer is too large for a float."""
 DEEPEST = 50
-"""Largest number of tables and lists within each other; scenes have at most 5."""
+"""Largest nesting depth of tables and lists. Scenes have at most 5."""
 
 
 def read_text(path: Path) -> str:
     """Return the text of a file in UTF-8, or in UTF-16 with a byte order mark.
 
-    Windows PowerShell 5.1 writes UTF-16 where output is redirected into a file.
+    Windows PowerShell 5.1 writes UTF-16 if output is redirected into a file.
 
     Raises
     ------
@@ -56,7 +56,8 @@ def read_toml(text: str) -> dict[str, Any]:
     Raises
     ------
     tomllib.TOMLDecodeError
-        If it is not valid, nested too deeply, or holds a number of thousands of digits.
+        If the text is not valid TOML, is nested too deeply, or contains a number with thousands of
+        digits.
     """
     try:
         table = tomllib.loads(text)
@@ -68,7 +69,8 @@ def read_toml(text: str) -> dict[str, Any]:
             f"tables and lists within each other more than {DEEPEST} times"
         ) from None
     except ValueError as error:
-        # A number of too many digits: after the colon, Python's message advises a call in Python.
+        # The number has too many digits. Only the part before the colon is used, because the rest
+        # of Python's message recommends a Python call.
         raise tomllib.TOMLDecodeError(str(error).split(":")[0]) from None
     return table
 
@@ -79,7 +81,7 @@ def read_json(text: str | bytes) -> Any:
     Raises
     ------
     json.JSONDecodeError
-        If it is not valid or nested too deeply.
+        If the text is not valid JSON or is nested too deeply.
     """
     try:
         value = json.loads(text, parse_int=_whole_number)
@@ -97,7 +99,10 @@ def read_json(text: str | bytes) -> Any:
 
 
 def _whole_number(text: str) -> int | float:
-    """Return a whole number, and infinity for one that fits no float, as JSON's 1e400 gives."""
+    """Convert text to an integer, or to infinity if the integer is too large for a float.
+
+    This agrees with the result for 1e400 in JSON.
+    """
     if len(text) > LONGEST_NUMBER:
         return -math.inf if text.startswith("-") else math.inf
     return int(text)
@@ -109,7 +114,7 @@ def require_shallow(value: object) -> None:
     Raises
     ------
     RecursionError
-        If they are nested more deeply.
+        If tables and lists are nested more deeply.
     """
     level: list[object] = [value]
     for _ in range(DEEPEST):
@@ -122,8 +127,8 @@ def require_shallow(value: object) -> None:
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts names by the numbers in them: ``run2`` before ``run10``."""
-    # Texts get -1, numbers their value.
+    """Return a sort key that compares the numbers in names: ``run2`` comes before ``run10``."""
+    # The key is -1 for text and the value for a number.
     return [
         (int(part), "") if part.isascii() and part.isdigit() else (-1, part)
         for part in re.split(r"(\d+)", name)
@@ -131,14 +136,15 @@ def natural_order(name: str) -> list[tuple[int, str]]:
 
 
 def number_in(text: str) -> float:
-    """Return the number that a text holds.
+    """Convert text to a number.
 
-    Python reads ``1_0`` as 10. In a file of measurements it is a damaged number, so it is refused.
+    Python converts ``1_0`` to 10. In a file of measurements, ``1_0`` is a damaged number, so an
+    error is raised.
 
     Raises
     ------
     ValueError
-        If the text holds no number.
+        If the text is not a number.
     """
     if "_" in text:
         raise ValueError(f"could not convert text to a number: {text!r}")
@@ -146,7 +152,7 @@ def number_in(text: str) -> float:
 
 
 def number_or_nan(text: str | None) -> float:
-    """Return the number that a text holds, NaN for any other text; see `number_in`."""
+    """Convert text to a number, or to NaN if it is not a number; see `number_in`."""
     try:
         return number_in(text or "")
     except ValueError:
@@ -154,12 +160,12 @@ def number_or_nan(text: str | None) -> float:
 
 
 def whole_number_in(text: str) -> int:
-    """Return the whole number that a text holds; see `number_in`.
+    """Convert text to an integer; see `number_in`.
 
     Raises
     ------
     ValueError
-        If the text holds no whole number.
+        If the text is not an integer.
     """
     if "_" in text:
         raise ValueError(f"could not convert text to a whole number: {text!r}")
@@ -167,12 +173,12 @@ def whole_number_in(text: str) -> int:
 
 
 def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> None:
-    """Refuse a table in which two columns have one name.
+    """Raise an error if two columns of a table have the same name.
 
     Raises
     ------
     InputError
-        If a name occurs twice. `what` is the argument or key that names the file.
+        If a name occurs twice. `what` is the argument or key from which the file was read.
     """
     seen = set[str]()
     for name in names:
@@ -212,7 +218,7 @@ def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
 
 
 def shown(value: object) -> str:
-    """Return a value as a user would write it."""
+    """Return a value in the notation of the user."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, list | tuple):

@@ -31,7 +31,7 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Factors to SI by quantity.
 
-The factors of gf, kgf and lbf are from BIPM and NIST SP 811 and are exact.
+The factors of gf, kgf and lbf are exact values from BIPM and NIST SP 811.
 """
 _SPELLINGS = {
     "sec": "s",
@@ -61,7 +61,10 @@ def plain_unit(text: str) -> str:
 
 
 def _parts(header: str, quantity: str) -> tuple[str, str]:
-    """Return the name and the unit in a header; the unit is empty if it is not of the quantity."""
+    """Return the name and the unit in a header.
+
+    The unit is empty if it is not a unit of the quantity.
+    """
     for pattern in (_IN_BRACKETS, _AT_END):
         found = pattern.search(header)
         if found and plain_unit(found[1]) in UNITS[quantity]:
@@ -70,7 +73,7 @@ def _parts(header: str, quantity: str) -> tuple[str, str]:
 
 
 def unit_of(header: str, quantity: str) -> str:
-    """Return the unit in a header, or an empty text if it has no unit of the quantity."""
+    """Return the unit in a header, or an empty string if the header has no unit of the quantity."""
     return _parts(header, quantity)[1]
 
 
@@ -84,8 +87,8 @@ def column_of(wanted: str, quantity: str, headers: Sequence[str]) -> str | None:
 
     Returns
     -------
-    The wanted header itself where it exists, else the only header with its name and with a unit of
-    the quantity, else None.
+    The wanted header itself if it exists. Otherwise the only header that has the same name and a
+    unit of the quantity. Otherwise None.
     """
     if wanted in headers:
         return wanted

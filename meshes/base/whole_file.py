@@ -1,4 +1,4 @@
-"""Atomic writing of files, checks before they are written, and the versions that they state."""
+"""Atomic writing of files, checks of output files, and versions of file formats."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -27,14 +27,17 @@ __all__ = [
 
 
 class Owner(Protocol):
-    """A folder whose files are claimed before they are written."""
+    """Folder that is informed of its files before they are written."""
 
     def depth(self, path: Path) -> int:
-        """Return the number of parts in the folder's path if it holds ``path``, else 0."""
+        """Return the number of parts of the folder's path.
+
+        The result is 0 if the folder does not contain ``path``.
+        """
         ...
 
     def claim(self, path: Path) -> None:
-        """Refuse a file that must not be replaced, or take note of it."""
+        """Raise an error for a file that must not be replaced, or record the file."""
         ...
 
 
@@ -43,7 +46,7 @@ OWNERS: "WeakSet[Owner]" = WeakSet()
 
 
 def claim(path: Path) -> None:
-    """Announce a file before it is written to the innermost folder in `OWNERS` that holds it."""
+    """Report a file to the innermost folder in `OWNERS` that contains it, before it is written."""
     owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
     if owner is not None and owner.depth(path):
         owner.claim(path)
@@ -51,21 +54,22 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary name in a file's folder, of the same ending, to write to in the block.
+    """Yield a temporary file name, which the block writes, in the folder of a file.
 
-    The written content replaces the file in one step when the block ends, and is deleted when it
-    fails; so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that
-    holds the file may refuse it.
+    The temporary name has the same suffix. When the block ends, the temporary file replaces the
+    file in one step. If the block fails, the temporary file is deleted. Other processes therefore
+    never read an incomplete file. If two processes write the file at the same time, the complete
+    file of one of them remains. A folder in `OWNERS` that contains the file may raise an error.
     """
     claim(path)
-    # 48 random bits: two processes that write one file have different temporary files.
+    # 48 random bits: two processes that write the same file use different temporary files.
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
     try:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
         if error.filename == str(temporary):
-            error.filename = str(path)  # the name that the caller knows
+            error.filename = str(path)  # the caller's file name
         raise
     finally:
         with suppress(OSError):
@@ -74,8 +78,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @cache
 def package_version() -> str:
-    """Return the version of this library, which its files carry."""
-    # not loaded for `tissue --help`, of which it would take a tenth
+    """Return the version of this library, which is stored in its files."""
+    # import here, because it would take a tenth of the time of `tissue --help`
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -93,17 +97,17 @@ def require_version(
     remedy: str,
     key: str = "format",
 ) -> int:
-    """Return the version of a file's format if this version of tissue reads it.
+    """Check that this version of tissue can read a file's format, and return the format version.
 
     Parameters
     ----------
     what
-        Name of the file for the user.
+        Description of the file for the user.
     held
-        Version data of the file: its format's version under ``key``, and ``tissue``, the version
-        that wrote it.
+        Version data of the file: the format version under ``key``, and the version of tissue that
+        wrote the file under ``tissue``.
     newest
-        Newest version that is read.
+        Newest format version that can be read.
     where
         The file.
     remedy
@@ -112,14 +116,14 @@ def require_version(
     Raises
     ------
     InputError
-        If the version is missing or newer. The message names both versions and the version
-        of tissue that wrote the file.
+        If the version is missing or newer. The message contains the two versions and the version of
+        tissue that wrote the file.
     """
     stated = held.get(key)
     # Python would count True as version 1.
     if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
         raise InputError(
-            # Cut off, because a damaged file may hold a text of any length.
+            # Truncate the text, because a damaged file may contain text of any length.
             what,
             "state the version of its format",
             f"{str(stated)[:40]} in {where}",
@@ -137,7 +141,7 @@ def require_version(
 
 
 def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
-    """Check that a file can be written as a new file or in place of a replaceable regular file.
+    """Check that a file can be written, as a new file or as a replacement of a regular file.
 
     Parameters
     ----------
@@ -151,8 +155,8 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
     Raises
     ------
     InputError
-        If a file exists that may not be replaced, the path is not a regular file, or the folder
-        does not exist.
+        If an existing file may not be replaced, the path is not a regular file, or the folder does
+        not exist.
     """
     other = _other_output(name)
     require_place(path, folder=False, name=name)
@@ -166,17 +170,17 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
 
 
 def _other_output(name: str) -> str:
-    """Return the advice to choose another output."""
+    """Return the instruction to choose another output."""
     return "another --out" if name == "out" else f"another file for --{name}"
 
 
 def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
-    """Check the name of an output and the folder above it, without any change.
+    """Check the name of an output and its parent folder, without changing files.
 
     Raises
     ------
     InputError
-        If such a file or folder cannot be created there.
+        If the file or folder cannot be created.
     """
     choose = f"choose {_other_output(name)}"
     text = str(path)
@@ -193,7 +197,7 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
     if existing.is_symlink() and not existing.exists():
         raise InputError(name, "not use a symbolic link that leads nowhere", existing, choose)
-    # An existing file is replaced by a new one, so its folder must be writable.
+    # Replacing a file creates a new file, so the folder must be writable.
     if existing == place and not folder:
         existing = place.parent
     if not existing.is_dir():
@@ -205,8 +209,8 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
 
 
 def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
-    """Write columns of equal length as CSV with their names, with all digits."""
-    import numpy as np  # not needed by the other functions, which the command line imports
+    """Write named columns of equal length as CSV, with all digits."""
+    import numpy as np  # the command line imports this module and should not load NumPy
 
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]

@@ -1,1 +1,1 @@
-"""Patient CT: content of an image, its labels and their names, and bone with its density."""
+"""Patient CT: inspection of an image, labels and their names, and bone with its density."""

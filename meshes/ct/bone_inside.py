@@ -1,6 +1,6 @@
-"""Bones with a known inside, as anatomies.
+"""Anatomies of bones whose interior is known.
 
-The inside comes from the density of a CT, or from a second surface around the core.
+The interior is known from the density of a CT, or from a second surface around the trabecular core.
 """
 
 from collections.abc import Mapping
@@ -33,34 +33,39 @@ __all__ = [
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
 LAW = "density_law"
-"""Header key of an image that states source and uncertainty of its densities."""
+"""Header key of a density image for the source and the uncertainty of its densities."""
 CORTICAL_ABOVE_KG_M3 = 1000.0
-"""Apparent density from which bone is cortical.
+"""Apparent density above which bone is cortical.
 
-It is ash density 0.6 g/cm3, where Keyak (1998) changes from trabecular to cortical, over ash to
-apparent 0.598 (Schileo 2008).
+The value is an ash density of 0.6 g/cm3, at which Keyak (1998) changes from trabecular to cortical
+bone, divided by 0.598, the ratio of ash to apparent density (Schileo 2008).
 """
 _LEAST_KG_M3 = 50.0
-"""Lowest density of bone, as in `DensityLaw`; interpolation next to voxels without bone gives
-less."""
+"""Lowest density of bone, as in `DensityLaw`.
+
+Interpolation next to voxels without bone would give less.
+"""
 _PLATE_M = 5e-3
 """Largest depth of a subchondral plate.
 
-It is 1.2 to 2.9 mm on the glenoid (Frich), and more where a joint is loaded.
+The thickness is 1.2 to 2.9 mm on the glenoid (Frich), and larger where a joint is loaded.
 """
 _LEAST_COVERED = 0.99
-"""Share of a surface at which its image must hold density."""
+"""Share of the surface points at which the image must contain a density."""
 _TO_EDGE = 0.501
-"""Distance [voxel] from the centre of an image's last voxel to its edge, with rounding.
+"""Distance [voxel] from the centre of the last voxel to the edge of the image, with a tolerance.
 
-A bone is cut off at that edge.
+A bone may be cut off at this edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Distance by which a core may extend out of the bone, because surfaces are smoothed separately."""
-_LEAST_TOUCHING = 0.2
-"""Share of a core's points that must lie in the bone or on it.
+"""Distance by which a core may extend out of the bone.
 
-A hollow cortex may be open, such as a jaw's cortex to its teeth.
+The surfaces of core and bone are smoothed separately.
+"""
+_LEAST_TOUCHING = 0.2
+"""Share of a core's points that must lie in the bone or on its surface.
+
+A hollow cortex may be open, for example the cortex of a jaw at its teeth.
 """
 
 
@@ -72,22 +77,22 @@ def imaged_anatomy(
     cortical_above_kg_m3: float = CORTICAL_ABOVE_KG_M3,
     articular_radius_mm: float = 0.0,
 ) -> Anatomy:
-    """Return the anatomy of a bone in the site frame, with density interpolated in an image.
+    """Return the anatomy of a bone in the site frame, with densities interpolated from an image.
 
-    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; all
-    other bone is trabecular.
+    Dense bone is cortical. Dense bone within 5 mm below an articular face is the subchondral plate.
+    All other bone is trabecular.
 
     Parameters
     ----------
     surface
         Surface of the bone in the frame of the image [m].
     density
-        Apparent density [kg/m3], which must continue for a voxel beyond the surface.
+        Apparent density [kg/m3]. It must extend to at least one voxel outside the surface.
     cortical_above_kg_m3
-        Density from which bone is cortical, 300 to 2000 kg/m3.
+        Density above which bone is cortical, 300 to 2000 kg/m3.
     articular_radius_mm
-        Distance from the site across its normal within which the surface is a joint's [mm], 0 for
-        no joint.
+        Distance from the site, across its normal, within which the surface belongs to a joint [mm];
+        0 without a joint.
 
     Raises
     ------
@@ -95,10 +100,11 @@ def imaged_anatomy(
         If the image does not cover the surface, or a parameter is out of range.
     """
     dense, articular = require_ranges(
-        # Trabecular bone has 350 kg/m3 by default, and the densest cortex 2000 kg/m3.
+        # The default density of trabecular bone is 350 kg/m3, and the densest cortex has 2000
+        # kg/m3.
         ("cortical_above_kg_m3", cortical_above_kg_m3, 300.0, 2000.0, "use 1000"),
         (
-            # 100 mm and more is the whole bone; a glenoid has about 18 mm.
+            # A radius of 100 mm or more is the whole bone. The radius of a glenoid is about 18 mm.
             "articular_radius_mm",
             articular_radius_mm,
             0.0,
@@ -114,9 +120,9 @@ def imaged_anatomy(
     first = ((site.centre_m - origin) / spacing).astype(np.float32)
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3] of points at depths below the surface.
+        """Return the layers and densities [kg/m3] of points at depths below the surface.
 
-        Points [m] have the shape (n, 3) and depths [m] the shape (n,).
+        The points [m] have the shape (n, 3), and the depths [m] have the shape (n,).
         """
         from scipy.ndimage import map_coordinates
 
@@ -159,8 +165,8 @@ def cored_anatomy(
     Parameters
     ----------
     surface
-        Surface around the whole bone, or around the cortical bone alone, which is then hollow where
-        the core is.
+        Surface around the whole bone, or around the cortical bone only. The latter is hollow at the
+        core.
     core
         Surface around the trabecular bone, in the same frame.
     cortical_density_kg_m3, trabecular_density_kg_m3
@@ -172,7 +178,7 @@ def cored_anatomy(
         If the core lies outside the bone, or a density is out of range.
     """
     dense, sparse = require_ranges(
-        # Dense cortical bone has 2000 kg/m3; values in g/cm3 are refused.
+        # Dense cortical bone has 2000 kg/m3. The lower limit excludes values in g/cm3.
         ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
     )
@@ -196,10 +202,10 @@ def cored_anatomy(
 
 
 def stated_law(path: Path) -> str:
-    """Return the density law stated in the header of a density image, or an empty text."""
+    """Return the density law stated in the header of a density image, or an empty string."""
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return ""
-    # NRRD separates a key of the writer's own by :=, so that = is left.
+    # In NRRD files, := separates a user-defined key from its value, so the value begins with =.
     return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
 
 
@@ -231,9 +237,9 @@ def _anatomy(
 
 
 def _require_covered(surface: Surface, density: Image) -> None:
-    """Raise for an image without density at the surface.
+    """Raise an error for an image without density at the surface.
 
-    The image then belongs to another bone, another frame or another unit.
+    Such an image belongs to another bone, or has another frame or unit.
     """
     origin = np.array(density.origin_mm)
     last = np.array(density.values.shape) - 1
@@ -251,7 +257,7 @@ def _require_covered(surface: Surface, density: Image) -> None:
             ),
             "give both in one frame (LPS, mm)",
         )
-    # Values in Hounsfield units are negative in air. No implant is denser than gold, 19,300 kg/m3.
+    # Negative values are Hounsfield units of air. No implant is denser than gold with 19,300 kg/m3.
     if (
         not np.isfinite(density.values).all()
         or density.values.min() < 0
@@ -266,8 +272,11 @@ def _require_covered(surface: Surface, density: Image) -> None:
 
 
 def _require_within(surface: Surface, core: Surface) -> None:
-    """Raise for a core that lies elsewhere: another bone, frame or unit."""
-    # 2000 points estimate a share of 0.2 with a standard error of 0.01.
+    """Raise an error for a core that lies outside the bone.
+
+    Such a core belongs to another bone, or has another frame or unit.
+    """
+    # With 2000 points, the standard error of a share of 0.2 is 0.01.
     points = core.vertices_m[:: max(len(core.vertices_m) // 2000, 1)]
     away = triangle_distance(surface.vertices_m, surface.faces, points)
     touching = float((away <= _FARTHEST_OUT_M).mean())

@@ -1,11 +1,11 @@
-"""Density calibration without a phantom, by air, fat, muscle and cortex of the same CT.
+"""Density calibration without a phantom, from the air, fat, muscle and cortex of the same CT.
 
-After Michalski et al. 2020 (Med Eng Phys 78:55), written from the paper's method: the effective
-energy is the energy at which the attenuation of the reference tissues fits their Hounsfield units
-best. Differences from the paper: linear attenuation is fitted, because Hounsfield units are linear
-in it. All unknowns have priors and are found together, so that their uncertainty reaches the
-density. Dense bone of ICRU 44 in marrow leads to apparent density, because relations from K2HPO4 to
-ash in use differ by 30 %.
+The method follows Michalski et al. 2020 (Med Eng Phys 78:55). The effective energy is the energy at
+which the attenuation of the reference tissues fits their Hounsfield units best. There are three
+differences from the paper. Linear attenuation is fitted, because Hounsfield units are linear in the
+attenuation. All unknowns have priors and are estimated together, so the uncertainty of the density
+includes their uncertainty. The apparent density follows from a mixture of dense bone (ICRU 44) and
+marrow, because published relations from K2HPO4 to ash density differ by 30 %.
 """
 
 import math
@@ -34,15 +34,15 @@ __all__ = [
 ]
 
 ENERGIES_KEV = (30.0, 150.0)
-"""Range of the tables [keV]."""
+"""Energy range of the attenuation tables [keV]."""
 
 
 def mass_attenuation(material: str, energy_keV: float) -> float:
     """Compute the mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``.
 
-    It is the sum over the material's elements by their mass fractions. Between the energies of the
-    table, the logarithms are interpolated by cubic splines. These are within 0.2 % of the finer
-    tables of Elam et al. 2002.
+    The coefficient is the sum over the chemical elements, weighted by their mass fractions. Between
+    the energies of the table, the logarithms are interpolated by cubic splines. The result differs
+    by less than 0.2 % from the finer tables of Elam et al. 2002.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def linear_attenuation(material: str, energy_keV: float) -> float:
 def hounsfield(linear_attenuation_1_m: float, energy_keV: float) -> float:
     """Convert a linear attenuation coefficient [1/m] to Hounsfield units.
 
-    They are 0 in water and -1000 in vacuum.
+    Hounsfield units are 0 in water and -1000 in vacuum.
     """
     return 1000.0 * (linear_attenuation_1_m / linear_attenuation("water", energy_keV) - 1.0)
 
@@ -85,7 +85,7 @@ def _table() -> dict[str, Any]:
 
 @cache
 def _curves() -> dict[str, Any]:
-    """Return the logarithm of each element's coefficient [cm2/g] over the log energy [keV]."""
+    """Return splines of the logarithm of each coefficient [cm2/g] by log energy [keV]."""
     from scipy.interpolate import CubicSpline
 
     table = _table()
@@ -96,63 +96,67 @@ def _curves() -> dict[str, Any]:
 
 
 _SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
-"""Relative standard deviation of a tissue's attenuation between persons.
+"""Relative standard deviation of a tissue's attenuation between patients.
 
-Fat and muscle: half of the difference between adipose tissues 1 to 3 and between muscles 1 to 3 of
-Woodard and White 1986 (Br J Radiol 59:1209), with the fat in muscle. Cortex: pores of 3 to 12 % and
-density of 1.85 to 2.0 g/cm3 where it is densest.
+For fat and muscle, it is half of the difference between adipose tissues 1 and 3 and between muscles
+1 and 3 of Woodard and White 1986 (Br J Radiol 59:1209), including the fat in muscle. For cortex, it
+follows from 3 to 12 % of pores and a density of 1.85 to 2.0 g/cm3 in the densest bone.
 """
-# prior of the effective energy: clinical tubes of 80 to 140 kV make about 50 to 85 keV
+# prior of the effective energy: it is about 50 to 85 keV for clinical tubes with 80 to 140 kV
 _ENERGY_KEV = 72.0
 _ENERGY_SD_KEV = 15.0
 _LIMITS_KEV = (38.0, 140.0)
-"""Limits of the fitted energy. No photon of a 140 kV tube has more; 80 kV make about 50 keV."""
-_WATER_SD_HU = 4.0  # water is 0 +- 4 HU in a scanner's acceptance test (IEC 61223-3-5)
-_SCALE_SD = 0.01  # error of a scanner's scale; of 0.003 to 0.03, none moves the energy by 0.1 keV
+"""Limits of the fitted energy.
+
+No photon of a 140 kV tube has more than 140 keV. The effective energy at 80 kV is about 50 keV.
+"""
+_WATER_SD_HU = 4.0  # acceptance test of a scanner: water 0 +- 4 HU (IEC 61223-3-5)
+_SCALE_SD = 0.01  # scale error; values of 0.003 to 0.03 change the energy by less than 0.1 keV
 _MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
 _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
-"""Relative standard deviation of apparent density from mineral.
+"""Relative standard deviation of the apparent density that is computed from mineral.
 
-ICRU 44's calcium makes ash 0.57 of dense bone, and the ratio of Schileo 2008 is 0.598. The value is
-half of their difference.
+From the calcium of ICRU 44, the ratio of ash to dense bone is 0.57. The ratio of Schileo 2008 is
+0.598. The value is about half of the relative difference.
 """
-# mean squared misfit, in standard deviations, above which the values are not Hounsfield units
+# mean squared misfit, in squared standard deviations, above which the values are not Hounsfield
+# units
 _WORST_FIT = 9.0
-_CHANCE = 0.1  # a misfit less probable than this widens the band
+_CHANCE = 0.1  # a misfit with less than this probability widens the band
 
-# Sizes, limits and widths below are not critical: on the synthetic CT, half or twice the value of
-# one moves the effective energy by less than 0.9 keV, whose standard error is 2.4 to 5 keV.
-_SLAB_VOXELS = 4e6  # filtered at once: five arrays of 16 MB
-_MOST_VOXELS = 4e7  # only every second, third ... slab of a larger image is used
+# The sizes, limits and widths below are not critical. On the synthetic CT, half or twice a value
+# changes the effective energy by less than 0.9 keV. The standard error of the energy is 2.4 to 5
+# keV.
+_SLAB_VOXELS = 4e6  # voxels filtered at once: five arrays of 16 MB
+_MOST_VOXELS = 4e7  # of a larger image, only every n-th slab is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV.
+"""Range of a tissue's most frequent value for effective energies of 40 to 120 keV.
 
-The ranges are from the tissues of ICRU 44 (fat -99 to -57, muscle 45 to 40) and 35 HU to either
-side.
+The values of ICRU 44 (fat -99 to -57 HU, muscle 45 to 40 HU) are extended by 35 HU on each side.
 """
 _BINS_HU = (-1100, 200)
-"""Range of the histogram, which holds all of `_MODES_HU`, in bins of 1 HU."""
-_SMOOTHING_HU = 4.0  # standard deviation; single bins have chance maxima
-_LEAST_PEAK = 0.2  # height of a maximum, relative to the highest in the tissue's range
-_PROMINENCE = 0.02  # likewise
-_WINDOW_HU = 12  # to either side of a maximum: values that its mean is taken over
-# error over full width at half prominence: a quarter of the maximum's standard deviation
+"""Range of the histogram, which contains all ranges of `_MODES_HU`, in bins of 1 HU."""
+_SMOOTHING_HU = 4.0  # standard deviation of the smoothing; single bins have random maxima
+_LEAST_PEAK = 0.2  # height of a maximum, relative to the highest maximum in the tissue's range
+_PROMINENCE = 0.02  # prominence of a maximum, relative to the same highest maximum
+_WINDOW_HU = 12  # half width of the range of values that are averaged around a maximum
+# error divided by full width at half prominence, a quarter of the maximum's standard deviation
 _WIDTH_ERROR = 0.1
-_SMALLEST_MM3 = 500.0  # of air, fat or muscle; smaller parts are mixtures at boundaries
+_SMALLEST_MM3 = 500.0  # of air, fat or muscle; smaller regions are mixtures at boundaries
 _FEWEST_VOXELS = 60
 _DENSE_HU = 700.0  # above trabecular bone and contrast medium
 _METAL_HU = 2500.0  # above all bone but enamel
-_METAL_REACH_MM = 12.0  # bone nearer to metal is left out: streaks falsify it
-_DENSEST_SHARE = 0.1  # of the dense voxels: the others hold pores and partial volume
+_METAL_REACH_MM = 12.0  # bone nearer to metal is not used because of streaks
+_DENSEST_SHARE = 0.1  # of the dense voxels; the others have pores or partial volume
 _SMALLEST_CORTEX_MM3 = 80.0
-# smallest standard error of a region: 12-bit steps of 1 and shading across the image
+# smallest standard error of a region, because of 12-bit steps of 1 and shading across the image
 _ERROR_HU = 1.0
 
 
 @dataclass(frozen=True)
 class Region:
-    """Mean value of one tissue in an image and its standard error [HU]."""
+    """Mean value of one tissue in an image, and its standard error [HU]."""
 
     mean_HU: float
     error_HU: float
@@ -160,7 +164,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Density law of Hounsfield units that a calibration found.
+    """Density law of Hounsfield units, found by a calibration.
 
     `energy_keV` is the effective energy, with its standard deviation.
     """
@@ -176,16 +180,16 @@ def density_law(text: str, image: Image) -> DensityLaw:
     Parameters
     ----------
     text
-        A name of `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` [kg/m3 per Hounsfield unit, kg/m3] of
-        apparent density, or ``line:SLOPE,OFFSET,K2HPO4`` (HA, ash) of a phantom's equivalent
-        density; or ``internal``, calibrated by the image's own air, fat, muscle and cortex.
+        A name of `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` [kg/m3 per Hounsfield unit, kg/m3] for
+        apparent density; ``line:SLOPE,OFFSET,K2HPO4`` (or HA, ash) for a phantom's equivalent
+        density; or ``internal`` for a calibration from the image's own air, fat, muscle and cortex.
     image
         The CT [Hounsfield units].
 
     Raises
     ------
     InputError
-        If the text is none of these, or the image lacks tissues that a calibration needs.
+        If the text has another form, or the image lacks tissues that a calibration needs.
     """
     text = text.strip()
     if text.lower() == "internal":
@@ -210,24 +214,25 @@ def density_law(text: str, image: Image) -> DensityLaw:
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit effective energy, scanner line and density law to the means of regions.
+    """Fit effective energy, scanner errors and density law to the mean values of regions.
 
-    The fit includes the uncertainty of the results.
+    The result includes the uncertainty of the law.
 
-    The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each
-    tissue's deviation from ICRU 44, as standard normal numbers. The covariance is the covariance of
-    the linearised problem.
+    The unknowns are the energy, the scanner's errors of the water value and of the scale, the fat
+    in marrow, and each tissue's deviation from ICRU 44. They are expressed as standard normal
+    numbers. The covariance is computed from the linearised problem.
 
     Raises
     ------
     InputError
-        If too few tissues are given, or their values fit no energy.
+        If too few tissues are given, or no energy fits their values.
     """
     from scipy.optimize import approx_fprime, least_squares
     from scipy.special import chdtri
 
     tissues = [tissue for tissue in _SPREAD if tissue in regions]
-    # Air has nearly the same value at every energy, and cortex alone differs most between persons.
+    # Air has nearly the same value at every energy, and cortex differs most between patients, so
+    # these two tissues are not enough.
     if len(tissues) < 2 or not {"adipose", "muscle"}.intersection(tissues):
         raise InputError(
             "an internal calibration",
@@ -263,7 +268,8 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
         squared / chdtri(len(tissues), _CHANCE), 1.0
     )
     slope, offset = _density_line(found.x)
-    # The unknowns are about 1, so this step is far above rounding and far below their spread.
+    # The unknowns have a standard deviation of 1, so this step is far larger than rounding errors
+    # and far smaller than their spread.
     derivatives = approx_fprime(found.x, _density_line, 1e-6)
     spread = derivatives @ covariance @ derivatives.T
     energy = _energy(found.x)
@@ -292,7 +298,7 @@ def _read(attenuation_1_m: float, unknown: Array) -> float:
 
 
 def _density_line(unknown: Array) -> Array:
-    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a mixture of dense bone and marrow."""
+    """Compute the slope [kg/m3 per HU] and offset [kg/m3] for mixtures of dense bone and marrow."""
     energy = _energy(unknown)
     fat = _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
     marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation(
@@ -308,18 +314,19 @@ def _density_line(unknown: Array) -> Array:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    A voxel is homogeneous if its neighbourhood varies by no more than noise. Air, fat and muscle
-    are their most frequent values in the tissues' ranges. Cortex is the densest tenth of the voxels
-    that are surrounded by bone, away from metal.
+    Only homogeneous voxels are used, whose neighbourhood varies by no more than noise. The values
+    of air, fat and muscle are the most frequent values in the ranges of these tissues. Cortex is
+    the densest tenth of the voxels that are surrounded by bone and not near metal.
     """
     from scipy.ndimage import uniform_filter
 
-    # At least four slices: each slab is filtered with two more on either side.
+    # At least four slices, because each slab is filtered with two more slices on each side.
     thickness = max(int(_SLAB_VOXELS // math.prod(image.values.shape[:2])), 4)
     whole = range(0, image.values.shape[2], thickness)
     starts = whole[:: math.ceil(image.values.size / _MOST_VOXELS)]
     _, mean, sd, _, _ = _filtered(image, starts[len(starts) // 2], thickness)
-    # Fat to muscle [HU]. Voxels at edges have a larger deviation, so noise is a low quantile.
+    # Range from fat to muscle [HU]. Voxels at edges have a larger deviation, so a low quantile is
+    # the noise.
     soft = sd[(mean > -160.0) & (mean < 120.0)]
     noise = float(np.quantile(soft if soft.size > 1000 else sd, 0.3))
     voxel_mm3 = math.prod(image.spacing_mm) * len(whole) / len(starts)
@@ -331,48 +338,50 @@ def find_regions(image: Image) -> dict[str, Region]:
     dense = []
     for start in starts:
         values, mean, sd, spread, least = _filtered(image, start, thickness)
-        # A scanner writes a constant lowest value outside its field of view, unless that value is
-        # air: from -1015 HU on it is air itself.
+        # Outside its field of view, a scanner writes a constant lowest value. A lowest value of
+        # -1015 HU or more is air.
         held = (sd > 0.0) | (mean != padding) | (padding >= air_low + 45.0)
-        # 1 and 3 HU admit images with hardly any noise.
+        # The limits of 1 and 3 HU also accept images with little noise.
         even = held & (sd < 1.6 * noise + 1.0) & (spread < 3.0 * noise + 3.0)
         counts += np.histogram(mean[even], bins=len(counts), range=_BINS_HU)[0]
-        # Every seventh value: the median needs no more, and air fills half of an image.
+        # Every seventh value is enough for the median, because air fills half of an image.
         air.append(values[even & (mean > air_low) & (mean < air_high)][::7])
         bone = least > _DENSE_HU
         metal = values > _METAL_HU
-        # Fewer bright voxels are noise or enamel. The share of metal around a voxel is 0 up to
-        # rounding.
+        # Fewer bright voxels are noise or enamel. The tolerance of the share of metal around a
+        # voxel is for rounding errors.
         if bone.any() and metal.sum() >= 5:
             bone &= uniform_filter(metal.astype(np.float32), reach) < 1e-6
-        # Pores below the resolution vary the values of cortex by more than noise: 6 % are allowed.
+        # The values of cortex vary by more than noise because of pores below the resolution, so 6 %
+        # are allowed.
         dense.append(mean[bone & (sd < np.maximum(2.0 * noise, 0.06 * mean))])
     found = {tissue: _most_frequent(tissue, counts, voxel_mm3, noise) for tissue in _MODES_HU}
     if found["air"] is not None:
-        # Values cut off at -1024 do not move the median. An error of 1 to 10 HU changes the energy
-        # of the synthetic CT by 0.01 keV.
+        # Values that are truncated at -1024 HU do not change the median. For errors of 1 to 10 HU,
+        # the energy of the synthetic CT changes by 0.01 keV.
         found["air"] = Region(float(np.median(np.concatenate(air))), 3.0)
     found["cortex"] = _cortex(np.concatenate(dense), voxel_mm3)
     return {tissue: region for tissue, region in found.items() if region is not None}
 
 
 def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
-    """Filter a slab of an image over 3 x 3 x 3 voxels.
+    """Filter a slab of an image with a kernel of 3 x 3 x 3 voxels.
 
-    Returns the values, and their mean, standard deviation, spread of the mean, and minimum.
+    Returns the values, their mean, standard deviation and minimum, and the spread of the mean.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
-    # Two filters of three voxels after each other need two more slices at each end.
+    # Two successive filters with three voxels need two more slices at each end.
     first = max(start - 2, 0)
     values = image.values[:, :, first : start + thickness + 2].astype(np.float32)
-    shift = np.float32(values.mean())  # sums of squares keep their digits
+    shift = np.float32(values.mean())  # avoids cancellation in sums of squares
     mean = uniform_filter(values - shift, 3)
     variance = uniform_filter((values - shift) ** 2, 3) - mean**2
     filtered = (
         values,
         mean + shift,
-        # 1e-3 HU2 is above the rounding of the sums, so that constant values have deviation 0.
+        # 1e-3 HU2 is more than the rounding error of the sums, so that the deviation of constant
+        # values is 0.
         np.sqrt(np.maximum(variance - 1e-3, 0.0)),
         maximum_filter(mean, 3) - minimum_filter(mean, 3),
         minimum_filter(values, 3),
@@ -381,11 +390,11 @@ def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
 
 
 def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
-    """Find the maximum of the histogram in the tissue's range, if it holds enough voxels.
+    """Find the maximum of the histogram in the tissue's range, if it has enough voxels.
 
-    It is the highest maximum. For muscle it is the lowest maximum that is not small, since organs
-    with contrast medium lie above it. The error grows with the maximum's width, which several
-    tissues may increase.
+    For air and fat, this is the highest maximum. For muscle, it is the maximum with the lowest
+    value that is not small, because organs with contrast medium have higher values. The error is
+    proportional to the width of the maximum, because several tissues may widen it.
     """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks, peak_widths
@@ -406,14 +415,14 @@ def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) ->
         return None
     mean = float(np.average(window + 0.5 + _BINS_HU[0], weights=counts[window]))
     return Region(
-        # A counted value is a mean of 27 voxels, so count / 27 of them are independent.
+        # Each counted value is a mean of 27 voxels, so only count / 27 values are independent.
         mean,
         math.hypot(_ERROR_HU, noise / math.sqrt(count / 27.0), _WIDTH_ERROR * width),
     )
 
 
 def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
-    """Compute the median of the densest tenth; its error is half of its spread."""
+    """Compute the median of the densest tenth, with half of the spread as its error."""
     count = max(
         int(_DENSEST_SHARE * len(dense)),
         math.ceil(_SMALLEST_CORTEX_MM3 / voxel_mm3),
@@ -423,5 +432,5 @@ def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
         return None
     densest = np.sort(dense)[-count:]
     error = 0.5 * float(np.quantile(densest, 0.8) - np.quantile(densest, 0.2))
-    # 5 HU is the smallest error: 1 to 15 HU change the energy by less than 0.1 keV.
+    # The smallest error is 5 HU. Values of 1 to 15 HU change the energy by less than 0.1 keV.
     return Region(float(np.median(densest)), math.hypot(5.0, error))

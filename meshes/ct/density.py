@@ -1,4 +1,4 @@
-"""Apparent density of bone from grey values, with the uncertainty of the line that is used."""
+"""Apparent density of bone from grey values, with the uncertainty of the calibration line."""
 
 from dataclasses import asdict, dataclass
 from statistics import NormalDist
@@ -13,10 +13,10 @@ __all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DENSITY_LAWS", "DensityLa
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
-"""Ratio of ash to apparent density of human bone, and its standard deviation.
+"""Ratio of ash density to apparent density of human bone, and its standard deviation.
 
-The ratio is for cortical and trabecular bone together: 0.598 +- 0.004 (Schileo et al. 2008, J
-Biomech 41:2483).
+The ratio is 0.598 +- 0.004 for cortical and trabecular bone (Schileo et al. 2008, J Biomech
+41:2483).
 """
 
 
@@ -24,22 +24,23 @@ Biomech 41:2483).
 class DensityLaw:
     """Apparent density [kg/m3] = slope * grey value + offset, limited to a range.
 
-    Apparent density is wet mass over the volume with its pores. The uncertainties belong to the
-    line. They include neither the noise of a voxel nor the blur of thin bone.
+    Apparent density is wet mass divided by volume, including pores. The uncertainties only describe
+    the line. They do not include the noise of a voxel or the blur of thin bone.
 
     Attributes
     ----------
     slope_kg_m3, offset_kg_m3
-        Density per grey value and at grey value 0 [kg/m3].
+        Density per unit of grey value, and density at grey value 0 [kg/m3].
     lowest_kg_m3, highest_kg_m3
-        Limits [kg/m3].
+        Limits of the density [kg/m3].
     name, source
-        Name of the line, and its source.
+        Name and source of the line.
     covariance
-        Variance of the slope, covariance of both, variance of the offset [(kg/m3)^2].
+        Variance of the slope, covariance of slope and offset, and variance of the offset
+        [(kg/m3)^2].
     relative_sd
-        Relative standard deviation of a factor of the whole density, such as the ratio of ash to
-        apparent density.
+        Relative standard deviation of a factor that applies to the whole density, such as the ratio
+        of ash to apparent density.
     """
 
     slope_kg_m3: float
@@ -59,7 +60,7 @@ class DensityLaw:
     def sd(self, values: Numbers) -> Singles:
         """Compute the standard uncertainty of the density [kg/m3] of mean grey values.
 
-        It is the uncertainty before the limits are applied.
+        The uncertainty is computed before the limits are applied.
         """
         values = np.asarray(values, dtype=np.float64)
         slope, both, offset = self.covariance
@@ -68,7 +69,7 @@ class DensityLaw:
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
     def band(self, values: Numbers, share: float = 0.9) -> tuple[Singles, Singles]:
-        """Compute bounds [kg/m3] of the density of tissue of mean grey values.
+        """Compute bounds [kg/m3] of the density of tissue with given mean grey values.
 
         The density lies within the bounds with probability `share`.
         """
@@ -87,16 +88,16 @@ class DensityLaw:
 def _scanner_law(
     name: str, ash: tuple[float, float], source: str, *, slope_sd: float, offset_sd_kg_m3: float
 ) -> DensityLaw:
-    """Return the law of one scanner's line to ash density.
+    """Return the density law for one scanner's line from Hounsfield units to ash density.
 
-    Its uncertainty includes the difference to other scanners.
+    The uncertainty of the law includes the difference between scanners.
 
     Parameters
     ----------
     name, source
         See `DensityLaw`.
     ash
-        Ash density per Hounsfield unit and at 0 [kg/m3].
+        Ash density per Hounsfield unit, and ash density at 0 Hounsfield units [kg/m3].
     slope_sd
         Relative standard deviation of the slope.
     offset_sd_kg_m3
@@ -121,10 +122,10 @@ CT_DENSITY = _scanner_law(
     slope_sd=0.27,
     offset_sd_kg_m3=60.0,
 )
-"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it.
+"""Density law of one scanner. Calibrate your own scanner before you rely on densities.
 
-Its band is wide enough to hold bone by the tables of ``attenuation.toml`` at 62 to 80 keV, which is
-8 to 39 % less dense than the line.
+The uncertainty band of the law contains the densities that follow from the tables of
+``attenuation.toml`` at 62 to 80 keV. These are 8 to 39 % lower than the line.
 """
 _MAYO_DENSITY = _scanner_law(
     "dragomir-daescu",
@@ -135,10 +136,10 @@ _MAYO_DENSITY = _scanner_law(
     offset_sd_kg_m3=55.0,
 )
 DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
-"""Density laws by name, each of one scanner.
+"""Density laws by name. Each law is the line of one scanner.
 
-The band of each law holds the tabulated values of bone at 62 to 80 keV, -10 to 47 % off the second
-line, see `CT_DENSITY`.
+The uncertainty band of each law contains the tabulated values of bone at 62 to 80 keV. They differ
+from the second line by -10 to 47 %, see `CT_DENSITY`.
 """
 
 _TO_ASH = {
@@ -154,29 +155,30 @@ _TO_ASH = {
 }
 """Conversion from a phantom's equivalent density to ash density.
 
-Each entry holds slope, offset [kg/m3], the relative standard deviation of apparent density, and its
-source. 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The factor 0.9 follows from
-the line of Dragomir-Daescu 2011. The 3 % for HA is the uncertainty of ICRU 44's calcium, see
-`meshes.ct.calibration`.
+Each entry has the slope, the offset [kg/m3], the relative standard deviation of the apparent
+density, and the source. The line 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The
+factor 0.9 follows from the line of Dragomir-Daescu 2011. The 3 % for HA is the uncertainty of the
+calcium of ICRU 44, see `meshes.ct.calibration`.
 """
 
 
 def line_law(slope: float, offset: float, equivalent: str = "apparent") -> DensityLaw:
-    """Return the law of a line from Hounsfield units to a phantom's equivalent density.
+    """Return the density law for a line from Hounsfield units to a phantom's equivalent density.
 
     Parameters
     ----------
     slope, offset
-        Density per Hounsfield unit and at 0 [kg/m3, which is mg/cm3].
+        Density per Hounsfield unit, and density at 0 Hounsfield units [kg/m3, equal to mg/cm3].
     equivalent
-        Substance of the density: ``K2HPO4`` or ``HA`` in water, ``ash``, or ``apparent``.
+        Substance to which the density refers: ``K2HPO4`` or ``HA`` in water, ``ash``, or
+        ``apparent``.
 
     Raises
     ------
     InputError
         If the slope is not positive, or the equivalent is unknown.
     """
-    # Wide ranges: they refuse other units, such as 0.001 g/cm3 per Hounsfield unit.
+    # The ranges are wide. They exclude other units, such as 0.001 g/cm3 per Hounsfield unit.
     require_range("slope", slope, 0.05, 20.0, "use kg/m3 per Hounsfield unit, about 0.8 to 1.5")
     require_range("offset", offset, -2000.0, 2000.0, "use kg/m3 at 0 Hounsfield units, -20 to 110")
     kind = {name.lower(): name for name in _TO_ASH}.get(equivalent.lower())

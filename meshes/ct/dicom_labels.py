@@ -1,4 +1,4 @@
-"""DICOM objects that hold labels: segmentations (SEG) and structure sets (RTSTRUCT)."""
+"""DICOM objects with labels: segmentations (SEG) and structure sets (RTSTRUCT)."""
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,22 +36,28 @@ __all__ = [
 
 _KINDS = ("SEG", "RTSTRUCT")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".raw", ".tif", ".tiff", ".bmp")
-"""Endings of files that are no DICOM and need not be opened."""
+"""Suffixes of files that are not DICOM and do not have to be opened."""
 _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
 _OFF_GRID = 0.05
-"""Largest distance of a frame from its place in an even stack, along the normal in plane distances
-and across it in pixels; headers round positions."""
+"""Largest distance of a frame from its position in an evenly spaced stack.
+
+The unit is the plane distance along the normal, and the pixel across the normal. Positions in
+headers are rounded.
+"""
 _OFF_STATED = 0.01
-"""Largest relative difference of the distance of planes from the stated one: 2/3 mm as 0.67 mm."""
+"""Largest relative difference between the distance of planes and the stated distance.
+
+For example, a header may state 0.67 mm for 2/3 mm.
+"""
 _FLAT_MM = 0.05
-"""Largest difference of the heights in one plane; files round coordinates."""
+"""Largest difference of heights in one plane [mm]. Coordinates in files are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelObject:
-    """A DICOM file that holds labels: its kind, SEG or RTSTRUCT, its name, and its dataset."""
+    """DICOM file with labels: kind (SEG or RTSTRUCT), name and dataset."""
 
     kind: str
     file: Path
@@ -60,14 +66,14 @@ class LabelObject:
 
 
 def label_object(path: Path) -> LabelObject | None:
-    """Return the DICOM object of labels in a file, or the only one in a folder.
+    """Return the DICOM object with labels in a file, or the only such object in a folder.
 
     The result is None for all other files and folders.
 
     Raises
     ------
     InputError
-        If a folder holds several.
+        If a folder contains several DICOM objects with labels.
     """
     files = [path]
     if is_folder(path):
@@ -94,7 +100,7 @@ def label_object(path: Path) -> LabelObject | None:
 class Segmentation:
     """Frames of a segmentation.
 
-    Each frame is a plane of one segment. In a label map, it is a plane of all segments.
+    Each frame is a plane of one segment. In a label map, each frame is a plane with all segments.
 
     Attributes
     ----------
@@ -103,11 +109,11 @@ class Segmentation:
     segments
         Segments that the file lists.
     frames
-        Places of the frames.
+        Positions of the frames.
     planes_at
-        Index of each frame along the normal.
+        Index of each frame's plane along the normal.
     step
-        Vector from a plane to the next one [mm, LPS].
+        Vector from a plane to the next plane [mm, LPS].
     """
 
     object: LabelObject
@@ -118,12 +124,12 @@ class Segmentation:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Columns, rows and planes."""
+        """Number of columns, rows and planes."""
         return (*self.frames[0].size, max(self.planes_at) + 1)
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of the segments."""
+        """Label numbers of the segments."""
         return [each.number for each in self.segments]
 
     def stored(self) -> StoredImage:
@@ -156,7 +162,7 @@ class Segmentation:
                     yield number, plane, least <= values.T
         except InputError:
             raise
-        except Exception as problem:  # damaged pixels raise many kinds
+        except Exception as problem:  # damaged pixels raise many types of errors
             raise damaged(self.object.source) from problem
 
     def _pixels(self) -> Iterator[Numbers]:
@@ -168,7 +174,8 @@ class Segmentation:
         if int(header["BitsAllocated"]) > 1 or is_compressed:
             yield from iter_pixels(self.object.file, raw=True)
             return
-        # Frames of packed bits may begin within a byte, for which pydicom 3.0 raises.
+        # Frames of packed bits may begin within a byte. pydicom 3.0 raises an error for such
+        # frames.
         size = self.frames[0].size
         packed = np.frombuffer(self.object.dataset.PixelData, dtype=np.uint8)
         for start in range(0, len(self.frames) * size[0] * size[1], size[0] * size[1]):
@@ -180,7 +187,7 @@ class Segmentation:
 def read_segmentation(found: LabelObject) -> Segmentation:
     """Read the segments of a segmentation and the positions of its frames.
 
-    Files usually omit frames without a voxel, so planes may be missing.
+    Files usually omit empty frames, so planes may be missing.
 
     Raises
     ------
@@ -205,10 +212,10 @@ def read_segmentation(found: LabelObject) -> Segmentation:
 
 
 def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
-    """Return the index of the plane of each frame, and the step between planes [mm, LPS].
+    """Return the plane index of each frame, and the step between planes [mm, LPS].
 
-    The step is None if the frames do not lie in evenly spaced planes. It need not be normal to the
-    planes: a segmentation of a CT with a tilted gantry is sheared as the CT is.
+    The step is None if the frames do not lie in evenly spaced planes. The step is not always normal
+    to the planes, because a segmentation of a CT with a tilted gantry is sheared like the CT.
     """
     normal = normal_of(frames[0])
     stated = frames[0].frame.header
@@ -218,11 +225,13 @@ def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
         return [0] * len(frames), float(stated["SliceThickness"] or 1.0) * normal
     gaps = np.diff(heights)
     gap = float(gaps.min())
-    # Segments in every second plane alone would seem to lie twice as far apart.
+    # If only every second plane has segments, the computed distance would be twice the true
+    # distance.
     between = abs(float(stated["SpacingBetweenSlices"] or 0.0))
     if 0.0 < between < gap:
         gap = between
-    # Each gap is rounded alone, because the error of a rounded distance adds up over many planes.
+    # Each distance between planes is rounded separately, because the errors of rounded distances
+    # add up over many planes.
     index_of = np.concatenate([[0], np.cumsum(np.rint(gaps / gap).astype(int))])
     planes = index_of[plane_of]
     start, step = even_row(positions, planes)
@@ -237,7 +246,7 @@ def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
 
 
 def _segments(found: LabelObject) -> list[Segment]:
-    """Return the segments of a file, with the side that their type states."""
+    """Return the segments of a file, with the body side that their type states."""
     segments: list[Segment] = []
     try:
         for each in found.dataset.get("SegmentSequence") or ():
@@ -250,7 +259,7 @@ def _segments(found: LabelObject) -> list[Segment]:
 
 
 def _side(segment: Any) -> str:
-    """Return the side of a segment from the modifier of its type or of its region."""
+    """Return the body side of a segment from the modifier of its type or of its region."""
     for key in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
         for code in segment.get(key) or ():
             modifiers = (
@@ -275,7 +284,8 @@ class Outlines:
     segments
         Structures that have outlines.
     polygons
-        Points [mm, LPS] of each outline, shape (n, 3), by the number of the structure.
+        Dictionary from the number of a structure to the points [mm, LPS] of each outline, shape (n,
+        3).
     """
 
     source: str
@@ -311,7 +321,7 @@ def read_outlines(found: LabelObject) -> Outlines:
 
 
 def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
-    """Return names and closed outlines of the structures of a set, by their numbers."""
+    """Return the names and the closed outlines of the structures of a set, by number."""
     rois = dataset.get("StructureSetROISequence") or ()
     names = {int(each.ROINumber): str(each.get("ROIName", "")).strip() for each in rois}
     polygons: dict[int, list[Array]] = {}
@@ -329,8 +339,9 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
     """Yield the number of a structure, a plane of an image, and its mask, shape (nx, ny).
 
     A voxel belongs to a structure if its centre lies within an odd number of its outlines. An
-    outline within another outline is therefore a hole. A plane of the image takes the outlines of
-    the nearest plane that has outlines, if it lies within half of the distance of such planes.
+    outline within another outline is therefore a hole. A plane of the image uses the outlines of
+    the nearest plane with outlines, if the distance to this plane is at most half the distance
+    between planes with outlines.
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
@@ -354,9 +365,10 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
 
 
 def _planes_of(heights: Array) -> tuple[Array, NDArray[np.integer]]:
-    """Return the heights of planes [mm], and the plane of each outline.
+    """Return the heights of planes [mm], and the plane index of each outline.
 
-    Outlines lie in one plane if their heights differ by at most `_FLAT_MM` from a neighbour.
+    Outlines lie in the same plane if the difference between neighbouring heights is at most
+    `_FLAT_MM`.
     """
     order = np.argsort(heights)
     is_next = np.diff(heights[order]) > _FLAT_MM
@@ -366,7 +378,7 @@ def _planes_of(heights: Array) -> tuple[Array, NDArray[np.integer]]:
 
 
 def _within(points: Array, origin: Array, spacing: Array, shape: tuple[int, int]) -> Flags:
-    """Return the voxels of a plane whose centres lie in a polygon of points [mm], shape (n, 2)."""
+    """Return a mask of the voxels whose centres lie in a polygon of points [mm], shape (n, 2)."""
     from skimage.draw import polygon2mask
 
     inside: Flags = polygon2mask(shape, (points - origin) / spacing)

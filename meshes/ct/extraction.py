@@ -29,36 +29,37 @@ __all__ = [
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner [mm, LPS]."""
 MARGIN = 3
-"""Voxels kept around a bone, for its soft tissue and for interpolation."""
+"""Margin around a bone [voxel], for soft tissue and for interpolation."""
 KEPT_MARGIN = 4
-"""Voxels around a piece of a structure in which it is smoothed: five standard deviations."""
+"""Margin around a piece of a structure for its smoothing [voxel], five standard deviations."""
 SMOOTH_VOXELS = 0.8
 """Standard deviation of the smoothing of a label [voxel].
 
-Smaller values leave the label's steps, larger ones remove thin parts. For a bone it is in its
-coarsest voxels. For a structure to keep clear of it is in the voxels along each axis.
+Smaller values do not remove the label's steps, and larger values remove thin parts. For a bone, the
+unit is the largest of the three voxel sizes. For a structure to keep clear of, the unit is the
+voxel size along each axis.
 """
 NOISE_VOXELS = 0.5
 """Standard deviation [voxel] of the smoothing of grey values before a surface is extracted."""
 CLOSED_MM = 1.5
-"""Half the width of the gaps in a cortex that are closed.
+"""Half the width of gaps in a cortex that are closed.
 
-The gaps are trabecular openings, vessels and partial volume.
+Such gaps are trabecular openings, vessels and partial-volume effects.
 """
 SUB = 4
-"""Points along each edge of a voxel at which the bone fraction is sampled."""
+"""Number of sample points of the bone fraction along each edge of a voxel."""
 LEAST_SHARE = 0.5
-"""Bone fraction from which a voxel's own value counts.
+"""Bone fraction above which a voxel's own value is used.
 
-Other voxels take the value of the nearest such voxel.
+Other voxels get the value of the nearest voxel above this fraction.
 """
 BEYOND_VOXELS = 3
-"""Voxels outside the surface into which the density continues.
+"""Number of voxels by which the density is extended beyond the surface.
 
-It can thus be interpolated up to the surface.
+The density can then be interpolated up to the surface.
 """
 _LISTED = 6
-"""Pieces whose volumes a note lists; a label of many fragments would fill the page."""
+"""Largest number of pieces whose volumes a note lists, because a label may have many fragments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +69,17 @@ class BoneOfImage:
     Attributes
     ----------
     image
-        The part of the CT that holds it.
+        Part of the CT that contains the bone.
     field, level
-        Bone is where the field, of the image's shape, is above the level.
+        A voxel is bone where the field, an array with the image's shape, is above the level.
     triangles
         Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
     cuts
-        Points [m] of each face at which the edge of the image cuts it off.
+        Points [m] on each face of the image at which the bone is cut off.
     notes
         Sentences for users.
     label_mm3
-        Volume of the voxels of the label, or of the filled piece above the threshold [mm3].
+        Volume of the label's voxels, or of the filled piece above the threshold [mm3].
     """
 
     image: Image
@@ -97,16 +98,16 @@ class BoneOfImage:
     def density(self, law: Callable[[Floats], Singles]) -> Image:
         """Compute the apparent density [kg/m3] of the bone and of voxels around it, 0 elsewhere.
 
-        A voxel that the surface crosses holds bone and soft tissue, and its grey value is their
-        weighted mean. The value of bone follows from it where at least half is bone, and from the
-        nearest such voxel elsewhere.
+        A voxel that the surface crosses contains bone and soft tissue, and its grey value is their
+        weighted mean. If at least half of the voxel is bone, the value of bone is computed from
+        this mean. Otherwise, the value of the nearest such voxel is used.
         """
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
         share = self._share()
-        # The samples of `_share` may miss a single voxel just above the level.
+        # A single voxel slightly above the level may lie between the samples of `_share`.
         inside = (share > 0.0) | (self.field > self.level)
-        # Two voxels of soft tissue: one alone may be a mixture with bone.
+        # Use two voxels of soft tissue, because a single one may be a mixture with bone.
         around = binary_dilation(inside, iterations=2) & ~inside
         values = self.image.values.astype(np.float32)
         soft = np.float32(np.median(values[around])) if around.any() else np.float32(0.0)
@@ -150,7 +151,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
-    # Rounding must not drop a voxel whose centre lies on the face of the box.
+    # The tolerance keeps voxels whose centres lie on a face of the box in spite of rounding errors.
     first = np.ceil((np.array(box_mm[0]) - origin) / spacing - 1e-6).astype(int).clip(0)
     last = np.floor((np.array(box_mm[1]) - origin) / spacing + 1e-6).astype(int) + 1
     last = np.minimum(last, image.values.shape)
@@ -170,11 +171,13 @@ def cropped(image: Image, box_mm: Box) -> Image:
 
 
 def by_label(image: Image, mask: Flags) -> BoneOfImage:
-    """Extract the bone that a label marks from an image; `mask` has the image's shape.
+    """Extract the bone that a label marks in an image.
 
-    The steps of the label are smoothed away. The level of the surface is chosen to keep the number
-    of voxels of the label. The volume within the triangles differs from the label's by under 1 %
-    where voxels are small against the bone.
+    `mask` has the image's shape.
+
+    The voxel steps of the label are smoothed. The level of the surface is chosen such that the
+    number of voxels inside is the same as in the label. If voxels are small compared with the bone,
+    the volume inside the triangles differs from the volume of the label by less than 1 %.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -189,7 +192,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
-    """Extract the largest piece above a grey value from an image, with marrow filled."""
+    """Extract the largest piece above a grey value from an image, and fill its marrow."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     above = image.values > threshold
@@ -197,10 +200,10 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     part, piece = _around(image, piece)
     whole = filled(piece, part)
     field = gaussian_filter(part.values.astype(np.float32), NOISE_VOXELS, mode="nearest")
-    # Inside, marrow below the threshold is bone. Outside, voxels that touch no voxel of the piece
-    # are not this bone.
-    # The step puts such voxels clearly on their side: with 2 to 50 % of the threshold, the volume
-    # of a synthetic humerus changes by 0.1 %.
+    # Marrow inside the piece is set to bone, although it is below the threshold. Voxels outside
+    # that do not touch the piece do not belong to this bone. The values of such voxels are moved
+    # away from the threshold by a step. With steps of 2 to 50 % of the threshold, the volume of a
+    # synthetic humerus changes by 0.1 %.
     step = max(0.1 * abs(threshold), 1.0)
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)
@@ -211,12 +214,12 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
 def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
     """Build the bone where a field is above a level.
 
-    `other` is the relative size of the next piece.
+    `other` is the size of the second-largest piece, relative to the largest.
     """
     imaged = replace(part, values=field)
     cuts = image_cuts(imaged, threshold=level)
     notes = []
-    # A smaller piece is hardly the bone that was meant.
+    # A smaller piece is probably not the bone that the user wants.
     if other >= 0.1:
         notes.append(
             f"The next piece has {other:.0%} of the size of the one that was taken: crop to "
@@ -234,13 +237,13 @@ def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) 
 
 
 def _around(image: Image, mask: Flags) -> tuple[Image, Flags]:
-    """Return the part of an image around a mask, and the mask there."""
+    """Return the part of an image around a mask, and the corresponding part of the mask."""
     box = box_of(mask, MARGIN)
     return part_of(image, box), np.ascontiguousarray(mask[box])
 
 
 def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
-    """Return the largest piece of a mask, and the size of the next piece relative to it.
+    """Return the largest piece of a mask, and the relative size of the second-largest piece.
 
     Raises
     ------
@@ -263,9 +266,10 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 def filled(mask: Flags, image: Image) -> Flags:
     """Fill marrow and pores of a mask.
 
-    It closes gaps of the cortex, then fills the regions enclosed in any plane.
+    Gaps of the cortex are closed first. Then the regions that are enclosed in any plane are filled.
 
-    A bone that the edge of the image cuts off encloses its marrow only in planes of some direction.
+    If the edge of the image cuts off a bone, the bone encloses its marrow only in planes of certain
+    directions.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
@@ -284,19 +288,19 @@ def filled(mask: Flags, image: Image) -> Flags:
 
 
 def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
-    """Return vertices and triangles around a label that a tool must keep clear of, and notes.
+    """Return vertices and triangles around a structure to keep clear of, and notes.
 
     The vertices are in mm, LPS, shape (n, 3).
 
-    Every piece is smoothed by itself and keeps its own volume. Where a piece is so thin that
-    smoothing would remove it, its voxels are kept as they are.
+    Each piece is smoothed separately, and its volume does not change. If a piece is so thin that
+    smoothing would remove it, its voxels are not smoothed.
 
     Parameters
     ----------
     image
-        Grid of the mask; its values do not matter.
+        Image with the grid of the mask. Its values are not used.
     mask
-        Voxels of the label, shape of the image.
+        Mask of the label's voxels, shape of the image.
     name
         Name of the label.
 
@@ -344,9 +348,9 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
 
 def _smoothed(piece: Flags) -> Singles:
-    """Return a smooth field that keeps the number of voxels of a piece above 0.
+    """Return a smooth field that is positive in as many voxels as a piece has.
 
-    It is also above 0 near every voxel of the piece.
+    The field is positive near every voxel of the piece.
     """
     from scipy.ndimage import binary_dilation, gaussian_filter
 
@@ -355,11 +359,12 @@ def _smoothed(piece: Flags) -> Singles:
     below, above = (
         np.partition(field, (outside - 1, outside), axis=None)[[outside - 1, outside]]
         if outside
-        # If the piece fills its whole box, level 0.5 keeps the surface at the box's faces.
+        # If the piece fills its whole box, the level 0.5 places the surface at the faces of the
+        # box.
         else (0, 1)
     )
     field -= np.float32(0.5 * (below + above))
     lost = piece & ~binary_dilation(field > 0.0, np.ones((3, 3, 3)))
-    # Half of a whole voxel: the surface then encloses the voxel as it is.
+    # With half the value of a full voxel, the surface encloses the voxel without smoothing.
     field[lost] = 0.5
     return field

@@ -1,7 +1,7 @@
 """Inspection of a CT image.
 
-It checks for Hounsfield units, noise, metal, a threshold of bone, and whether labels fit the
-values.
+The inspection detects Hounsfield units, noise and metal, suggests a threshold of bone, and checks
+whether labels fit the values.
 """
 
 from dataclasses import dataclass
@@ -24,54 +24,64 @@ __all__ = [
 
 AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
-"""Ranges of air, and of fat to muscle, in any CT [HU]."""
+"""Range of air, and range from fat to muscle, in any CT [HU]."""
 METAL_HU = 3000
-"""Hounsfield units above which there is no tissue.
+"""Hounsfield units that no tissue exceeds.
 
-Enamel, the densest tissue, reaches about 2800 HU at 120 kV (from memory, confidence M).
+Enamel, the densest tissue, has up to about 2800 HU at 120 kV (from memory, confidence M).
 """
 _COARSE_MM = 3.0
-"""Distance of slices from which they are reported as coarse: more than most cortices are thick."""
+"""Slice distance above which slices are reported as coarse.
+
+It is larger than the thickness of most cortices.
+"""
 _LEAST_METAL = 8
-"""Fewer voxels above `METAL_HU` are noise."""
+"""Smallest number of voxels above `METAL_HU` that count as metal; fewer voxels are noise."""
 _LEAST_SHARE = 1e-3
-"""Share of voxels in `AIR_HU` from which an image holds air; around a patient it has far more."""
+"""Smallest share of voxels in `AIR_HU` in an image with air.
+
+An image with air around a patient has a far larger share.
+"""
 _LOWEST = -2000
 _HIGHEST = 20_000
-"""Values beyond these are counted at the ends of the histogram, which bounds its size.
+"""Limits of the histogram. Values outside are counted at its ends, which limits its size.
 
-A CT lies within: air has -1000 HU and metal a few thousand.
+CT values lie inside the limits: air has -1000 HU and metal a few thousand HU.
 """
 _MOST_SAMPLED = 4_000_000
-"""Voxels from which noise is estimated: enough for the median to about 0.1 %."""
+"""Number of voxels from which noise is estimated. The error of the median is then about 0.1 %."""
 _MAD = 0.6745
-"""Median absolute deviation of a normal variable of standard deviation 1."""
+"""Median absolute deviation of a normal variable with a standard deviation of 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
-"""Largest threshold of bone in use.
+"""Smallest and largest threshold of bone in use.
 
-Thresholds are 150 for osteoporotic bone, 226 in common programs, 600 for the cortex alone.
+Thresholds are 150 HU for osteoporotic bone, 226 HU in common programs, and 600 HU for the cortex
+without trabecular bone.
 """
 _SOFT_PEAK_HU = (-50.0, 120.0)
-"""Range in which the most frequent value of soft tissue is searched: fat to contrast medium."""
+"""Range in which the most frequent value of soft tissue is searched.
+
+It includes fat and contrast medium.
+"""
 _MOST_HU = 1600.0
-"""Values above do not count for the threshold: enamel and metal would raise it."""
+"""Upper limit of the values used for the threshold. Enamel and metal would raise the threshold."""
 _EQUAL = 1e-9
 """Relative difference below which two variances count as equal.
 
-It covers the rounding of sums over up to 1e9 voxels.
+The value is larger than the rounding error of sums of up to 1e9 voxels.
 """
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
 _ALL_BONE = 0.8
-"""Shares of a bone's label above the threshold of bone.
+"""Limits for the share of a bone's label that is above the threshold of bone.
 
-The cortex alone is more than a tenth of any bone. Where marrow is the larger part of the label, as
-in the humeral head of an old person, more than half may lie below.
+The cortex is more than a tenth of any bone. If marrow is the larger part of the label, such as in
+the humeral head of an old person, more than half may be below the threshold.
 """
 _FLIPS = ("left to right", "front to back", "head to feet")
 _SOFT_ORGAN_HU = (-200.0, 300.0)
-"""Range of the median of a soft organ in any CT, contrast agent included [HU]."""
+"""Range of the median of a soft organ in any CT, also with contrast agent [HU]."""
 _CAUSES = (
     "give the labels of this image, and check that they are not flipped, moved or of another organ"
 )
@@ -79,14 +89,14 @@ _CAUSES = (
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Number of voxels of each whole value.
+    """Number of voxels of each integer value.
 
     Attributes
     ----------
     first
         Value of the first count.
     counts
-        Voxels by value, shape (n,).
+        Number of voxels of each value, shape (n,).
     """
 
     first: int
@@ -98,20 +108,20 @@ class Histogram:
         return self.first + np.arange(len(self.counts))
 
     def share(self, low: float, high: float) -> float:
-        """Return the share of voxels from one value to another."""
+        """Return the share of voxels with values in a range."""
         inside = (self.values >= low) & (self.values <= high)
         return float(self.counts[inside].sum() / self.counts.sum())
 
     def peak(self, low: float, high: float, *, width: int = 15) -> float | None:
-        """Return the most frequent value in a range; None if the range is empty.
+        """Return the most frequent value in a range, or None if the range is empty.
 
-        Counts are averaged over `width` values.
+        The counts are averaged over `width` values.
         """
         inside = (self.values >= low) & (self.values <= high)
         if not self.counts[inside].any():
             return None
-        # Single counts have chance maxima, up to 29 HU off in two CTs. Widths of 5 to 41 agree
-        # within 6 HU.
+        # Single counts have random maxima, with errors of up to 29 HU in two CTs. The results for
+        # widths of 5 to 41 differ by at most 6 HU.
         smooth = np.convolve(self.counts[inside], np.ones(width), mode="same")
         return float(self.values[inside][int(np.argmax(smooth))])
 
@@ -125,20 +135,21 @@ class Inspection:
     source
         File or folder name.
     shape, spacing_mm
-        Voxels, and the distance between neighbours [mm], along left, back and head.
+        Number of voxels, and distance between neighbours [mm], towards left, back and head.
     low_mm, high_mm
         Corners of the image [mm, LPS].
     lowest, highest
         Smallest and largest value.
     is_hounsfield
-        Whether the values can be Hounsfield units: air about -1000 or soft tissue about 0 to 60.
+        Whether the values may be Hounsfield units: air is about -1000, or soft tissue about 0 to
+        60.
     noise
-        Standard deviation of soft tissue between neighbours, in units of the values; None without
-        soft tissue. It excludes noise that neighbours share.
+        Standard deviation of soft tissue, estimated from differences of neighbours, in units of the
+        values; None without soft tissue. Noise that is equal in neighbours is not included.
     metal_mm3, metal_mm
         Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
     padding
-        Share of voxels of the lowest value where it lies below air; 0 without such voxels.
+        Share of voxels with the lowest value if this value is below air; otherwise 0.
     """
 
     source: str
@@ -193,7 +204,7 @@ class Inspection:
 
 
 def histogram_of(values: Numbers) -> Histogram:
-    """Count the values, rounded to whole ones."""
+    """Count the values after rounding to integers."""
     if np.issubdtype(values.dtype, np.integer):
         low = max(int(values.min()), _LOWEST)
         high = min(int(values.max()), _HIGHEST)
@@ -206,12 +217,12 @@ def histogram_of(values: Numbers) -> Histogram:
 
 
 def inspect(image: Image) -> Inspection:
-    """Inspect an image volume of LPS axes."""
+    """Inspect an image volume with LPS axes."""
     values = image.values
     spacing = np.array(image.spacing_mm)
     histogram = histogram_of(values)
-    # A crop may hold no air. By chance alone, 1 % of other grey values can lie near 0, but then
-    # none lies below -100.
+    # A crop may not contain air. In other images, 1 % of the grey values may lie near 0 by chance,
+    # but no value is below -100.
     is_tissue = histogram.share(*AIR_HU) > _LEAST_SHARE or histogram.share(*SOFT_HU) > 0.01
     hounsfield = histogram.first < -100 and is_tissue
     metal_mm3 = 0.0
@@ -239,23 +250,26 @@ def inspect(image: Image) -> Inspection:
 
 
 def _padding(values: Numbers) -> float:
-    """Return the share of voxels of the lowest value if it is below air and not of noise alone."""
+    """Return the share of voxels with the lowest value.
+
+    The result is 0 if this value is not below air, or if it is caused by noise.
+    """
     lowest = values.min()
     share = np.count_nonzero(values == lowest) / values.size
     return share if lowest < AIR_HU[0] and share > _LEAST_SHARE else 0.0
 
 
 def _noise(values: Numbers) -> float | None:
-    """Estimate the standard deviation of soft tissue between neighbours in a slice.
+    """Estimate the noise of soft tissue from differences of neighbours in a slice.
 
-    The estimate is robust against edges.
+    The estimate is a standard deviation and is robust against edges.
     """
     step = max(round(values.size / _MOST_SAMPLED), 1)
     slices = values[:, :, ::step].astype(np.float32)
     low, high = SOFT_HU
     soft = (slices > low) & (slices < high)
     found = np.diff(slices, axis=0)[soft[:-1] & soft[1:]]
-    # 1000 differences give the median to about 4 %.
+    # With 1000 differences, the error of the median is about 4 %.
     if len(found) < 1000:
         return None
     return float(np.median(np.abs(found)) / (_MAD * np.sqrt(2.0)))
@@ -264,10 +278,10 @@ def _noise(values: Numbers) -> float | None:
 def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[float, str]:
     """Suggest a threshold of bone, with a sentence that explains it.
 
-    The threshold is from Otsu's criterion between soft tissue and bone.
+    The threshold between soft tissue and bone is computed with Otsu's criterion.
 
-    Of Hounsfield units only values above soft tissue count, and the threshold is kept within 150 to
-    600 HU.
+    For Hounsfield units, only values above soft tissue are used, and the threshold is limited to
+    150 to 600 HU.
     """
     values = histogram.values.astype(np.float64)
     counts = histogram.counts.astype(np.float64)
@@ -283,9 +297,9 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
 
 
 def _otsu(values: Array, counts: Array) -> float:
-    """Return the threshold with the largest variance between both parts of a histogram (Otsu 1979).
+    """Return the threshold with the largest variance between the parts of a histogram (Otsu 1979).
 
-    All empty bins between two parts give the same variance. The threshold lies in the middle
+    All empty bins between two parts give the same variance. The threshold is then in the middle
     between the parts.
     """
     weight = np.cumsum(counts)
@@ -300,21 +314,21 @@ def _otsu(values: Array, counts: Array) -> float:
 
 
 def bone_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning if most of a bone's label lies below 150 HU, else an empty text.
+    """Return a warning if most of a bone's label is below 150 HU, else an empty string.
 
     Parameters
     ----------
     image
         CT [HU].
     mask
-        Voxels of the label, shape of the image, at least one.
+        Mask of the label's voxels, shape of the image. At least one voxel is set.
     name
         Name of the label.
 
     Raises
     ------
     InputError
-        If less than a tenth of the label is above 150 HU: it does not lie on bone.
+        If less than a tenth of the label is above 150 HU. The label then does not lie on bone.
     """
     bone = image.values > LOWEST_HU
     share = float(bone[mask].mean())
@@ -325,7 +339,8 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     if share < _LITTLE_BONE:
         flipped = [float(bone[np.flip(mask, axis)].mean()) for axis in range(3)]
         axis = int(np.argmax(flipped))
-        # A flip is named where it explains the label: nearly all of it then lies on bone.
+        # If nearly all of the flipped label lies on bone, the message states that the label is
+        # flipped.
         if flipped[axis] > max(_ALL_BONE, 2.0 * share):
             found += f" ({flipped[axis]:.0%} if it were flipped {_FLIPS[axis]})"
     if share < _NO_BONE:
@@ -336,7 +351,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
 
 
 def soft_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning if the median under a soft organ's label is not soft tissue, else "".
+    """Return a warning if the median in a soft organ's label is not soft tissue, else "".
 
     The parameters are the same as in `bone_label_note`.
     """

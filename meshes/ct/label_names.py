@@ -1,4 +1,4 @@
-"""Names of labels from known programs, from the user's table, and from the headers of files."""
+"""Names of labels from known programs, from a table of the user, and from file headers."""
 
 import re
 import tomllib
@@ -28,7 +28,10 @@ __all__ = [
 MOST_LABELS = 2**31 - 1
 """Largest number of a label."""
 _HEADER_BYTES = 1 << 20
-"""Bytes of a NIfTI file that are searched for a table of labels: 4 kB for each of 255 names."""
+"""Number of bytes of a NIfTI file that are searched for a label table.
+
+This is 4 kB for each of 255 names.
+"""
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
 """Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
 _SIDES = ("left", "right")
@@ -36,16 +39,17 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class Segment:
-    """A structure of a segmentation.
+    """Structure of a segmentation.
 
     Attributes
     ----------
     number, name
-        Number of its label, and its name.
+        Label number and name.
     side
-        ``left``, ``right`` or empty, as the file states it next to the name.
+        ``left``, ``right`` or empty, if the file states the body side separately from the name.
     layer, value
-        Layer of a file of several overlapping ones, and its value there.
+        Layer that contains the segment, in a file with several overlapping layers, and value of the
+        segment in this layer.
     """
 
     number: int
@@ -58,7 +62,7 @@ class Segment:
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
     """Return the names of segments by number.
 
-    If several segments have the same name, the side that the file states is appended.
+    If several segments have the same name, the body side that the file states is appended.
     """
     counts = Counter(each.name for each in segments)
     return {
@@ -70,14 +74,14 @@ def apart(segments: Sequence[Segment]) -> dict[int, str]:
 
 
 def side_of(text: str) -> str:
-    """Return ``left`` or ``right`` if a modifier is one of them, else an empty string."""
+    """Return ``left`` or ``right`` if a modifier is one of these words, else an empty string."""
     word = text.strip().lower()
     return word if word in _SIDES else ""
 
 
 @cache
 def label_sets() -> dict[str, dict[int, str]]:
-    """Return a table of label names by number for each known program."""
+    """Return label names by number, for each known program."""
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {
         name: dict(zip(entry.get("numbers", range(1, 256)), entry["names"], strict=False))
@@ -86,12 +90,12 @@ def label_sets() -> dict[str, dict[int, str]]:
 
 
 def given_names(names: str | Path) -> Mapping[int, str]:
-    """Return the label names of a known program or of a TOML file, by number.
+    """Return label names by number, for a known program or from a TOML file.
 
     Raises
     ------
     InputError
-        If `names` is neither, or if a number is not valid.
+        If `names` is not a known program or TOML file, or if a number is not valid.
     """
     if str(names) in label_sets():
         return label_sets()[str(names)]
@@ -126,7 +130,7 @@ def given_names(names: str | Path) -> Mapping[int, str]:
 
 
 def header_names(path: Path) -> dict[int, str]:
-    """Return the names of the labels that the header of an image states, by number."""
+    """Return label names by number from the header of an image."""
     name = path.name.lower()
     if name.endswith((".nii", ".nii.gz")):
         text = first_bytes(path, _HEADER_BYTES).decode("latin-1")
@@ -137,7 +141,8 @@ def header_names(path: Path) -> dict[int, str]:
 def slicer_segments(path: Path) -> list[Segment]:
     """Return the segments that 3D Slicer lists in the header of a NRRD file.
 
-    In files of several layers, segments may share a value. They are therefore numbered from 1.
+    In files with several layers, two segments may have the same value. Segments are therefore
+    numbered from 1.
     """
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return []
@@ -146,12 +151,12 @@ def slicer_segments(path: Path) -> list[Segment]:
     indices = (re.fullmatch(r"segment(\d+)_name", key) for key in fields)
     found: list[Segment] = []
     for index in sorted(int(each[1]) for each in indices if each):
-        # NRRD separates such keys by :=, so that = is left.
+        # In NRRD files, := separates such keys from their values, so the value begins with =.
         keys = ("name", "labelvalue", "layer", "tags")
         name, value, layer, tags = (
             fields.get(f"segment{index}_{key}", "").lstrip("=").strip() for key in keys
         )
-        # Slicer 4 wrote a layer for each segment, without the numbers of layer and label.
+        # 3D Slicer 4 wrote one layer for each segment, without the numbers of layer and label.
         if is_layered:
             at = int(layer) if layer.isdigit() else index
             label = int(value) if value.isdigit() else 1
@@ -162,9 +167,10 @@ def slicer_segments(path: Path) -> list[Segment]:
 
 
 def _slicer_side(tags: str) -> str:
-    """Return the side in the terminology of a segment of 3D Slicer.
+    """Return the body side in the terminology of a segment of 3D Slicer.
 
-    Its parts are separated by ~. The first are the name of a list, category, type and modifier.
+    The parts of the terminology are separated by ~. The first parts are the name of a list,
+    category, type and modifier.
     """
     entry = re.search(r"TerminologyEntry:([^|]*)", tags)
     parts = entry[1].split("~") if entry else []
@@ -172,7 +178,7 @@ def _slicer_side(tags: str) -> str:
 
 
 def shared_names(names: Mapping[int, str], source: str) -> list[str]:
-    """Return a note on each name that is shared by several labels."""
+    """Return a note for each name that several labels have."""
     numbers: dict[str, list[int]] = {}
     for number, name in names.items():
         numbers.setdefault(name, []).append(number)

@@ -1,6 +1,6 @@
 """Label volumes with the names of their labels.
 
-The labels of a file are one volume, several layers that overlap, masks, or a DICOM object.
+A file contains labels as one volume, several overlapping layers, masks, or a DICOM object.
 """
 
 from collections.abc import Iterable, Mapping
@@ -35,30 +35,34 @@ from meshes.images.reading import IMAGE_SUFFIXES, Spacing, read_image, stored_im
 __all__ = ["Labels", "header_names", "on_grid_of", "read_labels"]
 
 _MOST_DIFFERENT = 1000
-"""Largest number of labels in a volume: an image that is no segmentation holds more values."""
+"""Largest number of labels in a volume. Images that are not segmentations have more values."""
 _ROUNDED = 0.01
-"""Largest distance of a label from a whole number: programs store labels as scaled floats."""
+"""Largest difference between a label and an integer.
+
+Some programs store labels as scaled floats.
+"""
 _SAME_PLACE = 1e-2
 """Largest distance between grids that count as equal [voxel]."""
 _LOST = 0.05
-"""Share of labels outside an image that is reported; other voxels change a volume by less."""
+"""Share of a label's voxels outside an image above which a note is written."""
 _SHOWN_NAMES = 12
-"""Names that an error message lists."""
+"""Largest number of names that an error message lists."""
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """A label volume in LPS [mm] and the names of its labels.
+    """Label volume in LPS [mm], and the names of its labels.
 
     Attributes
     ----------
     image
-        Whole numbers, 0 for no label, shape (nx, ny, nz).
+        Integers, 0 for no label, shape (nx, ny, nz).
     names
-        Name of each label that the volume holds, by its number.
+        Dictionary from the number of each label in the volume to its name.
     overlaps
-        Labels of each number that stands for several of them. For example, ``{9: (1, 4)}`` means
-        that a voxel of value 9 belongs to the labels 1 and 4.
+        Dictionary from each number that stands for several labels to the numbers of these labels.
+        For example, ``{9: (1, 4)}`` means that a voxel with the value 9 belongs to the labels 1 and
+        4.
     """
 
     image: Image
@@ -71,7 +75,7 @@ class Labels:
         Raises
         ------
         InputError
-            If no label has that name; the message lists the available names.
+            If no label has this name. The message lists the available names.
         """
         found = [
             number for number, each in self.names.items() if each == name or str(number) == name
@@ -87,21 +91,24 @@ class Labels:
         return found[0]
 
     def mask(self, name: str) -> Flags:
-        """Return the voxels of a label, or of all labels with its name, shape of the image.
+        """Return a mask of the voxels of all labels with a name, shape of the image.
 
-        It raises the same errors as `number`.
+        This method raises the errors of `number`.
         """
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
         alike += [each for each, held in self.overlaps.items() if not set(alike).isdisjoint(held)]
-        # A comparison is several times faster than `isin`, and names are rarely shared.
+        # A comparison is several times faster than `isin`, and usually only one label has the name.
         found: Flags = (
             self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
         )
         return found
 
     def only(self, names: Iterable[str]) -> "Labels":
-        """Return the labels of given names. A voxel of several labels takes the last one."""
+        """Return only the labels with the given names.
+
+        A voxel with several labels gets the label that comes last in `names`.
+        """
         values = np.zeros_like(self.image.values)
         kept = {}
         for name in names:
@@ -118,7 +125,7 @@ def read_labels(
     spacing_mm: Spacing | None = None,
     image: Image | None = None,
 ) -> Labels:
-    """Read the labels of a file or folder, with their names.
+    """Read labels and their names from a file or folder.
 
     Parameters
     ----------
@@ -127,14 +134,15 @@ def read_labels(
         DICOM segmentation or structure set, or a folder of masks. Each mask is a file with the
         name of its label.
     names
-        One of `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` gives
-        each name its number. None: the names in the file's own header, or ``label 1`` and so on if
-        it states none.
+        A set of `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` assigns
+        a number to each name. None: the names in the file's header, or ``label 1`` and so on if the
+        header has no names.
     spacing_mm
-        Distance between neighbours [mm] of a file that does not state it, one number or three.
+        Distance between neighbouring voxels [mm], one number or three, for a file that does not
+        state it.
     image
-        The CT of the labels. The outlines of a structure set are drawn on its voxels, and oblique
-        labels are resampled at its voxel centres.
+        CT to which the labels belong. The outlines of a structure set are drawn on the voxels of
+        the CT, and oblique labels are resampled at its voxel centres.
 
     Raises
     ------
@@ -174,7 +182,7 @@ def read_labels(
 
 
 def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> Labels:
-    """Read a label volume of one layer, or of several layers that overlap."""
+    """Read a label volume with one layer, or with several overlapping layers."""
     stored = stored_image(path, spacing_mm=spacing_mm, labels=True)
     if stored.values.ndim == 4:
         return _of_layers(stored, path, image)
@@ -191,7 +199,10 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
 
 
 def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
-    """Return the segments of a file of several layers. Raise for layers without names."""
+    """Return the segments of a file with several layers.
+
+    Layers without names raise an error.
+    """
     segments = slicer_segments(path)
     overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])
     for each in segments:
@@ -203,12 +214,12 @@ def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
 class Overlay:
     """Label volume that is built from masks, which may overlap.
 
-    Each combination of labels that occurs in a voxel has a number of its own.
+    Each combination of labels that occurs in a voxel has its own number.
 
     Parameters
     ----------
     shape
-        Voxels along each axis.
+        Number of voxels along each axis.
     numbers
         Numbers that the labels may have.
     """
@@ -220,7 +231,10 @@ class Overlay:
         self._members: dict[int, tuple[int, ...]] = {}
 
     def add(self, number: int, inside: Flags, plane: int | None = None) -> None:
-        """Add a mask to a label. If `plane` is given, the mask is that plane of the last axis."""
+        """Add a mask to a label.
+
+        If `plane` is given, the mask is this plane of the last axis.
+        """
         values = self.values if plane is None else self.values[..., plane]
         held = values[inside]
         for before in np.unique(held).tolist():
@@ -252,7 +266,7 @@ class Overlay:
         source: str,
         lattice: Image | None = None,
     ) -> Labels:
-        """Return the labels in the frame of an image, with a note on overlaps.
+        """Return the labels in LPS, with a note on overlaps.
 
         See `meshes.images.frame.along_lps` for `lattice`.
 
@@ -282,11 +296,11 @@ class Overlay:
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
-    """Return labels on the voxels of another image.
+    """Convert labels to the voxels of another image.
 
-    Labels on the same grid are returned unchanged. Labels whose voxel centres coincide with those
-    of the image are cropped or padded. For other labels, each voxel of the image takes the nearest
-    label, with a note.
+    Labels on the same grid are returned unchanged. If the voxel centres of labels and image
+    coincide, the labels are cropped or padded. Otherwise, each voxel of the image gets the nearest
+    label, and a note is added.
     """
     from scipy.ndimage import affine_transform
 
@@ -295,14 +309,14 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     scale = np.array(other.spacing_mm) / one.spacing_mm
     shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
     whole_shift = np.rint(shift)
-    # An error of the spacing adds up over the grid.
+    # The errors of the spacing add up over the grid.
     is_same_lattice = (
         np.abs(shift - whole_shift).max() < _SAME_PLACE
         and (np.abs(scale - 1.0) * one.values.shape).max() < _SAME_PLACE
     )
     if is_same_lattice and not whole_shift.any() and one.values.shape == other.values.shape:
         return labels
-    # Beyond the outermost voxel centres a label reaches to the face of its voxel.
+    # Beyond the outermost voxel centres, a label extends to the face of its voxel.
     values = affine_transform(
         one.values, scale, shift, other.values.shape, order=0, mode="grid-constant", cval=0
     )
@@ -376,7 +390,7 @@ def _of_masks(folder: Path) -> Labels:
         if whole is None:
             whole = replace(image, source=folder.name, notes=())
             overlay = Overlay(image.values.shape, [len(masks)])
-        # 1e-3 mm: headers round spacing and origin.
+        # 1e-3 mm: spacing and origin are rounded in headers.
         if image.values.shape != whole.values.shape or not np.allclose(
             [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
         ):
@@ -394,7 +408,7 @@ def _of_masks(folder: Path) -> Labels:
 
 
 def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]]:
-    """Return the values as whole numbers, and a note if they were rounded."""
+    """Convert the values to integers, and return a note if they were rounded."""
     low = float(values.min())
     high = float(values.max())
     whole = values
@@ -414,7 +428,7 @@ def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]
 
 
 def _different(values: Numbers) -> NDArray[np.integer]:
-    """Return the different whole numbers, 0 or more, in an array."""
+    """Return the distinct non-negative integers in an array."""
     if values.max() > np.iinfo(np.uint16).max:
         return np.unique(values)
     # Counting is ten times faster than sorting.

@@ -1,1 +1,1 @@
-"""Image files: CT and micro-CT in the frame LPS, mm."""
+"""Image files: CT and micro-CT in the frame LPS [mm]."""

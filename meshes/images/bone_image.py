@@ -1,4 +1,4 @@
-"""Bone voxels from an image volume: CT or micro-CT grey values to fraction and density."""
+"""Conversion of an image volume (CT or micro-CT) to bone voxels with fractions and densities."""
 
 import math
 from collections.abc import Callable
@@ -15,12 +15,12 @@ from meshes.voxels.volume import FULL, VoxelVolume
 __all__ = ["image_cuts", "image_triangles", "image_volume", "spread_labels"]
 
 Density = Callable[[Numbers], Singles]
-"""Density [kg/m3] of grey values, same shape, such as a `meshes.ct.density.DensityLaw`."""
+"""Function from grey values to densities [kg/m3], such as a `meshes.ct.density.DensityLaw`."""
 
 _ISOTROPY = 1e-3
-"""Relative difference of two spacings that count as equal; headers round them."""
+"""Relative difference up to which two spacings count as equal. Spacings in headers are rounded."""
 _MOST_VOXELS = 5e8
-"""Largest number of voxels after resampling: each of three float32 arrays then takes 2 GB."""
+"""Largest number of voxels after resampling. Each of three float32 arrays then takes 2 GB."""
 
 
 def image_volume(
@@ -33,8 +33,8 @@ def image_volume(
 ) -> VoxelVolume:
     """Convert an image to bone voxels of one layer.
 
-    The origin is the centre of the block's top face, with +z upward. The block's place in LPS is
-    kept.
+    The origin is the centre of the top face of the voxel block, and +z is upward. The result also
+    contains the position of the block in LPS.
 
     Parameters
     ----------
@@ -43,10 +43,11 @@ def image_volume(
     density_kg_m3
         Density of the bone in a voxel: one value [kg/m3], or a law of the grey value.
     resample_mm
-        New voxel size [mm]. Finer: grey values are interpolated first. Coarser: fractions are
-        averaged, bone volume kept. None: the file's, or the finest of its three.
+        New voxel size [mm]. For finer voxels, grey values are interpolated first. For coarser
+        voxels, fractions are averaged, so the bone volume does not change. None: the voxel size of
+        the file, or the smallest of its three sizes.
     remark
-        Called with each sentence on an assumption.
+        Function that is called with each sentence about an assumption.
 
     Raises
     ------
@@ -54,7 +55,7 @@ def image_volume(
         If an option is out of range, or no voxel lies above the threshold.
     """
     limit = require_range(
-        # 1e9: any grey value, without infinity
+        # 1e9: any finite grey value
         "anatomy.threshold",
         threshold,
         -1e9,
@@ -79,7 +80,7 @@ def image_volume(
             f"{limit:g} where {image.source} holds {values.min():g} to {values.max():g}",
             "use a threshold between these two values",
         )
-    # A value outside of the range has another unit, such as g/cm3.
+    # A value outside this range has another unit, such as g/cm3.
     mass = fraction * (
         density_kg_m3(values)
         if callable(density_kg_m3)
@@ -90,7 +91,8 @@ def image_volume(
     if remark is not None:
         for note in notes:
             remark(note)
-    # Fractions below half a step are stored as 0, where the quotient would be rounding alone.
+    # Fractions below half a step are stored as 0. For these, the quotient would only be rounding
+    # errors.
     density = np.divide(mass, fraction, out=np.zeros_like(mass), where=fraction > 0.25 / FULL)
     nx, ny, nz = fraction.shape
     origin = -1e-3 * spacing * np.array([nx // 2, ny // 2, nz], dtype=np.float64)
@@ -109,7 +111,7 @@ def image_volume(
 def _require_size(
     shape: tuple[int, ...], from_mm: tuple[float, float, float], to_mm: float
 ) -> None:
-    """Refuse a resampling that would take more voxels than are workable."""
+    """Raise an error for a resampling that would need too many voxels."""
     count = math.prod(n * max(size / to_mm, 1.0) for n, size in zip(shape, from_mm, strict=True))
     if count > _MOST_VOXELS:
         fitting = to_mm * (count / _MOST_VOXELS) ** (1.0 / 3.0)
@@ -122,7 +124,7 @@ def _require_size(
 
 
 def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float) -> Numbers:
-    """Interpolate linearly to `to_mm` along the axes with coarser spacing; keep the other axes."""
+    """Interpolate linearly to the spacing `to_mm` along the axes with coarser spacing."""
     for axis, size in enumerate(from_mm):
         if size <= (1.0 + _ISOTROPY) * to_mm:
             continue
@@ -141,9 +143,9 @@ def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float)
 
 
 def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
-    """Average runs of `ratio` > 1 voxels along an axis; parts of voxels count as parts.
+    """Average runs of `ratio` > 1 voxels along an axis, with fractions of voxels as weights.
 
-    A remainder is dropped.
+    A remainder at the end is omitted.
     """
     if ratio <= 1.0 + _ISOTROPY:
         return values
@@ -186,8 +188,8 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
             f"{threshold:g} where {image.source} holds {values.min():g} to {values.max():g}",
             "use a threshold between these two values",
         )
-    # The densest bone at the edge then ends half a voxel outside the last centre: where its voxel
-    # ends.
+    # The densest bone at the edge then ends half a voxel outside the last voxel centre, which is
+    # the end of its voxel.
     outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
     padded = np.pad(values, 1, constant_values=outside)
     vertices, faces, _, _ = marching_cubes(padded, threshold, spacing=image.spacing_mm)
@@ -197,7 +199,7 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
 
 
 def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
-    """Return points on each face where the edge of an image cuts off the region above a grey value.
+    """Return points on each image face that cuts off the region above a grey value.
 
     The points are in m, shape (k, 3).
     """
@@ -217,11 +219,13 @@ def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
 
 
 def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
-    """Spread values, 1 inside and 0 outside, by the kernel; they are 0 outside the array.
+    """Smooth values that are 1 inside and 0 outside with a kernel.
 
-    The kernel is a Gaussian less its Laplacian times its variance, which has no second moment in a
-    plane through its centre. Its value is therefore one half at a curved surface too, to first
-    order in the curvature.
+    Values outside the array are 0.
+
+    The kernel is a Gaussian minus its variance times its Laplacian. It has no second moment in a
+    plane through its centre. The smoothed value is therefore one half also at a curved surface, to
+    first order in the curvature.
 
     Parameters
     ----------

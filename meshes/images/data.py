@@ -1,4 +1,4 @@
-"""Voxels of an image file, checked against the header and, if compressed, a checksum."""
+"""Reading of the voxels of an image file, with checks of their size and checksum."""
 
 import zlib
 from collections.abc import Iterator
@@ -14,17 +14,17 @@ __all__ = ["first_bytes", "is_gzip", "read_voxels", "scaled"]
 
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
-"""Argument of zlib: 15 for the largest window, and 32 to recognise both formats by their header."""
+"""Argument of zlib: 15 for the largest window, plus 32 to detect zlib or gzip from the header."""
 _DENSEST = 1100
-"""Deflate makes at most 1032 bytes of one."""
+"""Upper bound of the ratio of inflated to compressed size. For deflate, it is at most 1032."""
 _PIECE = 1 << 17
-"""Bytes read or inflated at once, so that only the voxels themselves take much memory."""
+"""Number of bytes read or inflated at once, so that only the voxels need much memory."""
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """Return the first bytes of a file, decompressed if it starts like gzip.
+    """Return the first bytes of a file, decompressed if the file is gzip.
 
-    They are fewer if the file is shorter.
+    A shorter file gives fewer bytes.
     """
     found = b""
     for piece in _plain(path, 0, is_gzip(path)):
@@ -43,23 +43,23 @@ def read_voxels(
     skip: int = 0,
     compressed: bool,
 ) -> Numbers:
-    """Read a file to its end as an array, first index fastest.
+    """Read a file to its end as an array in which the first index varies fastest.
 
     Parameters
     ----------
     start
-        Byte of the file at which its data, zlib or gzip where `compressed`, begin.
+        Byte of the file at which the data begins. The data is zlib or gzip if `compressed`.
     skip
-        Bytes of the inflated data before the voxels.
+        Number of bytes of the inflated data before the voxels.
 
     Raises
     ------
     InputError
-        If it holds fewer or more bytes than the array, or is damaged.
+        If the file contains fewer or more bytes than the array, or is damaged.
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_regular(path)
-    # Checked before memory is taken: a damaged header can state any size.
+    # Check the size before memory is allocated, because a damaged header may state any size.
     if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
         raise _sizes_differ(path, needed, f"a file of {path.stat().st_size}")
     require_memory(needed, path.name, f"{by(shape)} voxels")
@@ -85,7 +85,7 @@ def scaled(values: Numbers, slope: float, intercept: float) -> Numbers:
     """
     if (slope, intercept) == (1.0, 0.0):
         return values
-    # float32 holds every 16-bit value exactly.
+    # float32 represents every 16-bit value exactly.
     kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
     found: Floats = values.astype(kind)
     found *= kind(slope)
@@ -94,15 +94,15 @@ def scaled(values: Numbers, slope: float, intercept: float) -> Numbers:
 
 
 def is_gzip(path: Path) -> bool:
-    """Return whether a file starts like gzip."""
+    """Return whether a file starts with the signature of gzip."""
     with path.open("rb") as stream:
         return stream.read(2) == _GZIP
 
 
 def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
-    """Yield the bytes of a file from byte `start`, decompressed and checked, in pieces.
+    """Yield the bytes of a file from byte `start` in pieces, decompressed if required.
 
-    The check is their checksum.
+    The checksum of compressed data is verified.
     """
     with path.open("rb") as stream:
         stream.seek(start)
@@ -119,7 +119,7 @@ def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
                     raise _damaged(path) from problem
                 packed = inflate.unconsumed_tail
                 if inflate.eof:
-                    # gzip allows further members, and zeros behind
+                    # gzip allows further members, and zeros at the end
                     packed = inflate.unused_data.lstrip(b"\0")
                     if not packed:
                         break

@@ -1,8 +1,9 @@
-"""DICOM series as one image.
+"""Reading of a DICOM series as one image.
 
-A file holds one slice or many. The slices are sorted by position and must be evenly spaced. The
-stack may be sheared, as a tilted gantry leaves it. Uncompressed pixels are read by pydicom, others
-by GDCM. Headers and the rules of privacy are in `meshes.images.dicom_files`.
+A file contains one or many slices. The slices are sorted by position and must be evenly spaced. The
+stack may be sheared, as with a tilted gantry. Uncompressed pixels are read by pydicom, and
+compressed pixels by GDCM. `meshes.images.dicom_files` reads headers and applies the rules of
+privacy.
 """
 
 import warnings
@@ -31,24 +32,24 @@ from meshes.images.frame import StoredImage
 __all__ = ["read_dicom", "stored_pixels"]
 
 _THICK_MM = 3.0
-"""Thickness of slices from which a note states it: more than most cortices have."""
+"""Slice thickness from which a note is written. It is more than the thickness of most cortices."""
 _THICKER = 1.05
-"""Thickness over distance of slices from which they overlap; headers round both."""
+"""Ratio of thickness to distance from which slices overlap. Values in headers are rounded."""
 _AIR_HU = (-1100.0, -900.0)
-"""Air is -1000 HU; noise and scatter move it by less than 100 HU."""
+"""Range of air, which is -1000 HU. Noise and scatter change it by less than 100 HU."""
 
 
 def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
-    """Read the only series of a folder and its subfolders, or the series of a given number.
+    """Read the only series of a folder and its subfolders, or the series with a given number.
 
-    The path may also be the folder's DICOMDIR or a file of many frames. Each slice has its own
-    slope and intercept. Voxels of the padding value take the lowest other value of their slice.
+    The path may also be the folder's DICOMDIR or a file with many frames. Each slice has its own
+    slope and intercept. Voxels with the padding value get the lowest other value of their slice.
 
     Raises
     ------
     InputError
-        If the folder holds no series or several, if a file is damaged, or if the slices are not
-        evenly spaced grey images.
+        If the folder contains no series, or several series and no number is given, if a file is
+        damaged, or if the slices are not evenly spaced grey images.
     """
     files, notes = dicom_files(path)
     source = path.parent.name if path.name.upper() == "DICOMDIR" else path.name
@@ -102,10 +103,11 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
 def _of_one_series(
     frames: Sequence[Frame], series: int | None, source: str
 ) -> tuple[list[Frame], list[str]]:
-    """Return the frames of the only series, or of the series of a number, and notes.
+    """Return the frames of the only series, or of the series with a number, and notes.
 
-    Series of one slice, such as a scout or a dose report, are left out next to one stack. Series
-    are distinguished by identifier and number, but named by number and slices alone.
+    If there is one stack of slices, series with a single slice, such as a scout or a dose report,
+    are ignored. Series are distinguished by identifier and number. Messages only name the number
+    and the slices.
     """
     names = [(str(frame.header["SeriesInstanceUID"]), _series_number(frame)) for frame in frames]
     counts = Counter(names)
@@ -132,7 +134,7 @@ def _of_one_series(
 def _series_number(frame: Frame) -> str:
     """Return the number of a series.
 
-    Only a short whole number may pass from a header into a message.
+    Only a short integer from a header may appear in a message.
     """
     try:
         number = int(frame.header["SeriesNumber"])
@@ -176,28 +178,28 @@ def _decoded(first: Slice) -> Numbers:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            if syntax is None:  # a file without the group that states it
+            if syntax is None:  # a file without the group that states the syntax
                 is_implicit, is_little = dataset.original_encoding
                 explicit = ExplicitVRLittleEndian if is_little else ExplicitVRBigEndian
                 dataset.file_meta.TransferSyntaxUID = (
                     ImplicitVRLittleEndian if is_implicit else explicit
                 )
             pixels: Numbers = np.asarray(dataset.pixel_array)
-    except Exception as problem:  # damaged pixels raise many kinds
+    except Exception as problem:  # damaged pixels raise many types of errors
         raise damaged(frame.place) from problem
     return pixels.reshape(-1, *pixels.shape[-2:])
 
 
 def _decompressed(first: Slice, dataset: Any) -> Numbers:
-    """Decode a compressed file by GDCM and return its stored values.
+    """Decode a compressed file with GDCM and return the stored values.
 
     GDCM inverts MONOCHROME1, then applies slope and intercept of the first frame to all frames.
-    This function undoes both.
+    This function reverses both operations.
     """
     import SimpleITK
 
     frame = first.frame
-    # its warnings may hold header content, which must not reach the terminal
+    # warnings of GDCM may contain header content, which must not be printed
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
     try:
         image = SimpleITK.ReadImage(str(frame.file), imageIO="GDCMImageIO")
@@ -212,16 +214,16 @@ def _decompressed(first: Slice, dataset: Any) -> Numbers:
 
 
 def _ends(each: Slice) -> int:
-    """Return the lowest plus the highest value that a slice can store."""
+    """Return the sum of the lowest and the highest value that a slice can store."""
     bits = int(number_in(each.frame, "BitsStored", 16.0))
     is_signed = int(number_in(each.frame, "PixelRepresentation", 0.0)) == 1
     return -1 if is_signed else 2**bits - 1
 
 
 def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
-    """Return grey values by the scale of each slice, and the number of voxels of padding.
+    """Apply the scale of each slice, and return grey values and the number of padding voxels.
 
-    Voxels of the padding value take the lowest other value of their slice.
+    Voxels with the padding value get the lowest other value of their slice.
     """
     whole = all(each.slope == 1.0 and each.intercept.is_integer() for each in slices)
     values = np.empty(stored.shape, dtype=np.int32 if whole else np.float32)
@@ -241,18 +243,18 @@ def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
 
 
 def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Numbers, str]:
-    """Return values of MONOCHROME1 that the rescale converts to grey values, and a note.
+    """Return MONOCHROME1 values that slope and intercept convert to grey values, and a note.
 
-    The rescale converts stored values to Hounsfield units, however they are displayed (DICOM PS3.3,
-    C.11.1). Some programs invert the values and keep the rescale. The values are inverted back if
-    more voxels then have the value of air.
+    Slope and intercept convert stored values to Hounsfield units, independent of the display (DICOM
+    PS3.3, C.11.1). Some programs invert the values without changing slope and intercept. The values
+    are inverted again if more voxels then have the value of air.
     """
     ends = np.array([_ends(each) for each in slices], dtype=np.int32)
     inverted = ends[:, None, None] - stored.astype(np.int32)
     low, high = _AIR_HU
 
     def air(values: Numbers) -> int:
-        """Count the voxels of air."""
+        """Count the voxels with a value of air."""
         count = 0
         for plane, each in zip(values, slices, strict=True):
             grey = each.slope * plane + each.intercept

@@ -1,9 +1,9 @@
 """DICOM files of a folder and the headers of their frames.
 
-No data that identify a patient leave this module. Of the headers only `_READ` is read: kind, size,
-place, scale and series. A message counts files in the order of their names instead of naming them,
-because exporters write names, dates and identifiers into file names. The folder's name is the
-user's.
+No data that identifies a patient leaves this module. Only the header elements `_READ` are read:
+kind, size, position, scale and series. Messages contain the index of a file in the order of the
+file names instead of its name, because exporters write patient names, dates and identifiers into
+file names. The name of the folder may appear, because the user chose it.
 """
 
 import os
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 Header = Mapping[str, Any]
-"""Elements of a frame by name; None where the file does not state one."""
+"""Header elements of a frame by name; None for an element that the file does not contain."""
 _NOT_SLICES = (
     ".txt",
     ".xml",
@@ -77,38 +77,41 @@ _READ = (
 )
 _SHARED = "SharedFunctionalGroupsSequence"
 _EACH = "PerFrameFunctionalGroupsSequence"
-"""Sequences of a multi-frame file: elements of all frames, and an item for each frame."""
+"""Sequences of a multi-frame file, with the elements of all frames and of each frame."""
 _MAGIC = b"DICM"
 _PREAMBLE = 128
-"""Free bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
+"""Number of unused bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
 _FIRST_ELEMENTS = tuple(
     bytes((group, 0, element, 0)) for group in (2, 8) for element in (0, 1, 2, 5, 8, 0x16)
 )
-"""Tags that a file without a preamble starts with, little endian: groups 0002 and 0008."""
+"""Little-endian tags with which a file without a preamble starts: groups 0002 and 0008."""
 _GROUP_LENGTH_BYTES = 12
-"""Element that states the length of the group after it: tag 4, type 2, length 2, value 4 bytes."""
+"""Size of the element with the length of its group: tag 4, type 2, length 2, value 4 bytes."""
 _PIECE = 1 << 20
-"""Bytes inflated at once, so that a bomb of zeros is noticed at the memory limit."""
+"""Number of bytes inflated at once.
+
+A file that inflates to very many zeros is thus detected at the memory limit.
+"""
 _UNDEFINED_LENGTH = 0xFFFFFFFF
-"""Stated length of pixels that are compressed in parts (DICOM PS3.5, A.4)."""
+"""Length that the header states for pixels compressed in parts (DICOM PS3.5, A.4)."""
 _MOST_FILES = 50_000
-"""Files that are looked at: more are not the export of one examination."""
+"""Largest number of files. The export of one examination has fewer files."""
 _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG", "DOC")
-"""Modalities of objects that exporters put next to an image, and that hold no grey values."""
+"""Modalities of objects without grey values, which exporters write next to an image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame of a file. Most files hold one frame.
+    """Frame of a file. Most files contain one frame.
 
     Attributes
     ----------
     file, number
-        File, and index of the frame in it.
+        File, and index of the frame in the file.
     header
         Elements `_READ` by name.
     place
-        Name of the file in a message.
+        Description of the file in messages.
     """
 
     file: Path
@@ -118,32 +121,32 @@ class Frame:
 
 
 def refused(what: str, requirement: str, found: str) -> InputError:
-    """Return the error of a series that has to be exported again."""
+    """Return the error for a series that has to be exported again."""
     return InputError(what, requirement, found, "export the series again")
 
 
 def damaged(place: str) -> InputError:
-    """Return the error of a file that cannot be decoded."""
+    """Return the error for a file that cannot be decoded."""
     return refused("a DICOM slice", "be whole and readable", f"a damaged slice, {place}")
 
 
 def is_dicom(file: Path) -> bool:
-    """Return whether a file starts as DICOM does, with a preamble or without."""
+    """Return whether a file starts like DICOM, with or without a preamble."""
     with file.open("rb") as stream:
         head = stream.read(_PREAMBLE + len(_MAGIC))
     return head[_PREAMBLE:] == _MAGIC or head.startswith(_FIRST_ELEMENTS)
 
 
 def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
-    """Return the DICOM files of a path, each with its name for messages, and notes.
+    """Return the DICOM files of a path, each with its description for messages, and notes.
 
     The path is a folder, its DICOMDIR, or one file. Subfolders are searched too.
 
     Raises
     ------
     InputError
-        If there are no DICOM files, or if a file has the ending of the DICOM files next to it but
-        another content.
+        If there are no DICOM files, or if a file has the suffix of the other DICOM files but is not
+        a DICOM file.
     """
     if not is_folder(path) and path.name.upper() != "DICOMDIR":
         return [(path, path.name)], []
@@ -157,7 +160,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
     found = [(file, place) for file, place, kind in zip(files, places, kinds, strict=True) if kind]
     named = {(file.parent, file.suffix.lower()) for file, _ in found if file.suffix}
     for file, place, kind in zip(files, places, kinds, strict=True):
-        # a slice that was overwritten or left empty must not be dropped in silence
+        # a slice that was overwritten or is empty must not be ignored silently
         if not kind and (file.parent, file.suffix.lower()) in named:
             raise InputError(
                 "a DICOM folder",
@@ -178,12 +181,12 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the files of a folder and its subfolders whose names may be those of DICOM, sorted.
+    """Return the sorted files of a folder and its subfolders whose names may be DICOM names.
 
     Raises
     ------
     InputError
-        If there are more than 50,000.
+        If there are more than 50,000 files.
     """
     found = []
     for within, folders, names in os.walk(folder):
@@ -204,9 +207,9 @@ def files_in(folder: Path) -> list[Path]:
 
 
 def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Frame], list[str]]:
-    """Return the frames of grey values in DICOM files, and notes on the files that are left out.
+    """Return the frames with grey values in DICOM files, and notes on ignored files.
 
-    Segmentations, plans, reports, localisers and duplicates are left out.
+    Segmentations, plans, reports, localisers and duplicates are ignored.
 
     Raises
     ------
@@ -245,10 +248,10 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
 
 
 def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
-    """Read a file by pydicom.
+    """Read a file with pydicom.
 
-    The dataset holds the elements `_READ`, the functional groups, the pixels, and further elements
-    by name.
+    The dataset contains the elements `_READ`, the functional groups, the pixels, and the elements
+    `further`.
 
     Raises
     ------
@@ -259,14 +262,14 @@ def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
 
     tags = [*_READ, *further, _SHARED, _EACH, "PixelData"]
     try:
-        with warnings.catch_warnings():  # the warnings quote header content
+        with warnings.catch_warnings():  # warnings of pydicom quote header content
             warnings.simplefilter("ignore")
             _require_inflated(file)
             # `force` reads a file without a preamble.
             return pydicom.dcmread(file, specific_tags=tags, force=True)
     except InputError:
         raise
-    except Exception as problem:  # damaged headers raise many kinds
+    except Exception as problem:  # damaged headers raise many types of errors
         raise damaged(place) from problem
 
 
@@ -274,12 +277,12 @@ def modality_of(dataset: Any, place: str) -> str:
     """Return the kind of an object, such as CT or SEG."""
     try:
         return str(dataset.get("Modality", ""))
-    except Exception as problem:  # pydicom converts an element at its first use
+    except Exception as problem:  # pydicom converts an element when it is first used
         raise damaged(place) from problem
 
 
 def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
-    """Return the frames of a file after a check of the length of its pixels."""
+    """Check the length of a file's pixels and return its frames."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -301,7 +304,7 @@ def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
 
 
 def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
-    """Return the elements `_READ` in the functional groups of a frame, or of all frames."""
+    """Return the elements `_READ` from the functional groups of a frame, or of all frames."""
     found = {}
     for item in items or ():
         for element in item:
@@ -312,9 +315,9 @@ def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
 
 
 def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> None:
-    """Raise for pixels of another length than the header states."""
+    """Raise an error if the length of the pixels differs from the length that the header states."""
     keys = ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")
-    # Values of one bit are packed over the ends of rows and frames.
+    # One-bit values are packed without padding at the ends of rows and frames.
     needed = -(-int(np.prod([int(header[key]) for key in keys], dtype=object)) * frames // 8)
     pixels = dataset.get_item("PixelData")
     in_parts = getattr(pixels, "length", None) == _UNDEFINED_LENGTH or getattr(
@@ -322,7 +325,7 @@ def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> No
     )
     found = len(pixels.value)
     syntax = dataset.file_meta.get("TransferSyntaxUID")
-    # Compressed pixels always come in parts, others never do.
+    # Compressed pixels are always stored in parts, uncompressed pixels never.
     if (syntax is not None and syntax.is_compressed) != in_parts:
         raise damaged(place)
     # DICOM pads every element to an even number of bytes.
@@ -332,11 +335,14 @@ def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> No
 
 
 def _require_inflated(file: Path) -> None:
-    """Refuse a deflated file that inflates beyond the memory limit: pydicom inflates it at once."""
+    """Raise an error for a deflated file that inflates beyond the memory limit.
+
+    pydicom would inflate the file at once.
+    """
     import pydicom
 
     with file.open("rb") as stream:
-        # Without the mark behind a preamble there is no group that could state deflation.
+        # Without the signature after a preamble, no group can state that the file is deflated.
         if stream.read(_PREAMBLE + len(_MAGIC))[_PREAMBLE:] != _MAGIC:
             return
     meta = pydicom.filereader.read_file_meta_info(file)

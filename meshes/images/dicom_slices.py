@@ -1,4 +1,4 @@
-"""Places of DICOM slices, and their order as an even stack."""
+"""Positions of DICOM slices, and their order as an evenly spaced stack."""
 
 import warnings
 from collections.abc import Sequence
@@ -23,33 +23,48 @@ __all__ = [
 ]
 
 INVERTED = "MONOCHROME1"
-"""Photometric interpretation whose low values are displayed as white."""
+"""Photometric interpretation in which low values are displayed as white."""
 _GREY = ("MONOCHROME2", INVERTED)
 _PARALLEL = 1e-4
-"""Largest difference of direction cosines of parallel slices: 0.05 mm over 500 mm."""
+"""Largest difference between direction cosines of parallel slices, 0.05 mm over 500 mm."""
 _UNIT = 1e-3
-"""Tolerance of unit vectors, right angles and, relative, of pixel spacings; headers round them."""
-_UNEVEN = 0.05
-"""Largest distance of a slice from its place in an even stack, in spacings."""
-_ROUNDED = 0.75
-"""Largest distance of a slice from its place in an even stack, in units of the last decimal.
+"""Tolerance of unit vectors and right angles, and relative tolerance of pixel spacings.
 
-Rounding moves a slice by half a unit, and the line through all slices by less than a quarter.
+Values in headers are rounded.
+"""
+_UNEVEN = 0.05
+"""Largest distance of a slice from its position in an evenly spaced stack, in spacings."""
+_ROUNDED = 0.75
+"""Largest distance of a slice from its position in a stack, in units of the last decimal.
+
+Rounding moves a slice by up to half a unit, and the line through all slices by less than a quarter
+of a unit.
 """
 _COARSEST_MM = 0.1
-"""Largest unit of the last decimal. Positions in whole millimetres usually are exact."""
+"""Upper limit of the unit of the last decimal [mm].
+
+Positions in whole millimetres are usually exact.
+"""
 _MISSING = 0.4
-"""Largest tolerance of positions for any rounding, in spacings: a missing slice moves others by
-half a spacing."""
+"""Largest tolerance of positions for any rounding, in spacings.
+
+A missing slice would move others by half a spacing.
+"""
 _TILT_DEG = 0.5
-"""Difference of the stated tilt of the gantry from that of the positions; headers round both."""
+"""Tolerance between the stated tilt of the gantry and the tilt computed from positions [degrees].
+
+Values in headers are rounded.
+"""
 _SHEAR_DEG = 0.05
-"""Shear above which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
+"""Shear above which a note is written, 0.3 mm over 300 mm.
+
+A smaller shear is a rounding error of positions.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """A frame with its place and scale.
+    """Frame with its position and scale.
 
     Attributes
     ----------
@@ -58,13 +73,13 @@ class Slice:
     position_mm
         Centre of the first pixel [mm, LPS], shape (3,).
     row, column
-        Directions of growing column and row number, unit vectors [LPS].
+        Unit vectors in the directions of increasing column and row number [LPS].
     pixel_mm, size
         Distance [mm] and number of pixels along `row` and `column`.
     slope, intercept
-        Scale of the stored values.
+        Slope and intercept of the grey values.
     rounding_mm
-        Unit of the last decimal of the position [mm].
+        Unit of the last decimal with which the position is written [mm].
     """
 
     frame: Frame
@@ -117,7 +132,7 @@ def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
 
 
 def _last_decimal(number: object) -> float:
-    """Return the unit of the last decimal that a number is written with."""
+    """Return the unit of the last decimal with which a number is written."""
     text = str(getattr(number, "original_string", number)).strip().lower()
     mantissa, _, exponent = text.partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
@@ -139,18 +154,20 @@ def _numbers(frame: Frame, key: str, count: int) -> Array:
 
 
 def number_in(frame: Frame, key: str, absent: float) -> float:
-    """Return one number of an element, or a default if it is absent or empty."""
+    """Return one number of an element, or a default if the element is absent or empty."""
     missing = frame.header[key] in (None, "")
     return absent if missing else float(_numbers(frame, key, 1)[0])
 
 
 def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, list[str]]:
-    """Return slices in their order along the normal, the step between them [mm, LPS], and notes.
+    """Sort slices along the normal.
+
+    Return the sorted slices, the step between slices [mm, LPS], and notes.
 
     Raises
     ------
     InputError
-        If the slices are not alike or not evenly spaced.
+        If the slices differ in size, pixel spacing or orientation, or are not evenly spaced.
     """
     if len(slices) < 2:
         raise InputError(
@@ -207,9 +224,9 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
 def _unplaced(
     slices: Sequence[Slice], normal: Array, source: str
 ) -> tuple[list[Slice], Array, list[str]]:
-    """Stack the frames of one file that states the position of the first frame only.
+    """Stack the frames of a file that only states the position of the first frame.
 
-    Return the frames, the step between them [mm, LPS], and a note.
+    Return the frames, the step between frames [mm, LPS], and a note.
     """
     frame = slices[0].frame
     gap = number_in(frame, "SpacingBetweenSlices", number_in(frame, "SliceThickness", 0.0))
@@ -252,11 +269,14 @@ def normal_of(first: Slice) -> Array:
 
 
 def _require_even(heights: Array, rounding: float, source: str) -> None:
-    """Raise for slices at one position, missing slices, and uneven spacing beyond rounding."""
+    """Raise an error for slices at the same position, missing slices, and uneven spacing.
+
+    Rounding errors of the positions are allowed.
+    """
     gaps = np.diff(heights)
     usual = float(gaps.min())
     widest = float(gaps.max())
-    # 1e-6 mm: the median is 0 if most slices lie in one place.
+    # 1e-6 mm: the median is 0 if most slices lie at the same position.
     if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
         raise InputError(
             "slices",
@@ -271,7 +291,7 @@ def _require_even(heights: Array, rounding: float, source: str) -> None:
         return
     single = float(np.percentile(gaps, 50.0, method="lower"))
     times = gaps / single
-    # Rounding moves both ends of a gap by half a unit.
+    # Rounding moves each of two neighbouring slices by up to half a unit.
     if (np.abs(times - np.rint(times)) * single <= _UNEVEN * widest + rounding).all():
         missing = int(np.rint(times).sum()) - len(gaps)
         raise InputError(

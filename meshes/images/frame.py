@@ -1,6 +1,6 @@
 """World frame of images: LPS in mm.
 
-An image stored along other axes is turned, or resampled, into it.
+An image that is stored along other axes is reordered or resampled.
 
 LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards
 the head, in mm.
@@ -22,16 +22,22 @@ __all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
-"""Distance of any voxel from axes along LPS up to which no resampling is needed [voxel]."""
+"""Largest distance of a voxel from axes along LPS without resampling [voxel]."""
 _FLATTEST = 1e-3
-"""Tolerance of the length of directions, and their smallest determinant: thinner axes are flat."""
+"""Tolerance of the length of direction vectors, and smallest valid determinant.
+
+With a smaller determinant, the axes lie in a plane.
+"""
 _LARGEST_MM = 10_000.0
 _SMALLEST_MM = 1e-5
-"""Limits of the spacing: from nanometres of a microscope to metres. Others are damaged headers."""
+"""Limits of the spacing [mm], from nanometres in microscopy to metres.
+
+Values outside the limits are from damaged headers.
+"""
 _FARTHEST_ORIGIN_MM = 1e6
-"""Farthest origin: at 1 km, double precision still places a voxel to 1e-7 mm."""
+"""Largest distance of the origin, 1 km. The rounding error of a position is then 1e-7 mm."""
 _MOST_VOXELS = 1e9
-"""Largest number of voxels after resampling: 4 GB of float32, and as much for the splines."""
+"""Largest number of voxels after resampling, 4 GB of float32 and 4 GB for the splines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,20 +46,20 @@ class Image:
 
     The axes are +x left, +y back and +z head.
 
-    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, for any order and
-    direction of the axes in the file. TIFF slices hold no frame. They take the frame of the array:
-    columns, rows and slices from (0, 0, 0).
+    The centre of voxel (i, j, k) is ``origin_mm + spacing_mm * (i, j, k)``, for any order and
+    direction of the axes in the file. TIFF slices have no frame. Their axes are columns, rows and
+    slices, and their origin is (0, 0, 0).
 
     Attributes
     ----------
     values
-        Grey values or labels, shape (nx, ny, nz), any real type, any memory order.
+        Grey values or labels, shape (nx, ny, nz), with any real type and memory order.
     spacing_mm
         Distance between neighbours along x, y and z [mm].
     source
         File or folder name.
     notes
-        Assumptions and changes, a sentence each.
+        Assumptions and changes, one sentence each.
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS].
     """
@@ -67,26 +73,26 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """Image as its file holds it.
+    """Image in the axes of its file.
 
-    Voxel (i, j, k) is centred at ``origin + directions @ (spacing * (i, j, k))``.
+    The centre of voxel (i, j, k) is ``origin + directions @ (spacing * (i, j, k))``.
 
     Attributes
     ----------
     values
-        Shape (ni, nj, nk), or (layers, ni, nj, nk) for label volumes that overlap.
+        Grey values or labels, shape (ni, nj, nk), or (layers, ni, nj, nk) for overlapping labels.
     spacing_mm
-        Distance between neighbours along each axis of the array [mm], as the header states it,
-        unchecked.
+        Distance between neighbours along each axis of the array [mm], as stated in the header,
+        without checks.
     directions
-        Direction of each axis of the array in LPS, unit vectors in the columns, shape (3, 3); at
-        right angles or not.
+        Direction of each axis of the array in LPS, unit vectors as columns, shape (3, 3). The
+        directions need not be orthogonal.
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS], shape (3,).
     notes
-        Assumptions, a sentence each.
+        Assumptions, one sentence each.
     names
-        Names of the values where they are labels and the reader found names.
+        Names of the values, if the values are labels and names were found.
     """
 
     values: Numbers
@@ -100,11 +106,11 @@ class StoredImage:
 def along_lps(
     stored: StoredImage, source: str, *, labels: bool = False, lattice: Image | None = None
 ) -> Image:
-    """Turn an image into the axes of LPS.
+    """Convert an image to LPS axes.
 
-    If the axes are those of LPS in any order and direction, the array is transposed and flipped
-    without interpolation. Other images are resampled, grey values by cubic splines and labels to
-    the nearest, with a note. Voxels outside the stored image take its lowest value (labels: 0).
+    If the axes are LPS axes in any order and direction, the array is transposed and flipped without
+    interpolation. Other images are resampled, with a note: grey values by cubic splines, labels by
+    nearest neighbour. Voxels outside the stored image get its lowest value (labels: 0).
 
     Parameters
     ----------
@@ -115,9 +121,9 @@ def along_lps(
     labels
         Whether the values are labels.
     lattice
-        Image along LPS. Oblique labels are resampled at its voxel centres, which are continued
-        beyond its faces as far as the labels reach. The labels then need no second resampling to
-        lie on this image. None: a grid of the spacing of `stored`.
+        Image along LPS axes. Oblique labels are resampled on its grid, which is extended as far as
+        the labels reach. The labels then need no second resampling for this image. None: a grid
+        with the spacing of `stored`.
 
     Raises
     ------
@@ -139,7 +145,7 @@ def along_lps(
 
 
 def _nearest_axes(directions: Array) -> tuple[int, ...]:
-    """Return for each axis of LPS the array's nearest axis, each axis once."""
+    """Return the nearest array axis for each LPS axis. Each array axis is used once."""
     return max(
         permutations(range(3)),
         key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
@@ -147,14 +153,14 @@ def _nearest_axes(directions: Array) -> tuple[int, ...]:
 
 
 def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | None) -> Image:
-    """Resample an image on a grid along LPS that spans it.
+    """Resample an image on a grid along LPS axes that contains the whole image.
 
-    The grid has the spacing of the image along each direction, or is a part of a lattice.
+    The grid has the spacing of the image along each direction, or is a part of `lattice`.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
     spacing = 1.0 / np.linalg.norm(inverse, axis=0)
-    # Voxels reach half of their size beyond their centres.
+    # Voxels extend half of their size beyond their centres.
     beyond = 0.0 if lattice is None else 0.5
     ends = [(-beyond, n - 1 + beyond) for n in stored.values.shape]
     corners = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -164,7 +170,8 @@ def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | 
     if lattice is not None:
         spacing = np.array(lattice.spacing_mm)
         low = lattice.origin_mm + spacing * np.floor((low - lattice.origin_mm) / spacing)
-    # 1e-6 avoids a further voxel if the quotient is rounded to just above a whole number.
+    # 1e-6 avoids an additional voxel if rounding makes the quotient slightly larger than an
+    # integer.
     count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
     if math.prod(count.tolist()) > _MOST_VOXELS:
         raise InputError(
@@ -193,9 +200,9 @@ def _interpolated(
 ) -> Singles:
     """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
-    Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then
-    lost by more than half a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the
-    range of the eight voxels around it.
+    Linear interpolation lowers the peaks of thin bone. It then moves 2 % of a CT's bone surface by
+    more than half a voxel; splines move 0.2 %. Splines overshoot, so each value is limited to the
+    range of the eight voxels around its point.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
@@ -203,7 +210,7 @@ def _interpolated(
     splined = _sampled(coefficients, matrix, offset, shape, order=3, outside=float(values.min()))
     within = _sampled(np.ones(values.shape, dtype=bool), matrix, offset, shape, order=0)
     for limit, neighbours in ((np.maximum, minimum_filter), (np.minimum, maximum_filter)):
-        # of voxels i and i + 1 along each axis, at i
+        # lowest and highest value of voxels i and i + 1 along each axis, stored at i
         around = neighbours(values, size=2, origin=-1)
         limit(
             splined,
@@ -226,8 +233,9 @@ def _sampled(
 ) -> NDArray[Kind]:
     """Sample values at the points `matrix @ index + offset`.
 
-    The value `outside` counts beyond the outermost voxel centres in the mode ``constant``, and
-    beyond the outermost voxel faces in ``grid-constant``. The mode ``nearest`` does not use it.
+    In the mode ``constant``, the value `outside` is used beyond the outermost voxel centres. In the
+    mode ``grid-constant``, it is used beyond the outermost voxel faces. The mode ``nearest`` does
+    not use this value.
     """
     from scipy.ndimage import affine_transform
 
@@ -245,7 +253,7 @@ def _sampled(
 
 
 def _require_frame(stored: StoredImage, source: str) -> None:
-    """Refuse spacing, origin and directions that no image has."""
+    """Raise an error for spacing, origin or directions that no image can have."""
     spacing = np.array(stored.spacing_mm)
     if not (
         np.isfinite(spacing).all()
@@ -280,12 +288,12 @@ def _require_frame(stored: StoredImage, source: str) -> None:
 
 
 def _triple(numbers: Array) -> tuple[float, float, float]:
-    x, y, z = (float(number) + 0.0 for number in numbers)  # no minus before a zero
+    x, y, z = (float(number) + 0.0 for number in numbers)  # no minus sign before a zero
     return x, y, z
 
 
 def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
-    """Return slices around a nonempty mask, with a margin of voxels as far as there are any."""
+    """Return index slices around a nonempty mask, with a margin of voxels inside the array."""
     found = []
     for axis, count in enumerate(mask.shape):
         along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
@@ -294,7 +302,10 @@ def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
 
 
 def part_of(image: Image, box: tuple[slice, ...]) -> Image:
-    """Return the image within slices that each have a start, with its origin moved along."""
+    """Return the part of an image in index slices, with the corresponding origin.
+
+    Each slice must have a start.
+    """
     x, y, z = (
         o + s * each.start
         for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True)

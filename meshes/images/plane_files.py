@@ -1,4 +1,4 @@
-"""Files of a stack of planes (TIFF, PNG, BMP or JPEG), in the order of their slices."""
+"""Files of a stack of image planes (TIFF, PNG, BMP or JPEG), in the order of the slices."""
 
 import re
 from collections import Counter
@@ -16,17 +16,17 @@ __all__ = ["PLANE_SUFFIXES", "TIFF_STARTS", "plane_files"]
 
 PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti", ".dcm")
-"""Endings of volumes. A plane next to a volume is a preview."""
+"""Suffixes of volumes. A plane in the same folder as a volume is a preview."""
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes of TIFF and of BigTIFF, each in both byte orders."""
+"""First bytes of TIFF and BigTIFF files, in each of the two byte orders."""
 _STARTS = (*TIFF_STARTS, b"\x89PNG")
 _PATTERN_MARKS = "*?["
 
 
 def plane_files(path: Path) -> list[Path]:
-    """Return the files of a stack of planes, in the order of their slices.
+    """Return the files of a stack of image planes, in the order of the slices.
 
-    The list is empty for other images, and for folders that hold DICOM files or volumes.
+    The list is empty for other images, and for folders with DICOM files or volumes.
 
     Files are ordered by the numbers in their names: ``slice_2`` comes before ``slice_10``.
 
@@ -38,7 +38,8 @@ def plane_files(path: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If the path does not exist, a file is named unlike the others, or a slice number is missing.
+        If the path does not exist, a file name does not match the other names, or a slice number is
+        missing.
     """
     if any(mark in path.name for mark in _PATTERN_MARKS) and not path.exists():
         inside = path.parent.iterdir() if path.parent.is_dir() else ()
@@ -69,9 +70,9 @@ def plane_files(path: Path) -> list[Path]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """Return the planes of a folder that have the most frequent kind.
+    """Return the plane files of the most frequent kind in a folder.
 
-    If the folder holds only one subfolder, return the planes of that subfolder.
+    If the folder only contains one subfolder, return the plane files of the subfolder.
     """
     held = [each for each in folder.iterdir() if not each.name.startswith(".")]
     if len(held) == 1 and held[0].is_dir() and not held[0].is_symlink():
@@ -88,7 +89,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _kind(file: Path) -> str:
-    """Return the kind of a plane, or an empty string for other files."""
+    """Return the kind of a file that holds an image plane, or an empty string for other files."""
     suffix = file.suffix.lower()
     if suffix in PLANE_SUFFIXES:
         return suffix[:3]
@@ -96,18 +97,18 @@ def _kind(file: Path) -> str:
         return ""
     with file.open("rb") as stream:
         is_plane = stream.read(4).startswith(_STARTS)
-    # DICOM may start like TIFF, in its preamble.
+    # The preamble of a DICOM file may start like TIFF.
     return "no ending" if is_plane and not is_dicom(file) else ""
 
 
 def _require_numbered(files: Sequence[Path], path: Path) -> None:
-    """Raise for a file with an unusual name, a missing number, and a number that occurs twice."""
+    """Raise an error for an unusual file name, a missing number, or a number that occurs twice."""
     if len(files) < 2:
         return
     texts = [re.sub(r"\d+", "#", file.stem) for file in files]
     usual, count = Counter(texts).most_common(1)[0]
     if "#" not in usual or 2 * count <= len(files):
-        return  # the names do not count the slices
+        return  # the names do not contain slice numbers
     other = next((file for file, text in zip(files, texts, strict=True) if text != usual), None)
     if other is not None:
         raise InputError(
@@ -121,7 +122,7 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
         column for column in numbers.T if len({int(number) for number in column.tolist()}) > 1
     ]
     if len(varying) > 1:
-        return  # it is unknown which of the numbers counts the slices
+        return  # it is unknown which of the numbers is the slice number
     steps = np.diff([int(number) for number in varying[0]]) if varying else np.zeros(1, np.int64)
     if not steps.all():
         raise InputError(

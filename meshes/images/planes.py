@@ -1,4 +1,4 @@
-"""Grey values or labels of planes from TIFF, PNG, BMP or JPEG files."""
+"""Reading of grey values or labels from image planes (TIFF, PNG, BMP or JPEG files)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
-"""Codes of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
+"""Values of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {
@@ -35,31 +35,35 @@ _MODES = {
     "RGB": ("u1", 3),
     "RGBA": ("u1", 4),
 }
-"""Type and number of the samples of a pixel, by the mode in Pillow."""
+"""Type and number of samples of a pixel, by Pillow mode."""
 _EXPORT = "export the slice as grey values"
 _MOST_COLOURS = 1000
-"""Largest number of colours that are taken as labels. Photographs and shaded pictures hold more."""
+"""Largest number of colours that are interpreted as labels.
+
+Photographs and shaded pictures contain more colours.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Planes:
-    """Planes of a file before they are decoded.
+    """Properties of a file's planes before decoding.
 
     Attributes
     ----------
     shape
-        Planes, rows, columns and samples of a pixel.
+        Number of planes, rows, columns and samples per pixel.
     axes
-        Order of these axes in the decoded array, by letter: planes Q, Y, X, and S for samples.
+        Order of the axes in the decoded array: Q for planes, Y for rows, X for columns, S for
+        samples.
     photometric
-        Meaning of the values: 0 low is white, 1 low is black, 2 colours, 3 numbers of a colour
-        table.
+        Meaning of the values: 0 if low is white, 1 if low is black, 2 for colours, 3 for indices of
+        a colour table.
     bits
         Bits per value.
     dtype
         Type of the values.
     reduced
-        Number of reduced pictures (thumbnails) that the file holds in addition.
+        Number of additional reduced pictures (thumbnails) in the file.
     """
 
     shape: tuple[int, int, int, int]
@@ -73,16 +77,17 @@ class _Planes:
 def read_planes(
     files: Sequence[Path], spacing_mm: tuple[float, float, float], *, labels: bool = False
 ) -> StoredImage:
-    """Read planes in the given order, with the axes columns, rows and slices.
+    """Read planes in the given order. The axes of the result are columns, rows and slices.
 
-    Values that are stored inverted (MinIsWhite) are inverted back. Colours become grey values. If
-    the planes hold labels, each colour becomes a number instead. Each change is noted.
+    Values that are stored inverted (MinIsWhite) are inverted again. Colours are converted to grey
+    values, or to one number per colour if the planes contain labels. Each change is reported in a
+    note.
 
     Raises
     ------
     InputError
-        If a file is damaged, if it differs in size or type from the others, or if the stack exceeds
-        the memory limit.
+        If a file is damaged or differs in size or type from the other files, or if the stack
+        exceeds the memory limit.
     """
     planes = [_planes(file) for file in files]
     _require_alike(files, planes)
@@ -120,7 +125,7 @@ def read_planes(
 
 
 def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
-    """Raise for a file whose planes differ in size or type from those of the first file."""
+    """Raise an error if the planes of a file differ in size or type from the first file."""
     first = planes[0]
     for file, other in zip(files, planes, strict=True):
         if other.shape[1:3] != first.shape[1:3]:
@@ -143,10 +148,12 @@ def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
 def _without_colour(
     values: Numbers, where: str, *, labels: bool
 ) -> tuple[Numbers, dict[int, str], str]:
-    """Return one value per pixel, the names of the labels, and a note.
+    """Convert colours to one value per pixel.
 
-    Only labels have names, one for each colour. The last of two or four samples is opacity. Pixels
-    without opacity are black.
+    Return the values, the names of the labels, and a note.
+
+    Only labels have names, one for each colour. If a pixel has two or four samples, the last one is
+    the opacity. Transparent pixels are black.
     """
     samples = values.shape[-1]
     if samples in (2, 4):
@@ -183,9 +190,9 @@ def _without_colour(
 
 
 def _distinct(codes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """Return distinct numbers, the index of each element among them, and their counts."""
+    """Return the distinct numbers, the index of each element in them, and their counts."""
     if codes.max() < 1 << 24:
-        # Colours of 8 bits: counting is ten times faster than sorting.
+        # For 8-bit colours, counting is ten times faster than sorting.
         counts = np.bincount(codes.ravel().astype(np.int64))
         found = np.flatnonzero(counts)
         index = np.zeros(len(counts), dtype=np.int32)
@@ -203,7 +210,7 @@ def _planes(file: Path) -> _Planes:
         return _tiff_planes(file) if is_tiff else _picture_planes(file)
     except InputError:
         raise
-    except Exception as problem:  # the readers raise many undocumented errors for a damaged file
+    except Exception as problem:  # the libraries raise many types of errors for a damaged file
         raise _damaged(file) from problem
 
 
@@ -269,7 +276,7 @@ def _tiff_planes(file: Path) -> _Planes:
             "export one stack",
         )
     count = prod(stacked)
-    # Pixels of fewer bits are packed, so their size is not known. A cut-off file holds less.
+    # Pixels with fewer bits are packed, so their size is not known. A truncated file is smaller.
     if plain and bits >= 8 and count * held < size:
         raise _damaged(file)
     order = "".join(axis if axis in "YXS" else "Q" for axis in series.axes)
@@ -280,14 +287,14 @@ def _decoded(file: Path, planes: _Planes) -> Numbers:
     """Return the values of a file, shape (planes, rows, columns, samples)."""
     try:
         values = _array(file)
-        # The axes of planes come first, and that of samples last.
+        # The axis of planes is first, and the axis of samples is last.
         order = sorted(range(len(planes.axes)), key=lambda at: "QYXS".index(planes.axes[at]))
         if values.ndim == len(order):
             values = values.transpose(order)
         values = values.reshape(planes.shape)
-    except Exception as problem:  # the readers raise many kinds, none documented
+    except Exception as problem:  # the libraries raise many undocumented types of errors
         raise _damaged(file) from problem
-    # A picture of one bit is read as booleans.
+    # A one-bit picture is read as booleans.
     kind = np.uint8 if values.dtype == bool else values.dtype.newbyteorder("=")
     return values.astype(kind, copy=False)
 
@@ -301,9 +308,10 @@ def _array(file: Path) -> Numbers:
         try:
             return np.asarray(tifffile.TiffFile(file).series[0].asarray())
         except tifffile.TiffFileError:
-            pass  # a file without an ending may be PNG
+            pass  # a file without a suffix may be PNG
         except ValueError as problem:
-            # LZW, JPEG and CCITT need a further package; Pillow reads their usual forms.
+            # For LZW, JPEG and CCITT, tifffile needs a further package. Pillow reads the usual
+            # variants.
             if "imagecodecs" not in str(problem):
                 raise
     with Image.open(file) as picture:
@@ -311,7 +319,7 @@ def _array(file: Path) -> Numbers:
 
 
 def _inverted(values: Numbers, bits: int, source: str) -> Numbers:
-    """Invert values whose lowest value is white, so that white is the highest."""
+    """Invert values whose lowest value is white. White is then the highest value."""
     if values.dtype.kind != "u":
         raise InputError(
             "inverted grey values (MinIsWhite)",

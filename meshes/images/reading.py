@@ -1,7 +1,7 @@
-"""Image volumes from files: NIfTI, VTK and the readers of other formats, with common checks.
+"""Reading of image volumes: NIfTI, VTK, and calls of the other readers, with common checks.
 
-The header of a NIfTI image is read by nibabel. Every number that places or scales the voxels is
-checked or applied.
+nibabel reads the header of a NIfTI image. All numbers that determine the position or the scale of
+the voxels are checked or applied.
 """
 
 from collections.abc import Sequence
@@ -36,41 +36,44 @@ __all__ = [
 ]
 
 Spacing = float | Sequence[float] | Array
-"""Distance between neighbours [mm], in all directions or along each axis."""
+"""Distance between neighbouring voxels [mm], in all directions or along each axis."""
 
 Header = Any
-"""A header of nibabel, a mapping of its fields."""
+"""Header from nibabel, a mapping from field names to values."""
 
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
-"""NIfTI counts +x to the right and +y to the front."""
+"""Signs of the axes: in NIfTI, +x is to the right and +y to the front."""
 _UNITS_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 1e-3}
-"""Lengths [mm] of the units of NIfTI by code: not stated, m, mm and um."""
+"""Length [mm] of a NIfTI unit, by its code: not stated, m, mm and um."""
 _AGREE = 1e-3
-"""Relative difference of spacings that count as equal; both are stored in single precision."""
+"""Relative difference up to which spacings count as equal.
+
+Spacings are stored in single precision.
+"""
 _SINGLE_FILE = (b"n+1", b"n+2")
 
 
 def read_nifti(path: Path) -> StoredImage:
-    """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with its slope, intercept, units and place.
+    """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with slope, intercept, units and position.
 
-    The place is from the sform if its code is above 0, else from the qform. If neither states a
-    place, the axes are taken as LPS from (0, 0, 0).
+    The position is from the sform if its code is above 0, else from the qform. If the code of the
+    qform is also 0, the axes are assumed to be LPS with the origin (0, 0, 0).
 
     Raises
     ------
     InputError
-        If the file is cut off, holds other than one real number a voxel in three dimensions, or its
-        header contradicts itself.
+        If the file is truncated, does not contain one real number per voxel in three dimensions, or
+        has a contradictory header.
     """
     header = _header(path)
     dim = [int(n) for n in header["dim"]]
     sizes = dim[1 : dim[0] + 1]
-    # NIfTI has at most seven axes; time and channels come after the three of space.
+    # NIfTI has at most seven axes. Time and channels come after the three spatial axes.
     if not 3 <= dim[0] <= 7 or min(sizes) < 1 or any(n != 1 for n in sizes[3:]):
         raise _fault(path, "dim", "count three axes, with no zero and no further axis", by(sizes))
     dtype = _dtype(header, path)
     offset = float(header["vox_offset"])
-    # Four bytes that announce extensions follow the header.
+    # The header is followed by four bytes that state whether there are extensions.
     least = int(header["sizeof_hdr"]) + 4
     if not (offset >= least and offset == int(offset)):
         raise _fault(path, "vox_offset", f"be at least {least}", offset)
@@ -78,7 +81,7 @@ def read_nifti(path: Path) -> StoredImage:
     values = read_voxels(path, dtype, shape, skip=int(offset), compressed=is_gzip(path))
     notes: list[str] = []
     affine = _affine(header, path, notes)
-    # The lowest three bits state the unit of length, the others the unit of time.
+    # The lowest three bits are the unit of length, and the other bits are the unit of time.
     unit = int(header["xyzt_units"]) & 7
     if unit not in _UNITS_MM:
         raise _fault(path, "xyzt_units", "be 1 (m), 2 (mm) or 3 (µm)", unit)
@@ -101,15 +104,15 @@ def read_nifti(path: Path) -> StoredImage:
 
 
 def _header(path: Path) -> Header:
-    """Return the header, a mapping of its fields."""
+    """Read the header as a mapping from field names to values."""
     from io import BytesIO
 
     from nibabel import Nifti1Header, Nifti2Header
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    # A NIfTI-2 header has 540 bytes and starts with this number, in either byte order; NIfTI-1 has
-    # 348.
+    # A NIfTI-2 header has 540 bytes and starts with this number, in either byte order. A NIfTI-1
+    # header has 348 bytes.
     first = first_bytes(path, 540)
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
     with suppress(HeaderDataError, WrapStructError, ValueError):
@@ -138,7 +141,8 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
         dtype: np.dtype[np.number] = np.dtype(header.get_data_dtype())
     except (HeaderDataError, KeyError) as problem:
         raise _fault(path, "datatype", "be known", int(header["datatype"])) from problem
-    # Complex numbers and colours are no grey values; float128 has another layout on each machine.
+    # Complex numbers and colours are not grey values. The layout of float128 depends on the
+    # machine.
     if dtype.kind not in "iuf" or not 0 < dtype.itemsize <= 8:
         raise _fault(path, "datatype", "be one real number per voxel", dtype)
     if int(header["bitpix"]) != 8 * dtype.itemsize:
@@ -147,7 +151,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
 
 
 def _affine(header: Header, path: Path, notes: list[str]) -> Array:
-    """Return the matrix from voxel numbers to coordinates, in the header's unit and frame (RAS)."""
+    """Return the matrix from voxel indices to coordinates, in the header's unit and frame (RAS)."""
     from nibabel.spatialimages import HeaderDataError
 
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
@@ -180,7 +184,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
         apart = np.abs((sform - qform) @ corner)[:3].max() + np.abs(sform - qform)[:3, 3].max()
-        # Rounding of the quaternion moves voxels far less than half a voxel.
+        # Rounding errors of the quaternion move voxels by far less than half a voxel.
         if apart > 0.5 * stated.min():
             notes.append(
                 f"The sform and the qform of {path.name} place it differently: the sform is taken."
@@ -191,7 +195,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
 def read_vtk_image(path: Path) -> StoredImage:
     """Read the active array of a `.vti` image.
 
-    VTK states no frame of a patient, so its axes are taken as LPS.
+    VTK files do not state a patient frame, so the axes are assumed to be LPS.
     """
     facts, arrays = parse_isolated(
         "meshes.images.reading:vtk_voxels", path, what="image volume", remedy="export it again"
@@ -203,14 +207,16 @@ def read_vtk_image(path: Path) -> StoredImage:
 
 
 def vtk_voxels(file: Path) -> Answer:
-    """Return the array of an image file, first index fastest, with its shape and its frame.
+    """Return the array of an image file, its shape and its frame.
+
+    In the array, the first index varies fastest.
 
     The rows of the frame are three directions, spacing, and the centre of the first voxel.
 
     Raises
     ------
     InputError
-        If it holds no image of one number a voxel.
+        If the file does not contain an image with one number per voxel.
     """
     import pyvista
 
@@ -236,7 +242,7 @@ def vtk_voxels(file: Path) -> Answer:
             "export grey values",
         )
     directions = np.asarray(data.direction_matrix, dtype=np.float64)
-    # The first point of a grid of cells is the corner of the first voxel.
+    # If values are stored at cells, the first point of the grid is the corner of the first voxel.
     origin = np.array(data.GetPoint(0)) + (0.5 * directions @ data.spacing if by_cell else 0.0)
     return {"shape": shape}, {
         "values": values,
@@ -254,13 +260,16 @@ _READERS = {
     ".vti": read_vtk_image,
 }
 IMAGE_SUFFIXES = (".nii.gz", *(each for each in _READERS if each != ".nii.gz"))
-"""Endings of image volumes, the longest first."""
+"""Suffixes of image volumes, longest first."""
 _REMEDY = (
     "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF, "
     "PNG or BMP slices"
 )
 _SHORTEST_MM = 0.5
-"""Length below which a header may be in metres: a bone of 0.5 m then has a length of 0.5 mm."""
+"""Length below which the unit of a header may be metres.
+
+A bone of 0.5 m would then have a length of 0.5 mm.
+"""
 
 
 def read_image(
@@ -270,31 +279,32 @@ def read_image(
     labels: bool = False,
     series: int | None = None,
 ) -> Image:
-    """Read an image volume into LPS [mm], for any order and direction of the axes in its file.
+    """Read an image volume and convert it to LPS [mm].
 
     Origin, directions, units, slope and intercept are read from the file. If the file does not
-    state one, a note states the assumption. Axes along LPS in any order are turned exactly, oblique
-    ones resampled: `meshes.images.frame.along_lps`.
+    state one of these, a note reports the assumption. An image whose axes are LPS axes in any order
+    and direction is reordered without interpolation. Oblique images are resampled, see
+    `meshes.images.frame.along_lps`.
 
     Parameters
     ----------
     path
-        Image file, folder with a DICOM series, its DICOMDIR, DICOM file of many frames, folder
-        with TIFF, PNG or BMP slices, or pattern of such slices (`slices/*.tif`). Slices are stacked
-        along +z in the order of the numbers in their names.
+        Image file, folder with a DICOM series, its DICOMDIR, DICOM file with many frames, folder
+        with TIFF, PNG or BMP slices, or file pattern of such slices (`slices/*.tif`). Slices are
+        stacked along +z in the order of the numbers in their names.
     spacing_mm
-        Distance between neighbours [mm], one number or one along each axis of the array. None: the
-        distance that the file states. TIFF, PNG and BMP slices state no distance.
+        Distance between neighbouring voxels [mm], one number or one number per axis of the array.
+        None: the distance stated in the file. TIFF, PNG and BMP slices do not state a distance.
     labels
-        Whether the values are labels, which are not interpolated.
+        Whether the values are labels. Labels are not interpolated.
     series
-        Number of the series of a DICOM folder that holds several.
+        Number of the series, for a DICOM folder with several series.
 
     Raises
     ------
     InputError
-        If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or
-        states values that cannot be applied.
+        If the file is missing, empty, truncated, not readable, not an image with one number per
+        voxel, or states values that cannot be applied.
     """
     path = Path(path)
     stored = stored_image(path, spacing_mm=spacing_mm, labels=labels, series=series)
@@ -317,7 +327,7 @@ def stored_image(
 ) -> StoredImage:
     """Read an image volume along the axes of its file, see `read_image`.
 
-    Files of several label layers have the layers as a further first axis.
+    For files with several label layers, the first axis of the result is the layer.
     """
     given = None if spacing_mm is None else _given_spacing(spacing_mm)
     planes = plane_files(path)
@@ -367,7 +377,7 @@ def stored_image(
 
 
 def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
-    """Replace NaN, which marks voxels outside of the scan.
+    """Replace NaN, which marks voxels outside the scan.
 
     Grey values become the lowest value of the image, and labels become 0.
     """
@@ -388,7 +398,7 @@ def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
 
 
 def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:
-    """Return a spacing along each axis."""
+    """Convert a spacing to one number per axis."""
     is_one = isinstance(spacing_mm, int | float | np.number)
     each: list[Any] = [spacing_mm] * 3 if is_one else list(spacing_mm)  # type: ignore[arg-type]
     if len(each) != 3:
@@ -402,7 +412,7 @@ def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:
 
 
 def _stored(path: Path, series: int | None) -> StoredImage:
-    """Return the image of a file or DICOM folder, as stored."""
+    """Read the image of a file or DICOM folder in its stored axes."""
     if is_folder(path) or _is_dicom_file(path):
         return read_dicom(path, series=series)
     if series is not None:
@@ -419,7 +429,7 @@ def _stored(path: Path, series: int | None) -> StoredImage:
 
 
 def _is_dicom_file(path: Path) -> bool:
-    """Return whether a file is the index of a DICOM folder, or starts as DICOM does."""
+    """Return whether a file is the index of a DICOM folder, or starts like DICOM."""
     if path.name.lower().endswith((*_READERS, *PLANE_SUFFIXES)):
         return False
     require_regular(path)
@@ -427,14 +437,14 @@ def _is_dicom_file(path: Path) -> bool:
 
 
 def require_image_name(path: Path) -> None:
-    """Refuse a file whose name does not end like an image volume's.
+    """Raise an error if a file name does not have the suffix of an image volume.
 
-    Folders and patterns are left to their readers.
+    Folders and patterns are not checked here.
 
     Raises
     ------
     InputError
-        If the name does not fit; the message lists the formats.
+        If the suffix is not known. The message lists the formats.
     """
     known = path.name.lower().endswith((*_READERS, *PLANE_SUFFIXES))
     if is_file(path) and not known and not _is_dicom_file(path):

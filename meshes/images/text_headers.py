@@ -1,7 +1,7 @@
-"""MetaImage and NRRD images: lines of text and an array, read without ITK.
+"""Reading of MetaImage and NRRD images, which consist of text lines and an array, without ITK.
 
-ITK returns uninitialised memory where compressed voxels are damaged or their size is missing from
-the header. It ignores slopes and units, reads invalid numbers as 0, and prints on the terminal.
+ITK returns uninitialised memory if compressed voxels are damaged or the header does not state their
+size. It ignores slopes and units, reads invalid numbers as 0, and prints on the terminal.
 """
 
 import re
@@ -21,7 +21,10 @@ __all__ = ["header_lines", "numbers", "read_metaimage", "read_nrrd"]
 
 Fields = Mapping[str, str]
 _LONGEST_HEADER = 1 << 20
-"""Bytes searched for the header: 3D Slicer writes some lines for each of hundreds of segments."""
+"""Number of bytes searched for the header.
+
+3D Slicer writes several lines for each of hundreds of segments.
+"""
 _UNITS_MM = {
     **dict.fromkeys(("", "?", "mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
     **dict.fromkeys(("um", "µm", "micrometer", "micrometre", "micron", "microns"), 1e-3),
@@ -31,15 +34,15 @@ _UNITS_MM = {
 
 
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
-    """Read the `key separator value` lines of a header, and the byte after it.
+    """Read the `key separator value` lines of a header, and return the byte after the header.
 
-    Keys are in small letters.
+    Keys are converted to lower case.
 
     Parameters
     ----------
     last
-        Key of the header's last line; an empty line ends it as well. The first line without a
-        separator is kept under the key "first".
+        Key of the last line of the header. An empty line also ends the header. The first line
+        without a separator is stored under the key "first".
     """
     with path.open("rb") as stream:
         data = stream.read(_LONGEST_HEADER)
@@ -69,7 +72,7 @@ def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> 
     Raises
     ------
     InputError
-        If a word of the line is not a finite number, or not above 0 where it has to be.
+        If a word of the line is not a finite number, or not above 0 although `positive` is set.
     """
     if key not in fields:
         return None
@@ -87,7 +90,7 @@ def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> 
 def _stated(
     fields: Fields, keys: Sequence[str], absent: Array, path: Path, *, positive: bool = False
 ) -> Array:
-    """Return the numbers of the first of several synonymous keys, shape of the default."""
+    """Return the numbers of the first existing key of several synonyms, or a default."""
     key = next((key for key in keys if key in fields), "")
     found = numbers(fields, key, path, positive=positive)
     if found is None:
@@ -98,9 +101,9 @@ def _stated(
 
 
 def _unit_mm(words: Sequence[str], path: Path) -> float:
-    """Return the length [mm] of the unit that a header states for its axes.
+    """Return the length [mm] of the unit that a header states for the axes.
 
-    All axes must have the same unit; without one it is mm.
+    All axes must have the same unit. If no unit is stated, it is mm.
     """
     lengths = {_UNITS_MM.get(word.strip('"').lower(), 0.0) for word in words or [""]}
     length = lengths.pop()
@@ -110,7 +113,7 @@ def _unit_mm(words: Sequence[str], path: Path) -> float:
 
 
 def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
-    """Return the file that holds the voxels, and the byte at which they begin."""
+    """Return the file that contains the voxels, and the byte at which the voxels begin."""
     if not name:
         return path, start
     data = path.parent / name
@@ -127,10 +130,10 @@ def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
 def _voxels(
     data: Path, dtype: str, shape: Sequence[float], start: int, *, skip: int, compressed: bool
 ) -> Numbers:
-    """Read the voxels; they end the file if -1 bytes are skipped."""
+    """Read the voxels. If -1 bytes are skipped, the voxels are the last bytes of the file."""
     kind = np.dtype(dtype)
     count = tuple(int(size) for size in shape)
-    # Both formats write -1 if the voxels are the last bytes of the file.
+    # In the two formats, -1 means that the voxels are the last bytes of the file.
     if skip == -1:
         start = max(data.stat().st_size - kind.itemsize * prod(count), 0)
         skip = 0
@@ -142,7 +145,7 @@ def _fault(path: Path, field: str, requirement: str, found: str) -> InputError:
 
 
 def _short(text: str) -> str:
-    # 60 characters: an error message quotes a value, which in a damaged file has any length.
+    # 60 characters: an error message quotes a value, which may have any length in a damaged file.
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -155,23 +158,23 @@ _META_TYPES = {
     "FLOAT": "f4",
     "DOUBLE": "f8",
 }
-"""NumPy type of each MetaImage type; MET_LONG has four bytes on every machine."""
+"""NumPy type of each MetaImage type. MET_LONG has four bytes on every machine."""
 _META_TYPES |= {f"U{name}": f"u{code[1]}" for name, code in _META_TYPES.items() if code[0] == "i"}
 _BYTE_ORDERS = ("binarydatabyteordermsb", "elementbyteordermsb")
 _DIRECTIONS = ("transformmatrix", "rotation", "orientation")
 _PLACES = ("offset", "position", "origin")
 _SPACINGS = ("elementspacing", "elementsize")
 _ALONG_LPS = ("RAI", "???")
-"""MetaImage names of axes that run from right, front (anterior) and feet (inferior)."""
+"""MetaImage names of axes that start at right, front (anterior) and feet (inferior)."""
 
 
 def read_metaimage(path: Path) -> StoredImage:
-    """Read a `.mhd` or `.mha` image of one number a voxel on three axes, its voxels in one file.
+    """Read a `.mhd` or `.mha` image with three axes, one number per voxel, and one voxel file.
 
     Raises
     ------
     InputError
-        If the file is cut off or damaged, or states values that cannot be applied.
+        If the file is truncated or damaged, or states values that cannot be applied.
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:
@@ -217,7 +220,7 @@ def _meta_voxels(fields: Fields, path: Path, start: int) -> Numbers:
         raise _fault(path, "HeaderSize", "be -1 or more", str(skip))
     order = ">" if any(_is_true(fields, key, "False") for key in _BYTE_ORDERS) else "<"
     compressed = _is_true(fields, "compresseddata", "False")
-    # These bytes are of the file. `_voxels` would skip bytes of the inflated data.
+    # Skip bytes of the file here, because `_voxels` would skip bytes of the inflated data.
     if skip > 0:
         start += skip
         skip = 0
@@ -225,7 +228,7 @@ def _meta_voxels(fields: Fields, path: Path, start: int) -> Numbers:
 
 
 def _is_true(fields: Fields, key: str, absent: str) -> bool:
-    """Return whether a key of a header is true."""
+    """Return whether the value of a header key is true."""
     return fields.get(key, absent).lower() in ("true", "1", "t")
 
 
@@ -248,7 +251,7 @@ _PATIENT = {
     **dict.fromkeys(("right-anterior-superior", "ras"), (-1.0, -1.0, 1.0)),
     **dict.fromkeys(("left-anterior-superior", "las"), (1.0, -1.0, 1.0)),
 }
-"""Signs of a patient's frame along the axes of LPS."""
+"""Signs that convert the axes of a patient frame to LPS."""
 _NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
 _IN_SPACE = ("domain", "space", "none", "???")
 _SCALED = ("old min", "oldmin", "old max", "oldmax")
@@ -259,15 +262,15 @@ _BY_AXIS = ("sizes", "kinds", "space directions", "spacings", "units")
 
 
 def read_nrrd(path: Path) -> StoredImage:
-    """Read a `.nrrd` or `.nhdr` image of one number a voxel on three axes in space.
+    """Read a `.nrrd` or `.nhdr` image with three spatial axes and one number per voxel.
 
-    Its voxels lie in one file, raw or as gzip. A further axis of layers, as 3D Slicer writes for
-    segments that overlap, becomes the first axis of the values.
+    The voxels must be in one file, raw or as gzip. 3D Slicer writes an additional layer axis for
+    overlapping segments. This axis becomes the first axis of the values.
 
     Raises
     ------
     InputError
-        If the file is cut off or damaged, or states values that cannot be applied.
+        If the file is truncated or damaged, or states values that cannot be applied.
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
@@ -277,14 +280,14 @@ def read_nrrd(path: Path) -> StoredImage:
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
         raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
-    # They state the scale of quantised values, which is not applied here.
+    # These keys state the scale of quantised values, which is not applied here.
     if found := ", ".join(key for key in _SCALED if key in fields):
         raise _fault(path, "a NRRD image", "hold unscaled values", f"the key {found}")
-    # Lines are not skipped here, so voxels would be read from the wrong place.
+    # Lines are not skipped here, so the voxels would be read from a wrong position.
     for key in _SKIPPED_LINES:
         if fields.get(key, "0") != "0":
             raise _fault(path, key, "be 0", _short(fields[key]))
-    # Whether they are the centre or the edge of a voxel depends on yet another key.
+    # It depends on another key whether these positions are the centre or the edge of a voxel.
     for key in _AXIS_MINS:
         if key in fields:
             raise _fault(path, key, "be replaced by space origin", _short(fields[key]))
@@ -305,7 +308,7 @@ def read_nrrd(path: Path) -> StoredImage:
     )
     origin = unit * signs * _stated(fields, ("space origin",), np.zeros(3), path)
     lengths = np.linalg.norm(steps, axis=0)
-    # 1e-5: headers print six digits or more.
+    # 1e-5: headers have six digits or more.
     if "spacings" in fields and not np.allclose(lengths, unit * spacings, rtol=1e-5, atol=0.0):
         found = f"{_short(fields['spacings'])} and {_short(fields['space directions'])}"
         raise _fault(path, "spacings", "be the lengths of space directions", found)
@@ -317,7 +320,7 @@ def read_nrrd(path: Path) -> StoredImage:
 
 
 def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dict[str, str]]:
-    """Return the axis and the size of the layers of a NRRD image, and the fields without it."""
+    """Return the index and size of the layer axis of a NRRD image, and the fields without it."""
     kinds = fields.get("kinds", "").lower().split()
     if fields.get("dimension") != "4" or kinds.count("list") != 1:
         return None, fields
@@ -333,9 +336,9 @@ def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dic
 
 
 def _require_axes(fields: Fields, space: str, path: Path) -> None:
-    """Refuse a patient's space without directions, and directions without a space.
+    """Raise an error for a patient space without directions, and for directions without a space.
 
-    Without them the directions of the axes are unknown, so that left and right might be exchanged.
+    In these cases, the directions of the axes are unknown, and left and right might be exchanged.
     """
     if space in _PATIENT and "space directions" not in fields:
         raise _fault(path, "space directions", f"be stated with space {space}", "none")
@@ -345,7 +348,7 @@ def _require_axes(fields: Fields, space: str, path: Path) -> None:
 
 
 def _nrrd_voxels(fields: Fields, layers: tuple[int, str] | None, path: Path, start: int) -> Numbers:
-    """Read the voxels of a NRRD image, with its layers as the first axis."""
+    """Read the voxels of a NRRD image, with the layers as the first axis."""
     size = numbers(fields, "sizes", path, positive=True) or []
     kind = _NRRD_TYPES.get(fields.get("type", "").lower().removeprefix("signed "))
     if len(size) != 3 or any(n != int(n) for n in size) or kind is None:
@@ -359,7 +362,7 @@ def _nrrd_voxels(fields: Fields, layers: tuple[int, str] | None, path: Path, sta
     if skip < -1:
         raise _fault(path, "byte skip", "be -1 or more", str(skip))
     endian = fields.get("endian", "").lower()
-    # Values of one byte have no byte order.
+    # One-byte values have no byte order.
     if endian not in ("little", "big") and not kind.endswith("1"):
         raise _fault(path, "endian", "be little or big", _short(endian) or "none")
     order = ">" if endian == "big" else "<"

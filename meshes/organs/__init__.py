@@ -1,1 +1,1 @@
-"""Soft organs, procedural or from labels."""
+"""Soft organs, procedural or from label images."""

@@ -1,11 +1,12 @@
-"""Tetrahedra of a segmented organ: a label and, inside it, labels that become parts.
+"""Tetrahedra of a segmented organ, in which further labels become parts.
 
 A part is, for example, a tumour or a vessel.
 
-The organ is its own label together with the labels of its parts, so that parts at the surface
-belong to it. Where a part reaches the surface of the organ or of an earlier part, its label is
-extended beyond by a few voxels, each taking the label of the nearest voxel inside. The part's
-surface then crosses the organ's surface, and no slivers lie between two surfaces that nearly agree.
+The organ is the union of its own label and the labels of its parts, so parts at its surface belong
+to the organ. If a part reaches the surface of the organ or of an earlier part, the label of the
+part is extended outside by a few voxels. Each of these voxels gets the label of the nearest voxel
+inside. The surface of the part then crosses the surface of the organ. Otherwise, there would be
+slivers between two nearly equal surfaces.
 """
 
 from collections.abc import Sequence
@@ -37,26 +38,26 @@ from meshes.voxels.mesh_sampling import nearest_on_triangles
 __all__ = ["LabelGrid", "LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
 
 _PER_RADIUS = 1.0 / 3.0
-"""Deviation of the smoothing over the label's radius.
+"""Standard deviation of the smoothing, relative to the label's radius.
 
-On ellipsoids, smaller values leave steps and larger ones round them off.
+On ellipsoids, smaller values leave voxel steps, and larger values round off the shape.
 """
 _DEVIATIONS = (1.0, 2.0)
-"""Bounds of the deviation [voxel].
+"""Limits of the standard deviation [voxel].
 
-Beyond 2, the thin edge of an organ of ordinary voxels is lost.
+With more than 2 voxels, the thin edge of an organ is lost for usual voxel sizes.
 """
 _REACH = 4.0
-"""Deviations around a label that its share depends on."""
+"""Reach of the smoothing around a label, in standard deviations."""
 _LEVELS = (0.25, 0.75)
-"""Bounds of the level that encloses the volume of the voxels."""
+"""Limits of the level that encloses the volume of the voxels."""
 _SLOPE = -1.0
-"""First guess of how the volume's share falls with the level; later ones are secants."""
+"""First estimate of the derivative of the relative volume by the level. Secants are used later."""
 _TRIES = 6
 _CLOSE = 2e-4
-"""Largest number of meshes in the search for the level, and the accepted volume error.
+"""Largest number of meshes in the search for the level, and accepted volume error.
 
-The volume error is a share of the volume.
+The volume error is relative to the volume.
 """
 
 
@@ -81,7 +82,7 @@ class LabelGrid:
         return float(np.prod(self.spacing_mm))
 
     def within(self, first: tuple[int, ...]) -> "LabelGrid":
-        """Return the same grid starting at another first voxel."""
+        """Return the grid that starts at another first voxel."""
         x, y, z = (
             start + side * index
             for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
@@ -90,20 +91,20 @@ class LabelGrid:
 
 
 def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
-    """Return the smooth closed surface of a label, wound outward.
+    """Return the smooth closed surface of a label, with outward normals.
 
-    It consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
+    The result consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
 
-    The label is spread by a kernel that keeps curved surfaces in place, two voxels or a third of
-    the label's radius wide. The surface is the level that encloses the volume of the voxels. At the
-    end of the image the label ends.
+    The label is smoothed with a kernel that does not shift curved surfaces. The kernel's standard
+    deviation is a third of the label's radius, limited to 1 to 2 voxels. The surface is the level
+    that encloses the volume of the voxels. The label ends at the edge of the image.
 
     Parameters
     ----------
     mask
         Voxels of the label.
     grid
-        Place of the voxels.
+        Position of the voxels.
 
     Returns
     -------
@@ -111,7 +112,7 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     """
     from scipy.ndimage import distance_transform_edt
 
-    # Two more voxels outside, so that every level in use is closed.
+    # Add two more voxels outside, so that the surface is closed for every level in use.
     pad = int(np.ceil(_REACH * _DEVIATIONS[1])) + 2
     crop = box_of(mask)
     padded = np.pad(mask[crop], pad)
@@ -124,7 +125,7 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     high = min(_LEVELS[1], float(share.max()))
     if low >= high:
         return None
-    # 0.5 keeps flat surfaces in place; a thin label does not reach it.
+    # The level 0.5 does not shift flat surfaces. The values in a thin label may be below 0.5.
     level = min(0.5, 0.5 * (low + high))
     before = (0.0, 0.0)
     for attempt in range(_TRIES):
@@ -134,8 +135,9 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
             break
         slope = (off - before[0]) / (level - before[1]) if attempt else _SLOPE
         before = off, level
-        # A secant between nearly equal levels may be flat or rising, so a tenth of the first guess
-        # bounds its step. Just below the highest share, the surface still has points.
+        # A secant between nearly equal levels may have a zero or positive slope, so the slope is
+        # limited to a tenth of the first estimate. The limit slightly below the highest value
+        # ensures that the surface has points.
         level = float(np.clip(level - off / min(slope, _SLOPE / 10.0), low, high - 1e-3))
     return found
 
@@ -149,24 +151,24 @@ def _level(share: Singles, level: float, grid: LabelGrid) -> Triangles:
 
 
 _FEWEST_VOXELS = 64
-"""A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
+"""Smallest number of voxels of a piece that gets a surface, 5 voxels across a ball."""
 _FLAT_END = 0.5
-"""Share of the largest layer of voxels above which the last layer counts as a flat end.
+"""Size of the last voxel layer, relative to the largest layer, above which it is a flat end.
 
-It is 0.4 for a ball nine slices thick, which has a rounded end.
+For a ball with nine slices, which has a rounded end, the ratio is 0.4.
 """
 _BEYOND = 4
-"""Voxels by which a part's label is extended beyond the organ."""
+"""Number of voxels by which a part's label is extended outside the organ."""
 _ENVELOPE = 0.2
-"""Additional distance by which a part's label is extended beyond the organ, over the edge.
+"""Additional distance by which a part's label is extended outside the organ, in edge lengths.
 
-The mesher moves the organ's surface by half of it.
+fTetWild moves the organ's surface by up to half of this distance.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledOrgan:
-    """An organ and its parts in a label image, ready to be meshed.
+    """Organ and its parts in a label image, ready for meshing.
 
     Attributes
     ----------
@@ -177,9 +179,9 @@ class LabelledOrgan:
     parts
         Voxels of each part, by name, in order of precedence.
     grid
-        Place of the voxels.
+        Position of the voxels.
     notes
-        Findings and assumptions, by the name of the organ or part.
+        Notes on findings and assumptions, by name of the organ or part.
     """
 
     name: str
@@ -190,7 +192,7 @@ class LabelledOrgan:
 
     @cached_property
     def surface(self) -> Surface:
-        """The organ's smooth surface, in the frame of the image."""
+        """Smooth surface of the organ, in the frame of the image."""
         found = label_triangles(self.solid, self.grid)
         if found is None:
             raise InputError(
@@ -204,17 +206,18 @@ class LabelledOrgan:
     def mesh(
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Return tetrahedra of the organ with its parts, in the frame of the image, and findings.
+        """Return the tetrahedra of the organ with its parts, in the frame of the image, and notes.
 
         Raises
         ------
         InputError
-            If the edge does not suit the organ, or a part is too thin.
+            If the edge is too short or too long for the organ, or a part is too thin.
         """
         longest = max(self.surface.report.size_mm)
         usual = longest / FILL_EDGES
         edge = usual if edge_mm is None else edge_mm
-        # Finer meshes have millions of tetrahedra, coarser ones lose the shape of the organ.
+        # Finer meshes have millions of tetrahedra. Coarser meshes do not represent the shape of the
+        # organ.
         edge = require_range("edge_mm", edge, longest / 100.0, longest / 4.0, f"use {usual:.2g}")
         with names_of_caller({"edge_m": "edge_mm"}):
             filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
@@ -229,7 +232,7 @@ class LabelledOrgan:
     def _with_parts(
         self, mesh: TetMesh, edge_mm: float, report: Progress
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Return the mesh with its parts, and a note on each part."""
+        """Add the parts to the mesh, and return the mesh and a note on each part."""
         notes = {}
         before = np.zeros(self.solid.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
@@ -239,7 +242,7 @@ class LabelledOrgan:
         def onto(points: Array) -> Array:
             return nearest_on_triangles(vertices, faces, points)
 
-        # A part inside another takes its place first, and the other is closed around it.
+        # A part inside another part is added first. The outer part is then closed around it.
         for name, mask in sorted(self.parts.items(), key=lambda part: np.count_nonzero(part[1])):
             report(
                 f"cutting {name} out of the tetrahedra",
@@ -268,32 +271,33 @@ def organ_mesh(
     *,
     report: Progress = silent,
 ) -> tuple[TetMesh, dict[str, str]]:
-    """Return tetrahedra of a segmented organ, and findings by organ or part.
+    """Return the tetrahedra of a segmented organ, and notes by name of the organ or part.
 
-    The parts of the organ become the parts of the mesh.
+    The parts of the organ are parts of the mesh.
 
     Parameters
     ----------
     labels
         Label image with names.
     organ
-        Label of the organ.
+        Name of the organ's label.
     parts
-        Labels in it, or on it, that become parts.
+        Names of labels in the organ or at its surface that become parts.
     edge_mm
-        Edge of the tetrahedra away from the parts [mm]; without it a fourteenth of the longest
-        side.
+        Edge of the tetrahedra away from the parts [mm]. Default: a fourteenth of the longest side.
     report
         Called with the name of the current task.
 
     Returns
     -------
-    The mesh in the frame of the image, LPS [m], its parts named `organ` and as `parts`.
+    The mesh in the frame of the image, LPS [m], and the notes. The parts of the mesh have the names
+    `organ` and `parts`.
 
     Raises
     ------
     InputError
-        If there is no such label, a part lies elsewhere or is too small, or the edge does not suit.
+        If a label does not exist, a part lies outside the organ or is too small, or the edge is too
+        short or too long.
     """
     return labelled_organ(labels, organ, parts).mesh(edge_mm, report=report)
 
@@ -315,7 +319,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
     body = np.logical_or.reduce([whole, *masks.values()])
-    # An empty layer stays around it, except at the edges of the image.
+    # An empty layer is kept around the organ, except at the edges of the image.
     crop = box_of(body, 1)
     grid = grid.within(tuple(each.start for each in crop))
     solid, notes = _one_piece(body[crop], whole[crop], grid, organ)
@@ -328,9 +332,9 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
 def _one_piece(
     body: Flags, organ: Flags, grid: LabelGrid, name: str
 ) -> tuple[Flags, dict[str, str]]:
-    """Return the piece that holds most of the organ, with hollows filled, and notes.
+    """Return the piece with most of the organ, with cavities filled, and notes.
 
-    The notes are on the other pieces and on the image's edge.
+    The notes describe the other pieces and the edge of the image.
     """
     from scipy.ndimage import binary_fill_holes, label
 
@@ -355,8 +359,8 @@ def _one_piece(
 def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
     """Return notes on the ends of an organ.
 
-    They state where the image cuts the organ off, and where its labels may end before the organ
-    does.
+    The notes state where the edge of the image cuts off the organ, and where its labels may be
+    incomplete.
     """
     notes = []
     cut_mm2 = 0.0
@@ -386,9 +390,9 @@ def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
 def _pieces(
     name: str, mask: Flags, solid: Flags, organ: str, grid: LabelGrid, notes: dict[str, str]
 ) -> Flags:
-    """Return a part's voxels in the organ, without pieces too small for a surface.
+    """Return a part's voxels in the organ, without pieces that are too small for a surface.
 
-    A note on anything unusual is added to `notes`.
+    Notes on problems are added to `notes`.
     """
     from scipy.ndimage import binary_dilation, label
 
@@ -436,8 +440,8 @@ def _part_triangles(
 ) -> tuple[Array, Ints] | None:
     """Return the surface of a part whose label is extended.
 
-    The extension goes beyond the organ's end and into earlier parts. Each voxel there takes the
-    label of the nearest voxel.
+    The label is extended outside the organ and into earlier parts. Each voxel there gets the label
+    of the nearest voxel.
     """
     from scipy.ndimage import distance_transform_edt
 

@@ -1,8 +1,8 @@
-"""A procedural liver and a block of soft tissue, with or without a stiff nodule.
+"""Procedural liver and block of soft tissue, with or without a stiff nodule.
 
-Liver, site frame: the origin on top of the right lobe's dome, x to the patient's left, y to the
-back, z to the head, so a tool that comes down from +z presses the diaphragmatic surface. M = from
-memory of the literature, not looked up.
+In the site frame of the liver, the origin is the top of the right lobe's dome. x points to the
+patient's left, y to the back, and z to the head. A tool that moves down from +z presses the
+diaphragmatic surface. M = from memory of the literature, not looked up.
 
 ==================  ================  ===================================================================
 width               222 mm            M: adult, 200-225 transverse (anatomy texts, Gray's Anatomy)
@@ -12,10 +12,9 @@ volume              1.41 l            M: 1.2-1.8 l adult; 1477 ml for the scanne
 left lobe           22 %              M: 25-40 % of the volume, thinning to a wedge
 ==================  ================  ===================================================================
 
-The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral
-plane, with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a
-notch for the round ligament. Vessels and the capsule are not in the mesh.
-"""  # noqa: E501 a table
+The shape is drawn with signed distances: a dome of two ellipsoids is cut by the inclined visceral
+plane. It has hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine,
+and a notch for the round ligament. The mesh does not contain vessels and the capsule."""  # noqa: E501 a table
 
 import math
 from dataclasses import dataclass
@@ -51,34 +50,40 @@ __all__ = [
 ]
 
 _TOP_M = (-0.026, 0.0)
-"""Place of the right lobe's dome in the drawing, x and y [m]."""
+"""Position of the right lobe's dome in the drawing, x and y [m]."""
 _SIZE = 0.94
-"""Factor of the drawing, by which it has the sizes of the table above."""
+"""Scale factor of the drawing, with which the liver has the sizes in the table above."""
 _TRIES = 4
-"""Radii tried for a nodule of the wanted volume."""
+"""Number of radii that are tried for a nodule with the required volume."""
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
 """Number of edges across a nodule, and growth of the edges with the distance from it.
 
-Cut from cells as long as its radius, a nodule of 18 mm lost 13 % of its volume. The force over it
-was up to 2 % off, a fifth of the nodule's contribution.
+With edges equal to its radius, a nodule of 18 mm lost 13 % of its volume. The error of the force
+above the nodule was up to 2 %, which is a fifth of the nodule's contribution.
 """
 _NEAR_M = 1e-5
-"""Half the step of the differences that give a slope [m]."""
+"""Half the step of the finite differences for a slope [m]."""
 _PROJECTIONS = 4
-"""Newton steps onto the surface; the distance is nearly exact, so each squares the error."""
-_VISCERAL = (0.33, 0.10, -0.94)
-"""Outward direction of the visceral side, which slants towards the thin left lobe."""
-LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it.
+"""Number of Newton steps onto the surface.
 
-They are the visceral side it rests on, and the bare area with spine and vena cava behind it.
+The distance is nearly exact, so each step squares the error.
+"""
+_VISCERAL = (0.33, 0.10, -0.94)
+"""Outward direction of the visceral side, which is inclined towards the thin left lobe."""
+LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
+"""Surfaces at which a liver is fixed, given by a direction and an angle [degrees].
+
+A surface consists of the triangles whose normals are within the angle of the direction.
+
+The surfaces are the visceral side on which the liver rests, and the bare area in front of spine and
+vena cava.
 """
 
 
 @dataclass(frozen=True)
 class Nodule:
-    """A stiff ball in the tissue.
+    """Stiff ball in the tissue.
 
     Attributes
     ----------
@@ -95,8 +100,8 @@ class Nodule:
 def liver_shape() -> Shape:
     """Return the signed distance of the liver in the site frame [m]."""
     drawn = _drawn()
-    # Height of the dome by bisection, in a column of 0.2 m that holds it. 60 halvings leave 2e-19
-    # m.
+    # Height of the dome, by bisection in an interval of 0.2 m. 60 halvings reduce the interval to
+    # 2e-19 m.
     low = 0.0
     high = 0.2
     column = np.array([[_TOP_M[0], _TOP_M[1], 0.0]])
@@ -110,21 +115,22 @@ def liver_shape() -> Shape:
 
 
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
-    """Build a liver of even tetrahedra in the site frame.
+    """Build a liver from tetrahedra of even size in the site frame.
 
-    A nodule is the part ``nodule``, whose surface is made of faces.
+    A nodule is the part ``nodule``, and faces of tetrahedra lie on its surface.
 
     Parameters
     ----------
     spacing_m
         Side of the lattice [m]; 8.4 mm gives about 30,000 tetrahedra.
     nodule
-        Stiff ball; it has to lie a lattice side below the surface.
+        Stiff ball. Its depth below the surface must be at least one lattice side.
 
     Raises
     ------
     InputError
-        If the spacing does not suit, or the nodule is not inside or smaller than the spacing.
+        If the spacing is out of range, or the nodule is not inside the liver or is smaller than the
+        spacing.
     """
     shape = liver_shape()
     mesh = stuffed(shape, spacing_m)
@@ -132,21 +138,22 @@ def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh
 
 
 def onto_liver(points: np.ndarray) -> np.ndarray:
-    """Return the points of the procedural liver's surface near some points [m], shape (n, 3)."""
+    """Move points [m] onto the surface of the procedural liver, shape (n, 3)."""
     shape = liver_shape()
     found = np.array(points, dtype=np.float64)
     steps = _NEAR_M * np.vstack([np.eye(3), -np.eye(3)])
     for _ in range(_PROJECTIONS):
         around = shape.distance((found[:, None] + steps).reshape(-1, 3)).reshape(-1, 6)
         slope = (around[:, :3] - around[:, 3:]) / (2.0 * _NEAR_M)
-        # The slope of a distance is 1, less where shapes blend; 0.1 bounds the step there.
+        # The slope of a distance is 1, or less where shapes are blended. The limit of 0.1 bounds
+        # the step.
         size = np.maximum((slope * slope).sum(axis=1), 0.1)
         found -= (shape.distance(found) / size)[:, None] * slope
     return found
 
 
 def liver_region(mesh: TetMesh, name: str) -> Nodes:
-    """Return surface nodes of a named side of the liver: ``below`` or ``back``.
+    """Return the surface nodes of a side of the liver: ``below`` or ``back``.
 
     Raises
     ------
@@ -167,22 +174,23 @@ def slab(
 ) -> TetMesh:
     """Build a block of tissue, with the origin at the middle of its top face and z up.
 
-    Layers grow in thickness from the top down.
+    The thickness of the layers increases from the top down.
 
     Parameters
     ----------
     size_m
         Sides [m].
     spacing_m
-        Sides of the bricks along the top face [m]; the first layer is 0.6 of it thick, each next
-        one 1.2 times more.
+        Sides of the cells along the top face [m]. The thickness of the first layer is 0.6 times
+        this spacing, and each further layer is 1.2 times as thick as the layer above.
     nodule
-        Stiff ball, the part ``nodule``, its surface made of faces.
+        Stiff ball, which is the part ``nodule``. Faces of tetrahedra lie on its surface.
 
     Raises
     ------
     InputError
-        If a size is not positive, or the nodule is not inside or smaller than the spacing.
+        If a size is not positive, or the nodule is not inside the block or is smaller than the
+        spacing.
     """
     x, y, z = (require_length("size_m", side, 0.0, math.inf, 0.1) for side in size_m)
     spacing = require_length("spacing_m", spacing_m, 0.0, min(x, y, z), max(x, y, z) / 20.0)
@@ -197,17 +205,18 @@ def slab(
 
 
 def slab_base(mesh: TetMesh) -> Nodes:
-    """Return nodes on the lower face of a slab."""
+    """Return the nodes on the lower face of a slab."""
     lowest = float(mesh.nodes_m[:, 2].min())
     return nodes_behind_plane(mesh, point_m=(0.0, 0.0, lowest), normal=(0.0, 0.0, 1.0))
 
 
 def _drawn() -> Shape:
-    """Build the liver about the middle of its visceral side.
+    """Build the liver with the middle of its visceral side as origin.
 
-    It is drawn a little large and then scaled to size.
+    The drawing is slightly too large and is then scaled.
     """
-    # Half axes, radii, places and blends [m] are drawn by eye; the table above has the results.
+    # Half axes, radii, positions and blends [m] are chosen by eye. The table above lists the
+    # resulting sizes.
     right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
     left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
     visceral = half_space(_VISCERAL, (-0.030, 0.0, -0.034))
@@ -225,15 +234,15 @@ def _drawn() -> Shape:
 
 
 def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
-    """Return the mesh with the nodule as a part of the volume of its ball.
+    """Add the nodule to the mesh as a part with the volume of its ball.
 
-    Raise if the mesh is too coarse for the nodule or the nodule is not deep enough.
+    An error is raised if the mesh is too coarse for the nodule or the nodule is not deep enough.
     """
     radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:
         raise InputError(
             "nodule.radius_m",
-            # 2000: radius in m to diameter in mm
+            # 2000 converts a radius in m to a diameter in mm
             f"give a ball of at least {2000.0 * spacing:.4g} mm in diameter, two edges of the mesh",
             f"{2000.0 * radius:.4g} mm",
             "use a finer mesh",
@@ -257,9 +266,9 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         return np.asarray(edge + _NODULE_GROWTH * outside)
 
     mesh = bisected(mesh, size_m)
-    # Flat faces cut the corners of a ball, so the surface is placed a little outside it to match
-    # the volume. The volume jumps where nodes change their snapping, so the best of a few tries is
-    # kept.
+    # A polyhedron with corners on a ball has a smaller volume than the ball, so the surface is
+    # placed slightly outside to match the volume. The volume as a function of the radius has jumps
+    # where nodes are snapped differently, so the best of a few radii is used.
     volume = 4.0 / 3.0 * math.pi * radius**3
     laid = radius
     best = mesh

@@ -1,1 +1,1 @@
-"""Paths of tools from files, polylines, and depth below a bone's surface."""
+"""Tool paths from files, polylines, and depth below a bone's surface."""

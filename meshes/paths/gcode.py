@@ -1,9 +1,9 @@
-"""G-code (RS-274) of three-axis mills as points and feeds.
+"""Conversion of G-code (RS-274) for three-axis mills to points and feeds.
 
 Straight moves (G0, G1) and arcs (G2, G3) are read in all planes, units and distance modes. Words
-that do not move the tool, such as spindle, coolant and tool numbers, are left out and noted. Words
-that would move the tool elsewhere, such as drilling cycles and cutter compensation, are refused by
-name.
+that do not move the tool, such as spindle, coolant and tool numbers, are ignored and listed in a
+note. Words that would change the motion, such as drilling cycles and cutter compensation, raise an
+error that names the word.
 """
 
 import re
@@ -20,17 +20,21 @@ from meshes.base.tables import decoded_text
 __all__ = ["ARC_ERROR_MM", "Program", "read_gcode"]
 
 ARC_ERROR_MM = 0.01
-"""Largest distance of an arc from the lines that replace it [mm].
+"""Largest distance between an arc and the lines that replace the arc [mm].
 
-It is a tenth of the finest voxels in use, 0.1 mm.
+The value is a tenth of the finest voxels in use, 0.1 mm.
 """
 _RADIUS_MM = 0.1
-"""Largest difference of an arc's radius at its start and at its end [mm].
+"""Largest difference between an arc's radius at its start and at its end [mm].
 
-TwinCAT 3 NC I corrects differences up to 0.1 mm by default (centerpointCorrectionLimitSet).
+By default, TwinCAT 3 NC I also corrects differences of up to 0.1 mm
+(centerpointCorrectionLimitSet).
 """
 _WIDEST_RAD = 0.25 * pi
-"""Widest angle of a line that replaces part of an arc; only arcs of less than 0.13 mm reach it."""
+"""Largest angle of an arc segment that a line replaces.
+
+Only arcs with a radius of less than 0.13 mm have such segments.
+"""
 _INCH_MM = 25.4
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\([^()]*(?:\)|$)|;.*")
@@ -41,25 +45,25 @@ _MODES = {
     **dict.fromkeys(("G90", "G91"), "distance"),
     **dict.fromkeys(("G90.1", "G91.1"), "centre"),
 }
-"""Words that are read, by their group."""
+"""Group of each word that is read."""
 _WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 _STILL = (
     *_WORK_OFFSETS,
     *(f"G{n}" for n in ("4", "40", "43", "49", "61", "61.1", "64", "80", "92.1", "92.2")),
     *("G94", "G98", "G99"),
 )
-"""Words G that do not move the tool.
+"""G words that do not move the tool.
 
-G43 refers the program to the tip, as a path does. G80 ends cycles, which are refused.
+With G43, positions refer to the tip, as in a path of tissue. G80 ends cycles, which raise an error.
 """
 _SUBPROGRAMS = ("M97", "M98", "M99")
-"""Words M that move the tool. Other words M switch spindle, coolant and the like."""
+"""M words that move the tool. Other M words switch, for example, the spindle and the coolant."""
 _STILL_LETTERS = "STHDON"
 _HOME = ("G28", "G30", "G53")
-"""Moves to places of the machine, which are unknown in the frame of the program."""
+"""Moves to positions of the machine, which are unknown in the frame of the program."""
 _END = ("M2", "M30")
 _PARAMETERS = {"G4": "PXU", "G64": "PQ"}
-"""Letters that belong to a word without motion."""
+"""Letters of the parameters of words without motion."""
 _MEANING = {
     **{f"G{n}": "a canned cycle" for n in (73, 74, 76, *range(81, 90))},
     **{f"G{n}": "cutter compensation" for n in (41, 42)},
@@ -70,22 +74,22 @@ _MEANING = {
     **dict.fromkeys(_SUBPROGRAMS, "a subprogram"),
     "G65": "a macro",
 }
-"""Meaning of common words that are refused."""
+"""Meaning of common words that raise an error."""
 _PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
-"""Axes of an arc by its plane: two in the plane, and the axis of a helix."""
+"""Axes of an arc by plane: the two axes in the plane, and the axis of a helix."""
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 
 @dataclass(eq=False)
 class Program:
-    """Points of a program and the state of the controller between its lines.
+    """Points of a program, and the state of the controller between its lines.
 
     Attributes
     ----------
     file
-        File, for messages.
+        File name for messages.
     points_mm
-        Points in the order of the program, in its frame [mm].
+        Points in the order and in the frame of the program [mm].
     feeds_mm_s
         Speed to each point [mm/s], NaN for rapid moves.
     """
@@ -94,7 +98,7 @@ class Program:
     points_mm: list[list[float]] = field(default_factory=list, init=False)
     feeds_mm_s: list[float] = field(default_factory=list, init=False)
     _modes: dict[str, str] = field(
-        # no motion before the first motion word, because the defaults of controllers differ
+        # no motion mode before the first motion word, because the defaults of controllers differ
         default_factory=lambda: {
             "motion": "",
             "plane": "G17",
@@ -113,7 +117,7 @@ class Program:
     _line: int = field(default=0, init=False)
 
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on words that were left out, and on arcs."""
+        """Return sentences on words that were ignored, and on arcs."""
         found = []
         if not self._modes["unit"]:
             found.append("the program has neither G20 nor G21, so lengths are read in mm")
@@ -128,10 +132,10 @@ class Program:
         return tuple(found)
 
     def read(self, line: str, number: int) -> bool:
-        """Execute one line. Return False at the end of the program."""
+        """Execute one line, and return False at the end of the program."""
         self._line = number
         text, count = _COMMENT.subn("", line.upper())
-        # brackets within brackets
+        # nested brackets
         while count:
             text, count = _COMMENT.subn("", text)
         text = text.strip().removeprefix("/")
@@ -155,7 +159,7 @@ class Program:
                 raise self._refused("has a feed F that is not positive", "Correct the feed")
         if homes := set(codes) & set(_HOME):
             self._homes |= homes
-            # the program does not state where these axes are after such a move
+            # the position of these axes after such a move is unknown
             for letter in [each for each in "XYZ" if each in numbers] or "XYZ":
                 self._place.pop(letter, None)
         elif numbers:
@@ -163,7 +167,7 @@ class Program:
         return not set(codes) & set(_END)
 
     def _numbers(self, words: list[tuple[str, float]]) -> dict[str, float]:
-        """Return the numbers of a line by letter, without words that do not move the tool."""
+        """Return the numbers of a line by letter, except parameters of words without motion."""
         numbers: dict[str, float] = {}
         for letter, value in words:
             if letter in "GM":
@@ -182,7 +186,7 @@ class Program:
         return numbers
 
     def _take(self, codes: list[str]) -> None:
-        """Apply the words G and M of a line to the state."""
+        """Apply the G and M words of a line to the state."""
         groups = [_MODES[code] for code in codes if code in _MODES]
         if len(set(groups)) < len(groups):
             raise self._refused(
@@ -211,7 +215,7 @@ class Program:
         return value * (_INCH_MM if self._modes["unit"] == "G20" else 1.0)
 
     def _move(self, numbers: dict[str, float]) -> None:
-        """Move to the place that a line states."""
+        """Move to the position that a line states."""
         motion = self._modes["motion"]
         named = {letter: self._mm(numbers[letter]) for letter in "XYZ" if letter in numbers}
         is_arc = motion in ("G2", "G3")
@@ -270,7 +274,7 @@ class Program:
             )
         angle = atan2(begin[1] - centre[1], begin[0] - centre[0])
         turn = sense * (atan2(end[1] - centre[1], end[0] - centre[0]) - angle) % (2.0 * pi)
-        # equal ends are a full circle
+        # if start and end are equal, the arc is a full circle
         is_closed = all(isclose(a, b, abs_tol=1e-9) for a, b in zip(begin, end, strict=True))
         if is_closed or turn == 0.0:
             turn = 2.0 * pi
@@ -317,7 +321,8 @@ class Program:
                 f"has an arc of radius {abs(radius):.4g} mm between points {chord:.4g} mm apart",
                 f"Give its centre by {' and '.join(letters)}",
             )
-        # the centre lies on the left of the chord for a short arc with G3; R < 0 is the long arc
+        # for a short arc with G3, the centre lies on the left of the chord; R < 0 means the long
+        # arc
         away = sqrt(max(radius**2 - 0.25 * chord**2, 0.0)) * sense * (1.0 if radius > 0.0 else -1.0)
         return (
             0.5 * (begin[0] + end[0]) - away * (end[1] - begin[1]) / chord,
@@ -333,7 +338,7 @@ def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:
 
     Returns
     -------
-    Points [mm], shape (n, 3), the speed to each of them [mm/s], NaN for rapid moves, and notes.
+    Points [mm], shape (n, 3); speed to each point [mm/s], NaN for rapid moves; notes.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Path of a tool from a file, in the frame of a patient, and its depth below a bone's surface.
+"""Tool path from a file, in a patient frame, and its depth below a bone's surface.
 
-A path is a CSV table, a curve of 3D Slicer, or G-code (see `meshes.paths.gcode`).
+A path is read from a CSV table, a curve of 3D Slicer, or G-code (see `meshes.paths.gcode`).
 
-A path becomes the table of poses that a replayed motion reads. The table holds times, tips and
-orientations in the site's frame.
+A path is converted to the table of poses that a replayed motion reads. The table has times, tip
+positions and orientations in the site's frame.
 """
 
 import csv
@@ -48,7 +48,7 @@ __all__ = [
 def arc_length(corners: ArrayLike) -> Array:
     """Compute the path length from the first corner to each corner, shape (n,).
 
-    It has the unit of the corners, shape (n, 3).
+    The length has the unit of the corners, shape (n, 3).
     """
     return np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(corners), axis=0), axis=1))]
@@ -56,9 +56,9 @@ def arc_length(corners: ArrayLike) -> Array:
 
 
 def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
-    """Return points at some path lengths from the first corner, shape (m, 3).
+    """Return points at given path lengths from the first corner, shape (m, 3).
 
-    Lengths beyond an end give the end.
+    Lengths outside the path give its start or end point.
     """
     along = arc_length(corners)
     given = np.asarray(corners)
@@ -69,14 +69,14 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
 def kept_corners(corners: ArrayLike, within: float) -> Ints:
     """Return the indices of the corners to keep, ascending (Douglas and Peucker 1973).
 
-    Every other corner lies within a distance of the line through the kept corners.
+    The distance of every other corner from the line through the kept corners is limited.
 
     Parameters
     ----------
     corners
         Shape (n, 3).
     within
-        That distance, in the unit of the corners.
+        Limit of this distance, in the unit of the corners.
     """
     given = np.asarray(corners, dtype=np.float64)
     kept = {0, len(given) - 1}
@@ -87,7 +87,8 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
             continue
         along = given[last] - given[first]
         between = given[first + 1 : last] - given[first]
-        # A closed leg has length 0; its corners are then measured from its first one.
+        # A closed section has the length 0. The distance of its corners is then measured from the
+        # first corner.
         share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
         off = np.linalg.norm(between - share[:, None] * along, axis=1)
         if off.max() > within:
@@ -99,34 +100,37 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
 
 GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc", ".gc", ".mpf")
 _PROGRAM = re.compile(r"^\s*(N\d+\s*)?G0?\d\b", re.IGNORECASE | re.MULTILINE)
-"""Line of G-code in a file whose suffix is also of tables."""
+"""Regular expression for a G-code line, for files whose suffix is also used for tables."""
 TABLES = (".csv", ".txt", ".tsv")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
 _COLUMNS = {**dict.fromkeys(_PLACE, "length"), _FEED: "speed", **dict.fromkeys(_AXIS, "number")}
-"""Columns of a table, and the key of `UNITS` of each."""
+"""Columns of a table, and the key of each column in `UNITS`."""
 
 _STEP_MM = 0.5
-"""Distance of points at which the depth is evaluated; in between it is at most 0.25 mm larger."""
+"""Distance between points at which the depth is evaluated [mm].
+
+Between two points, the depth is at most 0.25 mm larger.
+"""
 _MOST_POINTS = 20_000
-"""Largest number of points at which the depth is evaluated; longer paths have a coarser step."""
+"""Largest number of points at which the depth is evaluated. Longer paths have larger steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Toolpath:
-    """Points that a tool's tip passes on straight lines.
+    """Points that a tool's tip visits along straight lines.
 
     Attributes
     ----------
     points_mm
         Points [mm, LPS], shape (n, 3).
     feeds_mm_s
-        Speed to each point from the one before it [mm/s], shape (n,), NaN for rapid moves; None
-        where the file states no speed. The first is not used.
+        Speed from the previous point to each point [mm/s], shape (n,), NaN for rapid moves; None if
+        the file does not state speeds. The first speed is not used.
     axes
-        Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the
-        file states no axes.
+        Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None if the
+        file does not state axes.
     notes
         Findings and assumptions, in sentences.
     """
@@ -144,10 +148,10 @@ class PathDepth:
     Attributes
     ----------
     points_mm
-        The path's points and others between them, at most 0.5 mm apart [mm, LPS], shape (n, 3).
+        Points of the path, and points between them, at most 0.5 mm apart [mm, LPS], shape (n, 3).
     depth_mm
-        Distance of each from the bone's surface [mm], shape (n,), positive inside the bone and
-        negative outside.
+        Distance of each point from the bone's surface [mm], shape (n,), positive inside the bone
+        and negative outside.
     """
 
     points_mm: Array
@@ -155,17 +159,17 @@ class PathDepth:
 
     @property
     def deepest_mm(self) -> float:
-        """Largest depth [mm]; negative where the path never enters the bone."""
+        """Largest depth [mm]. It is negative if the path never enters the bone."""
         return float(self.depth_mm.max())
 
     @property
     def share_inside(self) -> float:
-        """Share of the path's points in the bone."""
+        """Share of the path's points that lie in the bone."""
         return float((self.depth_mm > 0.0).mean())
 
 
 def depth_along(path: Toolpath, surface: Surface) -> PathDepth:
-    """Compute the depth of a path's tip below a bone's surface, before anything is cut."""
+    """Compute the depth of a path below the surface of the uncut bone."""
     corners = path.points_mm
     length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     step = max(_STEP_MM, float(length.sum()) / _MOST_POINTS)
@@ -179,22 +183,23 @@ def depth_along(path: Toolpath, surface: Surface) -> PathDepth:
 
 
 def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
-    """Read a path.
+    """Read a tool path from a file.
 
     Parameters
     ----------
     path
-        Table of text, markups of 3D Slicer (``.mrk.json``, ``.fcsv``) or G-code. A table (.csv,
-        .txt, .tsv) has the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y,
+        Text table, markups of 3D Slicer (``.mrk.json``, ``.fcsv``) or G-code. A table (.csv, .txt,
+        .tsv) has the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y,
         axis_z. Its header may state other units, such as "X [m]".
     coordinates
-        ``LPS`` or ``RAS``: the frame of the numbers in CSV and G-code. Markups state their own.
+        ``LPS`` or ``RAS``: frame of the numbers in CSV and G-code. Markups files contain their own
+        frame.
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds fewer than two points or numbers that are not finite, a
-        feed is not positive, or an axis is zero.
+        If the file cannot be read, has fewer than two points or numbers that are not finite, a feed
+        is not positive, or an axis is zero.
     """
     file = Path(path)
     if coordinates not in TO_LPS:
@@ -232,7 +237,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
 
 
 def _read_table(file: Path) -> Toolpath:
-    """Read a table of text, in its frame."""
+    """Read a text table, in its frame."""
     table = read_table(file, "path")
     require_distinct_columns(table.names, "path", file)
     notes = [*table.notes]
@@ -249,7 +254,7 @@ def _read_table(file: Path) -> Toolpath:
         column[name] = table.finite(header)
         unit = unit_of(header, measure)
         if measure != "number":
-            # lengths are wanted in mm, and speeds in mm/s
+            # convert lengths to mm, and speeds to mm/s
             column[name] = column[name] * (1e3 * UNITS[measure][unit] if unit else 1.0)
         if measure == "length" and unit != "mm":
             notes.append(f"{header} is read in {unit or 'mm, since its header names no unit'}")
@@ -261,7 +266,7 @@ def _read_table(file: Path) -> Toolpath:
 
 
 def _check_columns(column: dict[str, Array], names: tuple[str, ...], file: Path) -> None:
-    """Raise for missing columns."""
+    """Raise an error for missing columns."""
     needed = (*_PLACE, *_AXIS) if any(name in column for name in _AXIS) else _PLACE
     if missing := [name for name in needed if name not in column]:
         raise InputError(
@@ -292,7 +297,8 @@ def _axes(column: dict[str, Array], file: Path) -> Array | None:
         return None
     axes = np.column_stack([column[name] for name in _AXIS])
     length = np.linalg.norm(axes, axis=1)
-    # Such an axis is zero in a file of six decimals, and its direction would be rounding.
+    # In a file with six decimals, such an axis is zero. Its direction would only be rounding
+    # errors.
     if (length < 1e-6).any():
         raise InputError(
             "axis",
@@ -311,15 +317,21 @@ def _read_gcode(file: Path) -> Toolpath:
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 _RAPID_MM_S = 20.0
-"""Speed of rapid moves and of the approach: clearly faster than cutting, which is at about 2."""
-_TURN_RAD_S = 0.5 * np.pi
-"""Fastest turn of the tool [rad/s].
+"""Speed of rapid moves and of the approach [mm/s].
 
-A hand turns a drill through a right angle in about a second.
+Cutting is clearly slower, with about 2 mm/s.
+"""
+_TURN_RAD_S = 0.5 * np.pi
+"""Largest angular velocity of the tool [rad/s].
+
+A person turns a drill by a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
-"""Smallest move [mm] and turn [rad] with a pose of their own; a zero move would repeat a time."""
+"""Smallest motion [mm] and rotation [rad] that get a separate pose.
+
+A zero motion would lead to two equal times.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,23 +377,23 @@ def to_replay(
     feed_mm_s: float,
     clearance_mm: float = 0.0,
 ) -> ReplayTable:
-    """Bring a path into a site's frame and give it times.
+    """Convert a path to a site's frame, and compute times.
 
     Parameters
     ----------
     path
-        The path in the frame of the file in which the site lies.
+        Path in the frame of the file in which the site is given.
     site
         Site that defines the scene's frame.
     feed_mm_s
-        Speed where the path states no speed [mm/s].
+        Speed in parts of the path without a speed [mm/s].
     clearance_mm
         Distance of the start from the first point, along the tool's axis [mm].
 
     Raises
     ------
     InputError
-        If a speed is not positive, the clearance is negative, or all points are one.
+        If a speed is not positive, the clearance is negative, or all points are equal.
     """
     from scipy.spatial.transform import Rotation
 
@@ -410,12 +422,12 @@ def to_replay(
 
 
 def _towards(axis: Array) -> "Rotation":
-    """Return the shortest turn that brings z to a unit vector."""
+    """Return the shortest rotation that turns z to a unit vector."""
     from scipy.spatial.transform import Rotation
 
     across = np.cross([0.0, 0.0, 1.0], axis)
     sine = float(np.linalg.norm(across))
-    # The axis is z or -z up to rounding, so any perpendicular axis turns there.
+    # The axis is z or -z up to rounding errors, so any perpendicular rotation axis is valid.
     if sine < 1e-12:
         return Rotation.from_rotvec([0.0 if axis[2] > 0.0 else np.pi, 0.0, 0.0])
     return Rotation.from_rotvec(across / sine * np.arctan2(sine, axis[2]))

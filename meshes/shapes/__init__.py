@@ -1,1 +1,1 @@
-"""Signed distances, and anatomies made of them."""
+"""Signed distances, and anatomies defined by signed distances."""

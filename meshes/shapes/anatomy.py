@@ -1,7 +1,7 @@
-"""Anatomical sites as shapes with layers, and the simplest one, a block of cortical bone.
+"""Anatomical sites as shapes with layers, and a block of cortical bone as the simplest example.
 
-Site frame of every anatomy: the origin is the centre of the working face on the bone surface, +z
-the outward normal there, so a tool feeds along -z.
+In the site frame of every anatomy, the origin is the centre of the working face on the bone
+surface, and +z is the outward normal at this point. The tool therefore moves along -z.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
-"""Layer index and apparent density of points, from their positions and depths.
+"""Function from positions and depths of points to layer indices and apparent densities.
 
 Input: points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,). Output:
 layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a layer the density
@@ -31,15 +31,15 @@ must vary smoothly over a millimetre.
 """
 
 GridSampler = Callable[["Grid"], tuple[Singles, Singles]]
-"""Bone fraction, 0 to 1, and depth [m] of the voxels of a grid.
+"""Function from a grid to the bone fraction, 0 to 1, and the depth [m] of its voxels.
 
-Both are float32 with the grid's shape.
+The two arrays are float32 and have the grid's shape.
 """
 
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A solid with named layers, in the site frame.
+    """Solid with named layers, in the site frame.
 
     Attributes
     ----------
@@ -48,24 +48,25 @@ class Anatomy:
     shape
         Outer surface as signed distance [m].
     layer_names
-        Names that the layer indices of `classify` refer to.
+        Name of each layer index of `classify`.
     classify
-        Layer and density at points, see `Classify`.
+        Function that returns layer and density at points, see `Classify`.
     notes
-        Names and values of assumptions and findings, for reports.
+        Names and values of assumptions and results, for reports.
     sample
-        Fraction and depth of a whole grid at once, for shapes whose signed distance is too
-        expensive to evaluate voxel by voxel (a triangle mesh). None: the shape is sampled.
+        Function that returns fraction and depth of a whole grid, for shapes whose signed distance
+        is too expensive to evaluate for each voxel, such as a triangle mesh. None: `shape` is
+        evaluated.
     placement
-        Placement of the site frame in the frame of its file; None if it is from no file.
+        Placement of the site frame in the frame of the anatomy's file; None without a file.
     caps_m
         Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its
         scan.
     thin_layers
-        Whether layers may pass between the corners of a block of voxels (a root canal): every voxel
-        is then classified.
+        Whether thin layers, such as a root canal, may lie between the corners of a block of voxels.
+        If true, every voxel is classified.
     structures
-        Structures that a tool may have to keep clear of, by name, as signed distance [m].
+        Signed distance [m] of each structure that a tool may have to keep clear of, by name.
     """
 
     name: str
@@ -85,14 +86,14 @@ def cortical_block(
 ) -> Anatomy:
     """Build a block of cortical bone with one layer `cortical`.
 
-    Its top face lies in z = 0 with the origin at its centre.
+    The top face lies in the plane z = 0. The origin is the centre of the top face.
 
     Parameters
     ----------
     size_mm
         Edge lengths along x, y and z [mm], each 0.1 to 500.
     density_kg_m3
-        Apparent density, 100 to 2500 kg/m3; 1800 to 2000 is cortical bone.
+        Apparent density, 100 to 2500 kg/m3. Cortical bone has 1800 to 2000 kg/m3.
 
     Raises
     ------
@@ -101,7 +102,8 @@ def cortical_block(
     """
     lengths = require_vector("size_mm", size_mm)
     for k in range(3):
-        # From one voxel of 0.1 mm to more than the longest bone, a femur of about 450 mm.
+        # The limits are one voxel of 0.1 mm, and more than the longest bone, a femur of about 450
+        # mm.
         require_range(f"size_mm[{k}]", size_mm[k], 0.1, 500.0, "use about (20, 12, 8)")
     density = require_range(
         "density_kg_m3", density_kg_m3, 100.0, 2500.0, "use 1800 for cortical bone"

@@ -1,10 +1,11 @@
 """Signed distances as expressions: `box(...) - cylinder(...) | sphere(...).translate(...)`.
 
-A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is
-1-Lipschitz: its value never exceeds the true distance to the surface in magnitude. A cell whose
-centre is farther from the surface than its half diagonal is not crossed. Primitives are exact
-unless their docstring states otherwise; a union is exact outside, an intersection or difference
-exact inside, and both are bounds elsewhere. All shapes keep the points' dtype.
+A `Shape` maps points [m] to signed distances [m], negative inside. Every shape of this module is
+1-Lipschitz, so the magnitude of its value never exceeds the true distance to the surface. If this
+magnitude at the centre of a cell is larger than the cell's half diagonal, the surface does not
+cross the cell. Primitives are exact unless their docstring states otherwise. A union is exact
+outside, and an intersection or difference is exact inside. Elsewhere, their values are bounds. The
+result has the dtype of the points.
 """
 
 from __future__ import annotations
@@ -49,15 +50,16 @@ _EVERYWHERE = (-math.inf, -math.inf, -math.inf), (math.inf, math.inf, math.inf)
 
 @dataclass(frozen=True)
 class Shape:
-    """A solid given by its signed distance.
+    """Solid defined by its signed distance.
 
     Attributes
     ----------
     distance
-        Points [m], shape (n, 3), float32 or float64, to signed distances [m], shape (n,), same
-        dtype, negative inside.
+        Function from points [m], shape (n, 3), float32 or float64, to signed distances [m], shape
+        (n,), same dtype, negative inside.
     lower_m, upper_m
-        Corners [m] of an axis-aligned box that holds the solid; infinite if the solid is unbounded.
+        Corners [m] of an axis-aligned box that contains the solid; infinite if the solid is
+        unbounded.
     """
 
     distance: Callable[[Points], Distances]
@@ -74,7 +76,7 @@ class Shape:
         return difference(self, other)
 
     def translate(self, by_m: Vector) -> Shape:
-        """Move by the vector `by_m` [m], shape (3,)."""
+        """Move the solid by the vector `by_m` [m], shape (3,)."""
         shift = require_vector("by_m", by_m)
         return _within(
             lambda p: self.distance(p - shift.astype(p.dtype)),
@@ -88,13 +90,13 @@ def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
 
     The crease is rounded where the distances differ by less than `blend_m`.
 
-    Quadratic polynomial blend (I. Quilez, "Smooth minimum"). Its gradient is a convex combination
-    of both gradients, so the result stays 1-Lipschitz.
+    The blend is a quadratic polynomial (I. Quilez, "Smooth minimum"). Its gradient is a convex
+    combination of the two gradients, so the result is 1-Lipschitz.
     """
     if blend_m <= 0.0:
         return np.minimum(a, b)
     overlap = np.maximum(blend_m - np.abs(a - b), 0.0)
-    # The factor makes value and slope continuous where the overlap ends.
+    # With this factor, value and slope are continuous at the end of the blend.
     return np.minimum(a, b) - overlap * overlap * (0.25 / blend_m)
 
 
@@ -105,7 +107,8 @@ def smooth_maximum(a: Distances, b: Distances, blend_m: float) -> Distances:
 
 def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     """Unite two solids; a positive `blend_m` [m] fills the crease between them."""
-    # The blend lowers a distance by at most a quarter of its width, where both are equal.
+    # The blend lowers the distance by at most a quarter of its width, at points where the two
+    # distances are equal.
     grown = 0.25 * blend_m
     lower = np.minimum(a.lower_m, b.lower_m) - grown
     upper = np.maximum(a.upper_m, b.upper_m) + grown
@@ -127,7 +130,7 @@ def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
 
 
 def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Build a ball of `radius_m` [m] about `centre_m` [m]."""
+    """Build a ball with the radius `radius_m` [m] and the centre `centre_m` [m]."""
     radius = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)")
     centre = require_vector("centre_m", centre_m)
     return _within(
@@ -138,7 +141,7 @@ def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
     """Build a box with edge lengths `size_m` [m], shape (3,).
 
-    Its edges are rounded with radius `rounding_m` [m].
+    The edges are rounded with the radius `rounding_m` [m].
 
     Raises
     ------
@@ -164,7 +167,7 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
 
 
 def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
-    """Build a capped cylinder of `radius_m` [m] about the segment from `start_m` to `end_m` [m]."""
+    """Build a cylinder of radius `radius_m` [m] with its axis from `start_m` to `end_m` [m]."""
     radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
     start, axis, length = _segment(start_m, end_m)
 
@@ -181,9 +184,9 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
 
 def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
-    """Build a capsule, the points near the segment from `start_m` to `end_m` [m].
+    """Build a capsule: all points near the segment from `start_m` to `end_m` [m].
 
-    They lie within `radius_m` [m] of it.
+    The distance of the points from the segment is at most `radius_m` [m].
     """
     radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
     start, axis, length = _segment(start_m, end_m)
@@ -202,8 +205,8 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
     The surface is exact; the distance is only a lower bound of the true distance.
 
-    (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short
-    by min(r)/r.
+    (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface. Along a long half axis r, it is
+    min(r)/r times the true distance.
     """
     radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
     centre = require_vector("centre_m", centre_m)
@@ -223,14 +226,15 @@ def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     lower = np.full(3, -math.inf)
     upper = np.full(3, math.inf)
     for k in range(3):
-        # Only a plane across an axis bounds a box. 1e-15 admits the rounding of the unit vector.
+        # Only a plane perpendicular to an axis bounds the box. 1e-15 is for the rounding error of
+        # the unit vector.
         if math.isclose(abs(unit[k]), 1.0, rel_tol=0.0, abs_tol=1e-15):
             (upper if unit[k] > 0 else lower)[k] = point[k]
     return _within(lambda p: p @ unit.astype(p.dtype) - offset, lower, upper)
 
 
 def _norm(v: Points) -> Distances:
-    """Compute the length of each row, with its dtype."""
+    """Compute the length of each row, in the dtype of the rows."""
     return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
 
 
@@ -265,28 +269,31 @@ def _extent(name: str, value: Vector, example: str) -> Array:
 
 
 def _within(distance: Callable[[Points], Distances], lower: Array, upper: Array) -> Shape:
-    """Return a shape with corners of its box as arrays [m], shape (3,)."""
+    """Build a shape from a distance and the corners of its box [m], each of shape (3,)."""
     return Shape(distance, tuple(lower.tolist()), tuple(upper.tolist()))
 
 
 WANTED_M = 4e-6
-"""Target distance of the triangles from the surface [m]."""
+"""Required distance of the triangles from the surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
-"""Points of the first and of the finest lattice on which the distance is evaluated."""
+"""Number of points of the first and of the finest lattice on which the distance is evaluated."""
 ROUNDS = 3
-"""Lattices tried: the first one measures the error, the second meets it, the third has reserve."""
+"""Largest number of lattices.
+
+The error is measured on the first lattice and should be small enough on the second.
+"""
 DOUBLINGS = 12
-"""Largest number of doublings of the reach: a factor of 4000 over the first lower bound."""
+"""Largest number of doublings of the reach, a factor of 4000 relative to the first lower bound."""
 STEP_M = 1e-6
 """Step of the finite differences for the gradient of a distance [m]."""
 
 
 def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, Ints, float]:
-    """Mesh all of a shape's surface that can be nearest to a box.
+    """Mesh the part of a shape's surface that can be nearest to points in a box.
 
-    The lattice is refined until the triangles lie within 0.004 mm of the surface, or it has a
-    million points.
+    The lattice is refined until the distance of the triangles from the surface is at most 0.004 mm,
+    or the lattice has a million points.
 
     Parameters
     ----------
@@ -296,13 +303,14 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
     Returns
     -------
     vertices_m, faces, slack_m
-        Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth
-        below the surface [m]. Sharp convex edges, if any, determine this depth.
+        Vertices [m], shape (n, 3), triangles with outward normals, shape (m, 3), and the largest
+        depth of the triangles below the surface [m]. If there are sharp convex edges, they
+        determine this depth.
 
     Raises
     ------
     InputError
-        If the shape has no surface there.
+        If the shape has no surface in this region.
     """
     middle = 0.5 * (low_m + high_m)
     half = 0.5 * float(np.linalg.norm(high_m - low_m))
@@ -312,9 +320,9 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
         end = np.minimum(middle + half + reach, shape.upper_m)
         low, high = _around_surface(shape, start, end)
         nearest = _nearest(shape, low, high, middle)
-        # A point farther from the middle than its nearest point and the box together is nearest
-        # to no point of it. The distance of a shape may be a lower bound, so that the first reach
-        # may be too short.
+        # A surface point cannot be nearest to a point of the box if its distance from the middle of
+        # the box exceeds the distance of the nearest surface point plus the size of the box. The
+        # distance of a shape may be a lower bound, so the first reach may be too short.
         if half + nearest <= reach:
             break
         reach = min(half + nearest, 2.0 * reach)
@@ -332,16 +340,16 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
         slack = _slack(shape, vertices, faces[on_surface[faces].all(axis=1)])
         if slack <= WANTED_M or spacing <= finest:
             break
-        # The depth falls with the square of the spacing, except at sharp edges: a tenth is reserve,
-        # and one step refines by at most a factor of five.
+        # The depth is proportional to the square of the spacing, except at sharp edges. The spacing
+        # has a margin of a tenth, and one step refines it by at most a factor of five.
         spacing = max(spacing * max(0.9 * (WANTED_M / slack) ** 0.5, 0.2), finest)
     return vertices, faces, slack
 
 
 def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the corners of a box around the coarse lattice cells that may hold surface.
+    """Return the corners of a box around the coarse lattice cells that may contain surface.
 
-    If no cell does, the box is the whole lattice.
+    If there is no such cell, the box is the whole lattice.
     """
     if not (low < high).all():
         return low, high
@@ -353,7 +361,7 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
     near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
     if not len(near):
         return low, high
-    # Half a cell from centre to face, and a little for rounding.
+    # Half a cell from centre to face, plus a tolerance for rounding.
     return np.maximum(near.min(axis=0) - 0.51 * sides, low), np.minimum(
         near.max(axis=0) + 0.51 * sides, high
     )
@@ -362,7 +370,7 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
 def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
     """Compute the distance [m] of a point from the nearest vertex of a coarse surface in a box.
 
-    It is infinite if there is no vertex.
+    The distance is infinite if there is no vertex.
     """
     if not (low < high).all():
         return np.inf
@@ -373,11 +381,11 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, Ints, Flags]:
     """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
 
-    The other vertices lie where the lattice cuts the surface off.
+    The other vertices lie where the lattice cuts off the surface.
     """
     from skimage.measure import marching_cubes
 
-    # The lattice extends beyond the box on all sides, where the surface is then closed.
+    # The lattice extends outside the box on all sides, and the surface is closed there.
     first = low - 1.5 * spacing
     count = np.ceil((high - low) / spacing).astype(int) + 4
     grid = lattice(*map(np.arange, count)) * spacing + first
@@ -396,8 +404,8 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
 def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
     """Compute the largest depth of centres and edges of triangles below the surface [m].
 
-    Triangles outside the surface, in concave edges, make a distance too small, which is the safe
-    side.
+    In concave edges, triangles lie outside the surface. The distance is then too small, which is on
+    the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate(
@@ -409,7 +417,7 @@ def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
 def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
     """Compute the signed distance from the surface along the gradient [m] and the unit gradient.
 
-    The shape's value alone is only a bound.
+    The shape's value itself is only a bound of the distance.
     """
     value = np.asarray(shape.distance(points), dtype=np.float64)
     slope = np.empty_like(points)
@@ -418,6 +426,7 @@ def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
         slope[:, axis] = (shape.distance(points + step) - shape.distance(points - step)) / (
             2.0 * STEP_M
         )
-    # The slope is 1 or less; 0.05 bounds the step at creases, where differences may vanish.
+    # The slope is at most 1. The limit of 0.05 bounds the step at creases, where finite differences
+    # may be zero.
     steep = np.maximum(np.linalg.norm(slope, axis=1), 0.05)
     return value / steep, slope / steep[:, None]

@@ -1,1 +1,1 @@
-"""Triangle surfaces: files, repair, sites on them."""
+"""Triangle surfaces: reading, repair, and sites on surfaces."""

@@ -1,4 +1,4 @@
-"""Tree of boxes around the triangles of a surface, for searches of the nearest triangle."""
+"""Tree of boxes around the triangles of a surface, for fast searches of the nearest triangle."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,24 @@ from meshes.base.arrays import Array
 __all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
 
 LEAF = 4
-"""Triangles in a leaf, as `kernels.structure_distance` assumes."""
+"""Number of triangles in a leaf, the same as in `kernels.structure_distance`."""
 LONGEST_M = 0.5e-3
-"""Longest edge of a triangle near the box, where that gives at most `MOST` triangles [m]."""
+"""Longest edge of a triangle near the query box, unless more than `MOST` triangles result [m]."""
 BY_DISTANCE = 0.25
-"""Longest edge of a triangle over its distance from the box.
+"""Longest edge of a triangle, relative to its distance from the query box.
 
-Distances from a box around it then vary little, so that searches stop early.
+The distances from a box around the triangle then vary little, so searches stop early.
 """
 MOST = 2e5
-"""Triangles that cutting may add: 72 bytes each, and one more level of the tree per doubling."""
+"""Largest number of triangles after cutting.
+
+A triangle takes 72 bytes, and twice as many triangles add one level to the tree.
+"""
 _GRID = 1024
-"""Cells of the Morton curve along each axis, 10 bits; three axes fit one integer."""
+"""Number of cells of the Morton curve along each axis.
+
+With 10 bits per axis, three axes fit in an integer.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +38,12 @@ class BoxTree:
     ----------
     centres_m, halves_m
         Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3).
-        Half sides are -1 where there are no triangles.
+        The half sides are -1 if there are no triangles.
     corners_m
-        Corners of the triangles in the order of the leaves, `LEAF` a leaf [m], shape (triangles, 3,
-        3).
+        Corners of the triangles in the order of the leaves, `LEAF` triangles per leaf [m], shape
+        (triangles, 3, 3).
     first_leaf
-        Number of the first node that is a leaf.
+        Index of the first leaf node.
     """
 
     centres_m: Array
@@ -47,7 +53,7 @@ class BoxTree:
 
 
 def box_tree(corners_m: Array) -> BoxTree:
-    """Build a tree around triangles, corners of shape (n, 3, 3) [m]."""
+    """Build a tree around triangles, given by their corners [m], shape (n, 3, 3)."""
     corners = _in_order(corners_m)
     leaves = 1 << max(int(np.ceil(np.log2(-(-len(corners) // LEAF)))), 0)
     padded = np.full((leaves * LEAF, 3, 3), np.nan)
@@ -69,17 +75,17 @@ def box_tree(corners_m: Array) -> BoxTree:
 
 
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
-    """Halve triangles across their longest edge until none is long.
+    """Bisect triangles across their longest edge until no edge is too long.
 
-    The boxes around them are then small.
+    The boxes around the triangles are then small.
 
     Parameters
     ----------
     corners_m
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
-        Lowest and highest corner of the box of the query points [m], shape (2, 3); triangles far
-        from it may be longer. None for everywhere.
+        Lowest and highest corner of the box of the query points [m], shape (2, 3). Triangles far
+        from this box may be longer. None: query points may be anywhere.
     """
     corners = corners_m
     box = box_m
@@ -97,12 +103,13 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
             rest = _halves(rest[long], edges[long].argmax(axis=1))
         if not len(rest):
             return np.concatenate(done)
-        # Too many triangles: longer ones are allowed, four times fewer.
+        # There are too many triangles. Allow edges of twice the length, which gives a fourth of the
+        # triangles.
         longest_m *= 2.0
 
 
 def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
-    """Halve each triangle across the edge that starts at its corner `longest`."""
+    """Bisect each triangle across the edge that starts at its corner `longest`."""
     turned = np.take_along_axis(
         corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1
     )
@@ -125,7 +132,7 @@ def _in_order(corners: Array) -> Array:
     """Sort triangles along a Morton curve, so that neighbours share a leaf."""
     centres = corners.mean(axis=1)
     low = centres.min(axis=0)
-    # A single triangle has no extent; it lies in cell 0 of any size.
+    # For a single triangle, the extent is zero. It lies in cell 0 for any cell size.
     size = float(np.ptp(centres, axis=0).max()) or 1.0
     cells = np.minimum((centres - low) / size * _GRID, _GRID - 1).astype(np.int64)
     code = np.zeros(len(cells), dtype=np.int64)

@@ -1,9 +1,9 @@
-"""Procedural glenoid with a concave pear-shaped face, and bone from a surface file.
+"""Procedural glenoid with a concave pear-shaped face, and anatomy of a bone surface.
 
 The glenoid has a subchondral plate, a cortical wall and a graded trabecular vault.
 
-Sources, R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not
-modelled: the face is the bony face that a reamer cuts after the cartilage has gone.
+Sources: R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not
+modelled. The face is the bony face that a reamer cuts after the cartilage has been removed.
 
 ========================  ==================  =====================================================================
 width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
@@ -40,14 +40,17 @@ Thickness = Callable[[Floats, Floats], Floats]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
-"""Thinnest and thickest plate of the six glenoids (Frich)."""
+"""Smallest and largest plate thickness of the six glenoids (Frich)."""
 _VAULT_BASE_BLEND_M = 4e-3
-"""Width over which walls and base of the vault are blended; a tool does not reach there."""
+"""Width over which walls and base of the vault are blended. Tools do not reach this region."""
 
 
 @dataclass(frozen=True)
 class _Pear:
-    """Two circles and their common tangents in the x-y plane, centred on the bounding box [m]."""
+    """Outline of two circles and their common tangents in the x-y plane [m].
+
+    The origin is the centre of the bounding box.
+    """
 
     lower_radius: float
     upper_radius: float
@@ -62,10 +65,10 @@ class _Pear:
     def half_width(self, y: float) -> float:
         """Compute the half width [m] at the height y [m].
 
-        It holds for y above the lower circle's widest point.
+        The formula is valid for y above the widest point of the lower circle.
         """
         cosine = math.sqrt(1.0 - self.sine**2)
-        # The common tangent of both circles, up to its point on the upper one.
+        # The common tangent of the two circles, up to the point where it touches the upper circle.
         if y <= self.upper_y + self.upper_radius * self.sine:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
@@ -90,17 +93,17 @@ class _Pear:
 def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
     """Build a pear-shaped outline of the given width and height [m].
 
-    Its upper half is `upper_width_ratio` as wide at its middle as the full width.
+    At the middle of the upper half, the width is `upper_width_ratio` times the full width.
 
-    The half width there grows with the upper circle's radius, which is found by bisection.
+    This width increases with the radius of the upper circle. The radius is found by bisection.
     """
     lower = 0.5 * width
 
     def outline(upper: float) -> _Pear:
         return _Pear(lower, upper, lower - 0.5 * height, 0.5 * height - upper)
 
-    # An upper circle of this radius gives a ratio of 0.56 for the usual face, below the range. 50
-    # halvings end at rounding.
+    # Lower bound of the radius. It gives a ratio of 0.56 for the usual face, less than the allowed
+    # range. 50 halvings reduce the interval to rounding errors.
     narrow = 0.3 * lower
     wide = lower
     for _ in range(50):
@@ -117,7 +120,8 @@ def _plate_thickness(
 ) -> Floats:
     """Compute the thickness of the subchondral plate [m], 1.2-2.9 mm.
 
-    It is larger anterior and posterior, and smaller superior and inferior.
+    The plate is thicker at the anterior and posterior sides, and thinner at the superior and
+    inferior sides.
     """
     pattern = np.clip((x / half_width) ** 2 - (y / half_height) ** 2, -1.0, 1.0)
     return np.clip(mean * (1.0 + variation * pattern), *_PLATE_RANGE_M)
@@ -132,15 +136,15 @@ class GlenoidSizes(Ranged):
     width_mm, height_mm
         Antero-posterior and supero-inferior size of the face, rim to rim [mm].
     upper_width_ratio
-        Width half way up the upper half relative to the full width.
+        Width at the middle of the upper half, relative to the full width.
     curvature_radius_mm
-        Radius of the spherical concavity [mm], above half the height.
+        Radius of the spherical concavity [mm], larger than half the height.
     subchondral_thickness_mm, subchondral_variation
-        Mean plate thickness over the face [mm] and its relative swing. The thickness is held within
-        1.2 to 2.9 mm.
+        Mean plate thickness of the face [mm], and relative amplitude of its variation. The
+        thickness is limited to 1.2 to 2.9 mm.
     vault_depth_mm, vault_taper_deg
-        Depth of the vault below the face's centre [mm], and the angle [degrees] by which its walls
-        lean inward below that level.
+        Depth of the vault below the face's centre [mm], and angle [degrees] by which its walls are
+        inclined inward below the centre.
     cortical_wall_mm
         Thickness of the cortical wall around the vault [mm].
     rim_blend_mm
@@ -148,8 +152,8 @@ class GlenoidSizes(Ranged):
     cortical_density_kg_m3, subchondral_density_kg_m3
         Apparent densities [kg/m3].
     trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
-        Apparent density deep in the vault and just below the plate [kg/m3]. The difference falls
-        exponentially over 5 mm.
+        Apparent densities deep in the vault and directly below the plate [kg/m3]. With depth, the
+        density decreases exponentially, with a decay length of 5 mm.
     """
 
     width_mm: float = ranged(27.8, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)")
@@ -171,7 +175,8 @@ class GlenoidSizes(Ranged):
 def glenoid(**sizes: float) -> Anatomy:
     """Build a glenoid in the site frame.
 
-    The origin is on the bone at the face's centre; x is anterior, y superior, z outward (lateral).
+    The origin is on the bone at the centre of the face. x is anterior, y superior, and z outward
+    (lateral).
 
     Parameters
     ----------
@@ -216,7 +221,7 @@ def glenoid(**sizes: float) -> Anatomy:
 
 
 def _require_fit(width: float, height: float, depth: float, taper: float, radius: float) -> None:
-    """Raise for combinations of sizes that close the vault or cut the face off."""
+    """Raise an error for combinations of sizes that close the vault or cut off the face."""
     if radius <= 0.5 * height:
         raise InputError(
             "curvature_radius_mm",
@@ -224,8 +229,9 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
             f"{1e3 * radius:g}",
             "use 35",
         )
-    # Closer to a circle, the half width no longer grows with the upper radius, and the bisection of
-    # `_pear` fails: at 1.02 it ends at its lower bound for any ratio.
+    # If the face is closer to a circle, the half width does not increase with the upper radius, and
+    # the bisection of `_pear` fails. For a ratio of height to width of 1.02, the bisection ends at
+    # its lower bound for any width ratio.
     if height < 1.1 * width:
         raise InputError(
             "height_mm",
@@ -233,7 +239,7 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
             f"{1e3 * height:g}",
             "use 37.5 with 27.8",
         )
-    # The walls meet at 0.5; at least a tenth of the width stays open.
+    # At 0.5, the walls would meet. At least a tenth of the width must stay open.
     if depth * math.tan(taper) > 0.45 * width:
         raise InputError(
             "vault_taper_deg",
@@ -246,8 +252,8 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
     """Build the outer surface.
 
-    It is the outline extruded, leaning inward below z = 0, dished by a sphere, and cut off at the
-    base.
+    The surface is the extruded outline. Below z = 0 it is inclined inward, its top is made concave
+    by a sphere, and it is cut off at the base.
     """
     sine = math.sin(taper)
     cosine = math.cos(taper)
@@ -273,18 +279,21 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
 
 
 def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
-    """Classify by depth below the dished face, then by depth below the outer surface."""
+    """Return a function that classifies points by depth.
+
+    The depths below the concave face and below the outer surface are used.
+    """
     wall = 1e-3 * sizes.cortical_wall_mm
     deep = sizes.trabecular_density_kg_m3
     below_plate = sizes.trabecular_density_below_plate_kg_m3
     dense = sizes.subchondral_density_kg_m3
     cortical = sizes.cortical_density_kg_m3
-    decay = 5e-3  # length over which density falls below the plate [m], see the table above
+    decay = 5e-3  # decay length of the density below the plate [m], see above
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
 
-        The depths below the surface are in m.
+        The depths below the surface have the unit m.
         """
         x = points[:, 0]
         y = points[:, 1]
@@ -313,15 +322,15 @@ def surface_anatomy(
 ) -> Anatomy:
     """Build the anatomy of a bone surface in the site frame.
 
-    It is a cortical shell of even thickness over trabecular bone. A surface holds no information on
-    the inside: thickness and densities are assumptions, recorded in the notes. The default
-    thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids, Frich). Densities are
-    as in `meshes.surfaces.glenoid`.
+    The bone consists of a cortical shell with constant thickness, and trabecular bone inside. A
+    surface contains no information about the interior, so thickness and densities are assumptions.
+    They are recorded in the notes. The default thickness is the mean of the subchondral plate
+    (1.2-2.9 mm, six glenoids, Frich). The default densities are those of `glenoid`.
 
     Parameters
     ----------
     cortical_thickness_mm
-        Thickness of the shell [mm], 0 (none) to 10.
+        Thickness of the shell [mm], 0 (no shell) to 10.
     cortical_density_kg_m3, trabecular_density_kg_m3
         Apparent densities [kg/m3], 50 to 2500.
 
@@ -331,7 +340,7 @@ def surface_anatomy(
         If a parameter is not finite or out of range.
     """
     thickness, dense, sparse = require_ranges(
-        # Wide ranges: they refuse values in metres and in g/cm3.
+        # The ranges are wide. They exclude values in metres and in g/cm3.
         ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9"),
         ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),

@@ -1,6 +1,6 @@
-"""Search for a landmark on a bone surface: glenoid, femoral or humeral head, pedicle of a vertebra.
+"""Search for landmarks on bone surfaces: glenoid, femoral or humeral head, pedicle of a vertebra.
 
-Searches do not depend on the position and orientation of the bone. All lengths are in metres.
+The searches do not depend on the position and orientation of the bone. All lengths are in metres.
 """
 
 from collections.abc import Sequence
@@ -28,35 +28,38 @@ __all__ = ["SITE_KINDS", "FoundSite", "find_glenoid", "find_site"]
 
 # Glenoid. Sizes follow the adult face, 24 to 30 x 33 to 38 mm (`meshes.surfaces.glenoid`).
 #
-# Tuned on two real scapulae. Each constant of score and face was changed by a fifth to a half: the
-# centre found stays within 0.1 mm. Three changes lose one of the two scapulae: 4000 samples in
-# place of 8000, half of `_THICK`, and 3 or 8 mm in place of the 5 mm in which thickness is sought.
-_DISC = 10e-3  # radius of the disc that the face covers: inside the narrowest adult face
-_RING = 20e-3  # radius beyond which the surface falls off: outside the longest adult face
-_REACH = 26e-3  # largest distance of samples that count: half of the largest length, and 2 mm
-_THICK = (6e-3, 18e-3)  # thickness of bone with the factors 0 and 1: blade, neck of the scapula
+# The constants were tuned on two real scapulae. If a constant of the score or of the face is
+# changed by a fifth to a half, the centre changes by at most 0.1 mm. With three changes, the
+# glenoid of one of the two scapulae is not found: 4000 instead of 8000 samples, half of `_THICK`,
+# and a range of 3 or 8 mm instead of 5 mm in the search for the thickness.
+_DISC = 10e-3  # radius of the disc that the face must cover, within the narrowest adult face
+_RING = 20e-3  # radius beyond which the surface must fall off, outside the longest adult face
+_REACH = 26e-3  # largest distance of samples that are used: half of the largest length, plus 2 mm
+_THICK = (6e-3, 18e-3)  # bone thickness with the factors 0 (blade) and 1 (neck of the scapula)
 _CONVEX = 6.0  # curvature at which the score is halved [1/m]
-_SECTORS = 24  # sectors of 15 degrees around the disc
-# the adult range widened by a fifth to a quarter at both ends
+_SECTORS = 24  # number of sectors (15 degrees) around the disc
+# adult range, extended by a fifth to a quarter at each end
 _WIDTH = (18e-3, 36e-3)
 _LENGTH = (26e-3, 48e-3)
-# smallest ratio of length to width: glenoids have 1.2 to 1.5, the end of a round shaft 1
+# smallest ratio of length to width; glenoids have 1.2 to 1.5, the end of a round shaft has 1
 _ELONGATED = 1.1
 # Joint heads. Diameters: femur 36 to 58 mm (Unnanuntana 2010), humerus 37 to 57 mm (Hertel 2002).
 _RADII = np.arange(18e-3, 32.5e-3, 1e-3)
-# Tuned on two real femurs and a synthetic femur and humerus. Changes of each constant of this
-# search by a fifth to a factor of two move the site by at most 0.5 mm and 1.4 degrees.
+# The constants were tuned on two real femurs, a synthetic femur and a synthetic humerus. If a
+# constant of this search is changed by a fifth to a factor of two, the site changes by at most 0.5
+# mm and 1.4 degrees.
 _CELL = 4e-3  # edge of the cells in which votes for a centre are counted
-_OFF = 0.03  # largest distance of a sample from the sphere over its radius: 0.7 mm at 24 mm
-_DIRECTIONS = 600  # even directions on the sphere, 8 degrees apart
-_ALIKE = 0.85  # ratio of the second score to the best from which two places are alike
+_OFF = 0.03  # largest distance of a sample from the sphere / radius: 0.7 mm at 24 mm
+_DIRECTIONS = 600  # number of even directions on the sphere, 8 degrees apart
+_ALIKE = 0.85  # ratio of second to best score above which the result is ambiguous
 
 
 @dataclass(frozen=True)
 class _Head:
-    """Joint head: name, range of sphere coverage, and whether it has a neck.
+    """Joint head: name, range of sphere coverage, and whether the head has a neck.
 
-    The range holds the coverages at which the score is 0 and 1, and the largest coverage.
+    Coverage is the share of the sphere that bone surface covers. The range consists of the
+    coverages at which the score is 0 and 1, and the largest coverage.
     """
 
     name: str
@@ -66,14 +69,14 @@ class _Head:
     neck: bool
 
 
-# Measured coverage: heads of two femurs 0.76 and 0.77, of four humeri 0.46 to 0.56; other bone
-# parts at most 0.32.
+# Measured coverages are 0.76 and 0.77 for the heads of two femurs, and 0.46 to 0.56 for four
+# humeri. Other parts of bones have at most 0.32.
 _HEADS = {
     "femoral-head": _Head("femoral head", 0.60, 0.75, 0.96, neck=True),
     "humeral-head": _Head("humeral head", 0.34, 0.42, 0.66, neck=False),
 }
 SITE_KINDS = ("glenoid", *_HEADS, *VERTEBRA)
-"""Kinds of sites that `find_site` finds."""
+"""Kinds of sites that `find_site` can find."""
 
 
 def find_site(kind: str, surface: Surface) -> FoundSite:
@@ -82,17 +85,18 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     Parameters
     ----------
     kind
-        ``glenoid``: middle of the socket of a scapula, z outward, y superior. ``femoral-head``,
-        ``humeral-head``: exit of the axis of the neck or of the articular cap. ``vertebra:left``,
-        ``vertebra:right``: posterior exit of the axis of that pedicle, z outward along it, y up;
-        ``vertebra``: of the wider pedicle.
+        ``glenoid``: centre of the socket of a scapula, z outward, y superior. ``femoral-head``,
+        ``humeral-head``: point at which the axis of the neck or of the articular cap leaves the
+        bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the axis of this
+        pedicle leaves the bone, z outward along the axis, y up. ``vertebra``: the same for the
+        wider pedicle.
     surface
-        One bone alone.
+        Surface of a single bone.
 
     Raises
     ------
     InputError
-        If the kind is unknown, or the surface shows no such landmark or two equal ones.
+        If the kind is unknown, or the surface has no such landmark or two equally good ones.
     """
     if kind == "glenoid":
         return _search_glenoid(surface, None)
@@ -118,15 +122,15 @@ def find_glenoid(
     surface
         Scapula.
     centre_mm
-        Centre [mm] in the frame of the file after scaling, moved along the normal onto the surface.
-        None: searched.
+        Centre [mm] in the frame of the file after scaling. It is moved along the normal onto the
+        surface. None: the centre is searched.
     along
-        Direction that becomes x, projected onto the face, any length. None: y is superior.
+        Direction of x, of any length. It is projected onto the face. None: y is superior.
 
     Raises
     ------
     InputError
-        If no glenoid is found, the centre is off the surface, or `along` is normal to the face.
+        If no glenoid is found, the centre is not on the surface, or `along` is normal to the face.
     """
     if centre_mm is None:
         return _search_glenoid(surface, along).site
@@ -140,18 +144,19 @@ def find_glenoid(
 
 
 def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSite:
-    """Score samples by the disc around them, and extend the best one to its rim."""
+    """Score samples by the disc around each sample, and find the face around the best sample."""
     from scipy.spatial import cKDTree
 
-    # With 4000 samples a real scapula is refused, with 16,000 nothing changes. Every fifth sample
-    # is scored, one in 4 mm on a scapula, within the disc.
+    # With 4000 samples, a real scapula is not accepted. With 16,000 samples, the results do not
+    # change. Every fifth sample is scored. On a scapula, scored samples are 4 mm apart, less than
+    # the radius of the disc.
     samples = sample_surface(*surface.scanned, 8000)
     points = samples.points[::5]
     near = cKDTree(samples.points).query_ball_point(points, _REACH)
     seeds = [_glenoid_score(samples, 5 * k, np.array(each)) for k, each in enumerate(near)]
     scores = np.array([score for _, score in seeds])
     best = int(np.argmax(scores))
-    # 30 mm: a face's length, so that the second best place is another one.
+    # 30 mm is the length of a face, so the second-best place is a different place.
     apart = np.where(np.linalg.norm(points - points[best], axis=1) > 30e-3, scores, 0.0)
     second = int(np.argmax(apart))
     centre, axes, (length, width), curvature = _face(
@@ -164,13 +169,13 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
         and length > _ELONGATED * width
     )
     score = float(scores[best])
-    # Real glenoids score 0.67 and 1.00; balls, boxes and shafts are refused.
+    # Two real glenoids have scores of 0.67 and 1.00. Balls, boxes and shafts are not accepted.
     if score < 0.25 or not plausible:
         raise refusal(
             surface, "glenoid of about 28 x 37 mm", f"a face of {size} (score {score:.2f}) at best"
         )
     shape = "flat"
-    # A radius above 200 mm is flat: its sagitta over half the face is below 1 mm.
+    # A radius above 200 mm counts as flat, because the sagitta over half the face is below 1 mm.
     if abs(curvature) >= 5.0:
         shape = (
             f"{'concave' if curvature > 0.0 else 'convex'}, radius {1e3 / abs(curvature):.0f} mm"
@@ -183,31 +188,32 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 
 
 def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Array, float]:
-    """Compute the smoothed normal at a sample, and the likeness to a glenoid, 0 to 1.
+    """Compute the smoothed normal and the similarity to a glenoid, 0 to 1, at a sample.
 
-    The likeness is of the surface around the sample.
+    The similarity describes the surface around the sample.
 
-    The likeness is high where surface that faces one direction covers a disc of 10 mm radius, the
-    surface falls off beyond 20 mm, the bone behind is thick, and the disc is not convex.
+    The similarity is high if surface with similar normals covers a disc with a radius of 10 mm, the
+    surface falls off beyond 20 mm, the bone behind the disc is thick, and the disc is not convex.
     """
     offset = samples.points[near] - samples.points[number]
     normals = samples.normals[near]
-    # The normal is a mean over a disc, because normals of voxels and small triangles scatter.
-    # Samples that face 60 degrees off lie on another side of the bone.
+    # The normal is a mean over a disc, because the normals of voxel surfaces and small triangles
+    # vary. Samples whose normals differ by 60 degrees lie on another side of the bone.
     close = (np.linalg.norm(offset, axis=1) < 9e-3) & (normals @ samples.normals[number] > 0.5)
     normal = normals[close].sum(axis=0)
     normal /= np.linalg.norm(normal)
     height = offset @ normal
     radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
     facing = normals @ normal
-    # within 53 degrees and 6 mm: the socket's hollow and rim, without the neck behind
+    # within 53 degrees and 6 mm: the hollow and the rim of the socket, without the neck behind it
     level = (facing > 0.6) & (np.abs(height) < 6e-3)
     covered = samples.area * np.count_nonzero(level & (radial < _DISC)) / (np.pi * _DISC**2)
-    # Surface right behind that faces backwards. 1.5 mm excludes the other side of a thin rim.
+    # Surface directly behind the sample that faces backwards. The limit of 1.5 mm excludes the
+    # other side of a thin rim.
     behind = height[(facing < 0.0) & (radial < 5e-3) & (height < -1.5e-3)]
     thickness = -behind.max(initial=-_REACH)
     thick = np.clip((thickness - _THICK[0]) / (_THICK[1] - _THICK[0]), 0.0, 1.0)
-    # A face covers the disc: limits of 0.5 and 0.85 give the same sites.
+    # A face covers the disc. With limits of 0.5 and 0.85, the sites are the same.
     if covered < 0.7 or thick == 0.0:
         return normal, 0.0
     u, v = across(normal)
@@ -216,10 +222,11 @@ def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Ar
     filled, _ = np.histogram(
         np.arctan2(around @ v, around @ u), bins=_SECTORS, range=(-np.pi, np.pi)
     )
-    # 0 at 40 % of free sectors and 1 at 80 %: other parts of the scapula fill the rest.
+    # The factor is 0 for 40 % of free sectors and 1 for 80 %. Other parts of the scapula occupy the
+    # remaining sectors.
     free = np.clip(2.5 * np.mean(filled == 0) - 1.0, 0.0, 1.0)
-    # A concave disc is not penalised. The fit reaches a little beyond the disc, over which the
-    # curvature shows.
+    # A concave disc is not penalised. The fit extends slightly beyond the disc, because the
+    # curvature is not visible in a smaller area.
     convexity = max(-_curvature(offset[level & (radial < 1.3 * _DISC)], normal), 0.0)
     return normal, float(min(covered, 1.0) * free * thick / (1.0 + (convexity / _CONVEX) ** 2))
 
@@ -227,44 +234,45 @@ def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Ar
 def _curvature(offset: Array, normal: Array) -> float:
     """Compute the curvature [1/m] of the paraboloid fitted to points around the origin.
 
-    It is positive where concave.
+    The curvature is positive if the surface is concave.
     """
     height = offset @ normal
     radial = offset - height[:, None] * normal
     terms = np.column_stack([np.ones(len(offset)), radial, 0.5 * (radial**2).sum(axis=1)])
-    # The coefficients are height, slope (three) and curvature.
+    # The coefficients are the height, three slopes and the curvature.
     return float(np.linalg.lstsq(terms, height, rcond=None)[0][4])
 
 
 def _face(
     samples: SurfaceSamples, centre: Array, normal: Array
 ) -> tuple[Array, Array, Array, float]:
-    """Find the articular face around a start.
+    """Find the articular face around a starting point.
 
-    Return its centre, axes as rows (long, short, outward), two sides and curvature.
+    Return the centre of the face, its axes as rows (long, short, outward), its two side lengths and
+    its curvature.
 
-    The face is the connected region within 32 degrees of the normal of the plane through it. On two
-    scapulae and a synthetic one, limits of 25 to 37 degrees leave the centre within 2 mm; larger
-    limits leak into the coracoid.
+    The face is the connected region whose normals are within 32 degrees of the normal of its mean
+    plane. On two real scapulae and a synthetic scapula, limits of 25 to 37 degrees change the
+    centre by at most 2 mm. With larger limits, the region extends into the coracoid.
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # Centre and normal settle within 4 turns, to 0.1 mm.
+    # Centre and normal converge to 0.1 mm in 4 iterations.
     for _ in range(8):
         offset = samples.points - centre
         height = offset @ normal
         radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
         chosen = np.flatnonzero(
-            # 0.85 is cos 32 degrees. 5 and 12 mm in place of 8 give the same face.
+            # 0.85 is cos 32 degrees. With 5 and 12 mm instead of 8 mm, the face is the same.
             (samples.normals @ normal > 0.85) & (np.abs(height) < 8e-3) & (radial < _REACH)
         )
-        # Too few samples for a plane and its sides: sides of 0 are never plausible.
+        # There are too few samples for a plane and its sides. Sides of 0 are never plausible.
         if len(chosen) < 30:
             return centre, np.stack([*across(normal), normal]), np.zeros(2), 0.0
         tree = cKDTree(samples.points[chosen])
-        # 2 mm links neighbours, 0.9 mm apart on a scapula. 1.4 and 3 mm give the same centre within
-        # 0.1 mm.
+        # A distance of 2 mm connects neighbouring samples, which are 0.9 mm apart on a scapula.
+        # With 1.4 and 3 mm, the centre differs by at most 0.1 mm.
         _, label = connected_components(tree.sparse_distance_matrix(tree, 2e-3))
         face = samples.points[chosen[label == label[np.argmin(radial[chosen])]]]
         middle = face.mean(axis=0)
@@ -273,8 +281,8 @@ def _face(
         along = (face - middle) @ axes.T
         box = 0.5 * (along.max(axis=0) + along.min(axis=0))
         centre = middle + box[:2] @ axes[:2]
-    # The middle of the box may lie above a hollow face: the mean height of some samples there
-    # brings it to the surface.
+    # The middle of the box may lie above a hollow face. The mean height of nearby samples moves it
+    # to the surface.
     nearest = np.argsort(np.linalg.norm(along[:, :2] - box[:2], axis=1))[:8]
     centre = centre + normal * float(along[nearest, 2].mean())
     sides = np.ptp(along, axis=0)[:2]
@@ -285,7 +293,7 @@ def _face(
 class _Cap:
     """Spherical cap: sphere, direction to its middle, coverage, RMS misfit and roundness.
 
-    The coverage is of the sphere; the roundness is of the cap's outline.
+    The coverage is the covered share of the sphere. The roundness describes the outline of the cap.
     """
 
     centre: Array
@@ -301,12 +309,13 @@ class _Cap:
 
 
 def _search_head(surface: Surface, kind: _Head) -> FoundSite:
-    """Find the spherical cap of 18 to 32 mm radius that covers most of its sphere."""
-    # 6000 and 24,000 samples move the site by at most 0.4 mm.
+    """Find the spherical cap with a radius of 18 to 32 mm that covers most of its sphere."""
+    # With 6000 and 24,000 samples, the site changes by at most 0.4 mm.
     samples = sample_surface(*surface.scanned, 12000)
     caps = sorted(_caps(samples), key=lambda cap: -cap.score(kind))
     scores = [cap.score(kind) for cap in caps]
-    # Real heads score 0.62; a score of 0.2 is a cap little above the coverage of other parts.
+    # Real heads have scores of 0.62. A score of 0.2 corresponds to a coverage slightly above that
+    # of other parts.
     if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.most:
         got = f"at most {max((cap.coverage for cap in caps), default=0.0):.0%}"
         what = (
@@ -315,7 +324,7 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
         )
         raise refusal(surface, what, got)
     best = caps[0]
-    # A cap whose centre is nearer than its radius is the same head, fitted again.
+    # A cap whose centre is closer than its radius is another fit of the same head.
     apart = [
         k for k, cap in enumerate(caps) if np.linalg.norm(cap.centre - best.centre) > best.radius
     ]
@@ -339,11 +348,15 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
-    """Fit caps from the centres and radii that most samples vote for along their normals."""
+    """Fit caps from the centres and radii with the most votes.
+
+    Samples vote for centres along their normals.
+    """
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree
 
-    # Normals of voxels and of few large triangles are steps: take the mean over 3 mm.
+    # The normals of voxel surfaces and of large triangles change in steps, so use their mean over 3
+    # mm.
     one, other = cKDTree(samples.points).query_pairs(3e-3, output_type="ndarray").T
     facing = (samples.normals[one] * samples.normals[other]).sum(axis=1) > 0.0
     count = len(samples.points)
@@ -354,15 +367,15 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     votes = (samples.points[:, None] - _RADII[:, None] * normals[:, None]).reshape(-1, 3)
     radius = np.tile(_RADII, count)
-    # Votes of two neighbouring radii count together, because their centres are 1 mm apart.
+    # The votes of two neighbouring radii are added, because their centres are 1 mm apart.
     level = np.tile(np.arange(len(_RADII)) // 2, count)
     place = np.floor((votes - votes.min(axis=0)) / _CELL).astype(np.int64)
     shape = (*(place.max(axis=0) + 1).tolist(), len(_RADII))
     _, cell, counts = np.unique(
         np.ravel_multi_index((*place.T, level), shape), return_inverse=True, return_counts=True
     )
-    # Cells with many votes lie next to each other: every tenth of the best 400 gives other starts.
-    # With every tenth of 100, the same caps are found.
+    # Cells with many votes lie next to each other, so every tenth of the best 400 cells is used.
+    # With every tenth of the best 100 cells, the same caps are found.
     starts = np.argsort(-counts, kind="stable")[:400:10]
     fitted = [
         _fitted(samples.points, normals, votes[cell == k].mean(axis=0), radius[cell == k].mean())
@@ -374,26 +387,27 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
 def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap | None:
     """Fit a sphere to the samples that lie on it and face outward.
 
-    Return None if it leaves the range of radii.
+    Return None if the radius is outside its range.
     """
     from scipy.spatial import cKDTree
 
-    # 8 turns give the same spheres. The band around the sphere narrows from 12 % to 3 % of the
-    # radius over the first five turns, because a start is the mean of a cell of 4 mm.
+    # With 8 iterations, the spheres are the same. In the first five iterations, the tolerance
+    # around the sphere decreases from 12 % to 3 % of the radius, because a start is only the mean
+    # of a cell of 4 mm.
     for turn in range(15):
         offset = points - centre
         distance = np.linalg.norm(offset, axis=1)
-        # 0.93 is cos 22 degrees: neighbouring surfaces, such as the neck, face another direction.
+        # 0.93 is cos 22 degrees. Neighbouring surfaces, such as the neck, have other normals.
         facing = (normals * offset).sum(axis=1) > 0.93 * distance
         on = facing & (np.abs(distance - radius) < max(_OFF, 0.12 - 0.02 * turn) * radius)
-        # Too few samples for a sphere; 10 and 100 give the same sites.
+        # There are too few samples for a sphere. With limits of 10 and 100, the sites are the same.
         if np.count_nonzero(on) < 30:
             return None
         terms = np.column_stack([2.0 * points[on], np.ones(np.count_nonzero(on))])
         solved = np.linalg.lstsq(terms, (points[on] ** 2).sum(axis=1), rcond=None)[0]
         centre = solved[:3]
         radius = float(np.sqrt(max(solved[3] + centre @ centre, 0.0)))
-        # 1 mm: the radius may leave the range during the iteration and return.
+        # 1 mm: during the iteration, the radius may be slightly outside its range.
         if not _RADII[0] - 1e-3 < radius < _RADII[-1] + 1e-3:
             return None
     if not _RADII[0] <= radius <= _RADII[-1]:
@@ -406,36 +420,39 @@ def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap
     total = covered.sum(axis=0)
     length = float(np.linalg.norm(total))
     share = len(covered) / _DIRECTIONS
-    # The mean direction of one round cap is 1 - share long.
-    # `max` and 1e-12 stand for caps without a covered direction, or with all of them.
+    # The mean direction of a single round cap has the length 1 - share. `max` and 1e-12 are for
+    # caps that cover no direction or all directions.
     compactness = min(length / max(len(covered) * (1.0 - share), 1.0), 1.0)
     misfit = float(np.sqrt(np.mean((distance - radius) ** 2)))
     return _Cap(centre, radius, total / max(length, 1e-12), share, misfit, compactness)
 
 
 def _neck_axis(samples: SurfaceSamples, cap: _Cap) -> Array:
-    """Return the direction from the middle of the neck to the centre.
+    """Return the direction from the middle of the neck to the centre of the head.
 
-    The neck is 1.1 to 1.5 radii below. Without a neck, return the cap's axis.
+    The neck lies 1.1 to 1.5 radii below the centre. If no neck is found, return the axis of the
+    cap.
     """
     axis = cap.axis
     offset = (samples.points - cap.centre) / cap.radius
-    # After 2 turns the axis is up to 9 degrees off, after 12 it moves by less than 2 degrees.
+    # After 2 iterations, the error of the axis is up to 9 degrees. With 12 iterations, the axis
+    # changes by less than 2 degrees.
     for _ in range(5):
         below = -(offset @ axis)
         radial = np.linalg.norm(offset + below[:, None] * axis, axis=1)
-        # The neck is narrower than the head. Limits of 1.0 and 1.4 turn
-        # the axis by up to 4.4 degrees.
+        # The neck is narrower than the head. With limits of 1.0 and 1.4, the axis changes by up to
+        # 4.4 degrees.
         neck = offset[(below > 1.1) & (below < 1.5) & (radial < 1.15)]
         u, v = across(axis)
-        # Sectors weigh all sides of the neck alike, whatever the density of its samples.
+        # With sectors, all sides of the neck have the same weight, independent of the density of
+        # samples.
         sector = np.floor(np.arctan2(neck @ v, neck @ u) / (2.0 * np.pi) * 12.0)
         ring = [neck[sector == each].mean(axis=0) for each in np.unique(sector)]
-        # A neck is a ring; the trochanter may hide one or two of the 12 sectors. Asking for all of
-        # them loses the neck of a real femur.
+        # A neck is a ring, but the trochanter may hide one or two of the 12 sectors. If all sectors
+        # were required, the neck of a real femur would not be found.
         if len(neck) < 30 or len(ring) < 10:
             return cap.axis
         middle = np.mean(ring, axis=0)
         axis = -middle / np.linalg.norm(middle)
-    # Beyond 37 degrees from the cap's axis the ring was not a neck.
+    # If the direction is more than 37 degrees from the cap's axis, the ring is not a neck.
     return axis if axis @ cap.axis > 0.8 else cap.axis

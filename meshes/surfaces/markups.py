@@ -1,8 +1,8 @@
-"""Points, lines, curves and planes that 3D Slicer saved.
+"""Reading of points, lines, curves and planes saved by 3D Slicer.
 
-They are markups ``.mrk.json`` and its older point lists ``.fcsv``.
+The files are markups ``.mrk.json`` and older point lists ``.fcsv``.
 
-All results are in LPS [mm], whether the file states LPS or RAS.
+All results are in LPS [mm], for files in LPS and in RAS.
 """
 
 import csv
@@ -25,28 +25,28 @@ from meshes.base.text_tables import (
 __all__ = ["TO_LPS", "Markup", "read_curve", "read_markups", "read_site"]
 
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
-"""Factors of x, y and z from each of the two frames of patients to LPS."""
+"""Factors of x, y and z that convert each of the two patient frames to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
-"""`TO_LPS`, with the frame numbers of files before version 4.11 of 3D Slicer."""
+"""`TO_LPS`, extended by the frame numbers in files of 3D Slicer before version 4.11."""
 _POINTS = "Fiducial"
 _CURVES = ("Line", "Curve", "ClosedCurve")
 
 
 @dataclass(frozen=True, eq=False)
 class Markup:
-    """One markup.
+    """Markup from a file.
 
     Attributes
     ----------
     kind
-        ``Fiducial`` (points), ``Line``, ``Curve``, ``ClosedCurve``, ``Plane`` or another word of
+        ``Fiducial`` (points), ``Line``, ``Curve``, ``ClosedCurve``, ``Plane`` or another word from
         the file.
     points_mm
-        Control points [mm, LPS], shape (n, 3); of a plane its origin alone.
+        Control points [mm, LPS], shape (n, 3). For a plane, the only point is its origin.
     labels
-        Their names.
+        Names of the control points.
     normal
-        Unit normal of a plane, LPS, shape (3,); None for all other kinds.
+        Unit normal of a plane in LPS, shape (3,); None for all other kinds.
     """
 
     kind: str
@@ -61,8 +61,8 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     Raises
     ------
     InputError
-        If the file is missing or of another kind, states neither LPS nor RAS or a unit that is not
-        mm, or a control point is undefined or is not three finite numbers.
+        If the file is missing or has another format, states another frame than LPS and RAS or
+        another unit than mm, or a control point is undefined or is not three finite numbers.
     """
     file = Path(path)
     require_file(file, "markups")
@@ -83,17 +83,18 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
 def read_site(path: str | Path) -> tuple[Array, Array | None]:
     """Read the site that a file marks.
 
-    It is marked by a plane's origin and normal, a line from the site inward, or one point.
+    The site is marked by the origin and normal of a plane, by a line from the site inward, or by
+    one point.
 
     Returns
     -------
-    Point [mm, LPS], shape (3,), and outward unit normal, LPS, shape (3,); None where the file holds
-    a point alone.
+    Point [mm, LPS], shape (3,), and outward unit normal in LPS, shape (3,). The normal is None if
+    the file only contains a point.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or marks no site or several.
+        If the file cannot be read, or does not mark exactly one site.
     """
     found = read_markups(path)
     chosen: list[Markup] = []
@@ -112,17 +113,18 @@ def read_site(path: str | Path) -> tuple[Array, Array | None]:
 
 
 def read_curve(path: str | Path) -> Array:
-    """Read the control points [mm, LPS], shape (n, 3), of a file's one curve.
+    """Read the control points [mm, LPS], shape (n, 3), of the only curve in a file.
 
-    Without a curve, they are the points of the file's one list, in their order.
+    If the file has no curve, the points of its only point list are returned, in their order.
 
-    3D Slicer draws a smooth curve through them; here they are joined by straight lines: resample it
-    there if they lie far apart. A closed curve ends at its first point.
+    3D Slicer draws a smooth curve through the points, but tissue joins them by straight lines. If
+    the points lie far apart, resample the curve in 3D Slicer. A closed curve ends at its first
+    point.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no curve or several.
+        If the file cannot be read, or does not contain exactly one curve.
     """
     found = read_markups(path)
     curves = [one for one in found if one.kind in _CURVES] or [
@@ -161,15 +163,15 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
 
 
 def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Path) -> Array:
-    """Return a normal of a plane, of any length.
+    """Return the normal of a plane. It may have any length.
 
-    It is the stated normal, else the third axis of its orientation, else the normal of three
-    points.
+    The normal is the stated normal, else the third axis of the plane's orientation, else the normal
+    of three points.
     """
     if record.get("normal") is not None:
         return frame * _three(record["normal"], "the normal", file)
     if record.get("orientation") is not None:
-        # row by row, axes in the columns
+        # stored row by row, with axes as columns
         numbers = np.asarray(record["orientation"], dtype=np.float64).reshape(-1)[2::3]
         return frame * _three(numbers, "the orientation", file)
     if len(points) == 3:
@@ -180,7 +182,7 @@ def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Pat
 def _point_list(text: str, file: Path) -> Markup:
     """Read the points of a .fcsv file.
 
-    If several files were joined to one, the file repeats their head.
+    If several files were joined, the file contains the header several times.
     """
     frame: Array | None = None
     columns: tuple[str, ...] = ("id", "x", "y", "z")
@@ -222,7 +224,8 @@ def _three(value: Any, what: str, file: Path) -> Array:
 def _unit(direction: Array, file: Path) -> Array:
     """Return the unit vector along a direction."""
     length = float(np.linalg.norm(direction))
-    # Far below the digits of a file in mm, so only rounding of zero is refused.
+    # The limit is far below the digits of a file in mm, so it only excludes rounding errors of
+    # zero.
     if length < 1e-9:
         raise _error("hold a normal or line with a length", "a normal or line of length 0", file)
     return direction / length

@@ -22,23 +22,24 @@ __all__ = ["VERTEBRA", "find_pedicle"]
 
 VERTEBRA = ("vertebra", "vertebra:left", "vertebra:right")
 _WHAT = "vertebra, whose canal is a hole between a body and two pedicles"
-# On the synthetic vertebra, a change of one constant of the search by a fifth to a factor of ten
-# moves a site by at most 1.1 mm and 8 degrees. On vertebrae of a CT with voxels of 3 mm, such
-# changes move it by up to 9 mm.
-# Pixel of a shadow and step of a section: half of the smallest accepted pedicle's diameter.
+# If a constant of the search is changed by a fifth to a factor of ten, the site on the synthetic
+# vertebra changes by at most 1.1 mm and 8 degrees. On vertebrae of a CT with voxels of 3 mm, the
+# site changes by up to 9 mm. Pixel size of a shadow (projection), and distance between sections. It
+# is half of the diameter of the smallest accepted pedicle.
 _PIXEL = 1e-3
 _STEP = 1e-3
-# Canals have 150 to 450 mm2; 50 to 90 % of that is seen through 17 real vertebrae.
+# Canals have 150 to 450 mm2. In projections of 17 real vertebrae, 50 to 90 % of this area is open.
 _CANAL_AREA = (40e-6, 900e-6)
-# Points of the axis [m]: from 4 mm behind the narrowest section to 14 mm in front, in the body.
+# Points of the axis [m], from 4 mm behind the narrowest section to 14 mm in front of it, in the
+# body.
 _ALONG = np.arange(-4e-3, 14.5e-3, 1e-3)
 _PEDICLE_RADIUS = (1.2e-3, 11e-3)  # pedicles are 4.5 to 18 mm wide (Zindrick 1987)
-_RISING = 3.5e-3  # pedicle height over the middle of the body: 5.7 to 12 mm in 17 vertebrae
+_RISING = 3.5e-3  # height of the pedicle above the middle of the body: 5.7 to 12 mm in 17 vertebrae
 
 
 @dataclass(frozen=True, eq=False)
 class _Hole:
-    """Hole in the shadow of a bone: viewing direction, point on the hole's axis, and area."""
+    """Hole in the projection of a bone: viewing direction, point on the hole's axis, and area."""
 
     axis: Array
     point: Array
@@ -47,9 +48,9 @@ class _Hole:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Directions of a vertebra as columns (left, forward, up) and a point in its canal.
+    """Directions of a vertebra as columns (left, forward, up), and a point in the canal.
 
-    The point is at the height of the body.
+    The point lies at the height of the body.
     """
 
     axes: Array
@@ -57,12 +58,12 @@ class _Frame:
 
 
 def find_pedicle(surface: Surface, kind: str) -> FoundSite:
-    """Find the canal and the bridge of bone on each side of it.
+    """Find the canal of a vertebra, and the site at one of the pedicles next to the canal.
 
-    The canal is the largest hole seen through the bone.
+    The canal is the largest hole in a projection of the bone.
     """
-    # Vertebrae are shorter than 130 mm. 7000 and 30,000 samples in place of 15,000 move the site by
-    # at most 0.5 mm.
+    # Vertebrae are shorter than 130 mm. With 7000 and 30,000 instead of 15,000 samples, the site
+    # changes by at most 0.5 mm.
     longest = max(surface.report.size_mm)
     points = _inner_points(surface)
     canal = (
@@ -83,7 +84,7 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
     other = "right" if side == "left" else "left"
     site, radius = found[side]
     second, second_radius = found[other]
-    # Scores fall for canals below 60 mm2 and for pedicles with less than 6 mm of bone.
+    # The score decreases for canals below 60 mm2 and for pedicles with less than 6 mm of bone.
     certain = min(canal.area / 60e-6, 1.0)
     score = certain * min(radius / 3e-3, 1.0)
     note = (
@@ -98,31 +99,30 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
 
 
 def _inner_points(surface: Surface) -> Array:
-    """Return points of a grid of 2 mm inside the bone, shape (n, 3)."""
+    """Return points of a 2 mm grid inside the bone, shape (n, 3)."""
     low = surface.vertices_m.min(axis=0)
     high = surface.vertices_m.max(axis=0)
-    # A hundred steps bound the number of points. 1.5 and 3 mm in place of 2 mm give the same site
-    # within 0.5 mm.
+    # The limit of a hundred steps bounds the number of points. With 1.5 and 3 mm instead of 2 mm,
+    # the site changes by at most 0.5 mm.
     axes = [np.arange(a, b, max(2e-3, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
     grid = lattice(*axes)
     return grid[inside_scattered(surface.vertices_m, surface.faces, grid)]
 
 
 def _canal(points: Array) -> _Hole | None:
-    """Return the largest hole of plausible size seen through a bone, or None.
+    """Return the largest hole of plausible size in projections of a bone, or None.
 
-    It is seen along the mean of the directions that show it.
+    The direction of the hole is the mean of the directions in which it is open.
     """
-    # 300 directions on a half sphere are 8 degrees apart: a canal is seen through in a cone that
-    # wide.
+    # 300 directions on a half sphere are 8 degrees apart. A canal is open in a cone of this width.
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
     views = [view for view in views if 0.0 < view.area < _CANAL_AREA[1]]
     if not views:
         return None
     best = max(views, key=lambda view: view.area)
-    # Take the mean of the directions in which the hole is nearly as large: the largest one leans to
-    # a side.
-    # Cones around the best direction, first wider than the distance of the 300 directions.
+    # Use the mean of the directions in which the hole is nearly as large, because the direction
+    # with the largest hole is inclined to one side. Search in cones around the best direction. The
+    # first cone is wider than the distance between the 300 directions.
     for degrees in (12.0, 12.0, 6.0):
         cone = np.cos(np.radians(degrees) * np.sqrt((np.arange(60) + 0.5) / 60.0))
         around = [best, *(_hole(points, axis) for axis in spread(cone, best.axis))]
@@ -133,18 +133,18 @@ def _canal(points: Array) -> _Hole | None:
 
 
 def _hole(points: Array, axis: Array) -> _Hole:
-    """Find the largest hole in the shadow of points along a direction."""
+    """Find the largest hole in the projection of points along a direction."""
     from scipy.ndimage import binary_closing, binary_fill_holes, label
 
     u, v = across(axis)
     flat = np.column_stack([points @ u, points @ v])
-    # An empty border, so that the outside is one region and `binary_closing` does not touch the
-    # edge.
+    # Add an empty border, so that the outside is one region and `binary_closing` does not change
+    # the edge.
     low = flat.min(axis=0) - 3.0 * _PIXEL
     pixels = np.floor((flat - low) / _PIXEL).astype(int)
     shadow = np.zeros(pixels.max(axis=0) + 4, dtype=bool)
     shadow[tuple(pixels.T)] = True
-    # Samples leave single pixels of the bone empty.
+    # Between samples, single pixels of the bone are empty.
     shadow = binary_closing(shadow)
     holes, count = label(binary_fill_holes(shadow) & ~shadow)
     if count == 0:
@@ -156,21 +156,23 @@ def _hole(points: Array, axis: Array) -> _Hole:
 
 
 def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
-    """Return left, forward and up of a vertebra. Raise for a bone that is not a vertebra.
+    """Return the directions left, forward and up of a vertebra.
 
-    The body is in front. The pedicles leave its upper half and the arch lies lower, which
-    distinguishes up from down.
+    A bone that is not a vertebra raises an error.
+
+    The body lies in front of the canal. The pedicles start at the upper half of the body and the
+    arch lies lower, which determines the direction up.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
     forward /= np.linalg.norm(forward)
     in_front = (inner - canal.point) @ forward
     height = (inner - canal.point) @ canal.axis
-    # half of the side of a square of the canal's area: where the body and the arch begin
+    # half the side of a square with the area of the canal: distance at which body and arch begin
     edge = 0.5 * float(np.sqrt(canal.area))
     body = height[in_front > edge]
     arch = height[in_front < -edge]
-    # Limits of 0.2 and 0.5 accept and refuse the same bones.
+    # With limits of 0.2 and 0.5, the same bones are accepted.
     if len(body) < 0.35 * len(inner) or not len(arch):
         got = f"{len(body) / len(inner):.0%} of the bone in front of the hole"
         raise refusal(surface, _WHAT, got)
@@ -182,7 +184,7 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
     narrowest = [side[np.argmin(side[:, 3]), 2] for side in sides]
     middle = 0.5 * (body.max() + body.min()) - body.mean()
     rising = np.mean(narrowest) - middle - (arch.mean() - body.mean())
-    # `frame` may be upside down: then `rising` is negative.
+    # If `frame` is upside down, `rising` is negative.
     if abs(rising) < _RISING:
         got = (
             f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is cut "
@@ -193,17 +195,17 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
-    """Compute centroid [m] and area [mm2] of the largest bone section next to the canal.
+    """Compute the centroid [m] and the area [mm2] of the largest bone section next to the canal.
 
-    There is one section for each mm forward, shape (n, 4).
+    There is one section per mm in the forward direction. The result has the shape (n, 4).
 
-    Sections that close the canal belong to the body or the arch and are left out.
+    Sections in which bone closes the canal belong to the body or the arch and are omitted.
     """
     from scipy.ndimage import label
 
     axes = (
-        # From the canal's middle: 25 mm to the side and up and down contain the pedicle of any
-        # vertebra, -6 to 12 mm forward are the canal's depth and the start of the body.
+        # Range relative to the middle of the canal: 25 mm to the side, up and down contain the
+        # pedicle of any vertebra; -6 to 12 mm forward contain the canal and the start of the body.
         np.arange(0.5e-3, 25e-3, _STEP) * sign,
         np.arange(-6e-3, 12e-3, _STEP),
         np.arange(-25e-3, 25e-3, _STEP),
@@ -214,7 +216,7 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
     found = []
     for k in range(len(axes[1])):
         pieces, count = label(bone[:, k])
-        # Bone in the canal's middle, the first two columns.
+        # Bone in the middle of the canal, which is the first two columns.
         if count and not bone[:2, k].any():
             sizes = np.bincount(pieces.ravel())[1:]
             largest = pieces == np.argmax(sizes) + 1
@@ -225,9 +227,9 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
 def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]:
     """Find the site where the axis of a pedicle leaves the bone at the back.
 
-    Also return the smallest depth of bone around 18 mm of the axis.
+    Also return the smallest depth of bone along 18 mm of the axis.
 
-    The axis is the line with the most bone around it, which a surgeon drills along.
+    The axis is the line with the most bone around it, along which a surgeon drills.
     """
     from scipy.optimize import minimize
 
@@ -235,18 +237,19 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
     start = sections[np.argmin(sections[:, 3]), :3]
 
     def line(numbers: Array) -> Array:
-        """Return points of the line with an offset [mm] and slopes across the narrowest section."""
+        """Return points of a line with an offset [mm] and slopes at the narrowest section."""
         place = start + 1e-3 * np.array([numbers[0], 0.0, numbers[1]])
         points = place + _ALONG[:, None] * np.array([numbers[2], 1.0, numbers[3]])
         return np.asarray(points @ frame.axes.T + frame.origin)
 
     def cost(numbers: Array) -> float:
-        # Slopes above 0.7 leave the pedicle; the mean decides between lines of equal depth.
+        # Lines with slopes above 0.7 leave the pedicle. For lines with equal smallest depth, the
+        # mean depth decides.
         steep = max(float(np.abs(numbers[2:]).max()) - 0.7, 0.0)
         outside = triangle_distance(surface.vertices_m, surface.faces, line(numbers))
         return 1e3 * float(outside.max() + 0.01 * outside.mean()) + 100.0 * steep
 
-    # Nelder-Mead ends in the nearest minimum: start straight and 17 degrees inward. Pedicles point
+    # Nelder-Mead ends in the nearest minimum, so start with 0 and 17 degrees inward. Pedicles point
     # -4 to 30 degrees inward (Zindrick 1987).
     tried = [
         minimize(cost, [0.0, 0.0, slope * sign, 0.0], method="Nelder-Mead") for slope in (0.0, -0.3)

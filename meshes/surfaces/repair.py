@@ -1,10 +1,11 @@
-"""Repair of a triangle surface so that it encloses a solid: vertices, winding, debris.
+"""Repair of a triangle surface so that it encloses a solid.
 
-Vertices are merged, one winding is chosen, and debris is dropped.
+Vertices are merged, triangles are oriented consistently, and debris (small separate pieces) is
+removed.
 
-A surface is called closed when every directed edge is matched by its reverse as often as it occurs.
-That is weaker than manifold (four triangles may meet in an edge) and exactly what a winding number
-needs.
+A surface is called closed if every directed edge and its reverse occur equally often. This is a
+weaker condition than manifold, because four triangles may meet at an edge. It is the condition
+under which winding numbers are defined.
 """
 
 from dataclasses import dataclass
@@ -37,9 +38,9 @@ __all__ = [
 
 
 def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
-    """Join vertices on one point of a lattice of pitch `tolerance`.
+    """Merge vertices with the same nearest point of a lattice with the spacing `tolerance`.
 
-    Triangles that collapse, repeat or cancel are dropped.
+    Degenerate triangles, duplicate triangles and pairs of opposite triangles are removed.
     """
     vertices, faces = compact(vertices, faces)
     first, where = _numbered(_lattice_keys(vertices, tolerance))
@@ -52,15 +53,16 @@ def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
 
 
 def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
-    """Compute one number for the lattice point nearest to each vertex.
+    """Compute a key for the lattice point that is nearest to each vertex.
 
-    The numbers sort like the coordinates.
+    The keys have the same order as the coordinates.
     """
     keys = np.zeros(len(vertices), dtype=np.int64)
     for column in vertices.T:
         step = np.rint((column - column.min()) / tolerance).astype(np.int64)
         count = int(step.max()) + 1
-        # The product would overflow 64 bits. Renumbering leaves at most one key per vertex.
+        # The product would overflow 64 bits. After renumbering, there is at most one key per
+        # vertex.
         if (int(keys.max()) + 1) * count >= 2**63:
             keys = _numbered(keys)[1]
         keys = keys * count + step
@@ -68,9 +70,10 @@ def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
 
 
 def _numbered(keys: Ints) -> tuple[Ints, Ints]:
-    """Return the first index of each distinct key, ascending by key, and each key's number.
+    """Return the first index of each distinct key, in ascending order, and each key's rank.
 
-    This is `numpy.unique`, but five times as fast, because no stable sort is needed.
+    The result is that of `numpy.unique`, but the function is five times as fast, because it does
+    not need a stable sort.
     """
     order = np.argsort(keys)
     ordered = keys[order]
@@ -83,7 +86,7 @@ def _numbered(keys: Ints) -> tuple[Ints, Ints]:
 def is_manifold(faces: Ints) -> bool:
     """Return whether every directed edge and its reverse occur exactly once.
 
-    The surface is then closed, of one winding, with two triangles at every edge.
+    The surface is then closed and consistently oriented, with two triangles at every edge.
     """
     if len(faces) == 0:
         return False
@@ -99,11 +102,11 @@ def is_manifold(faces: Ints) -> bool:
 
 
 def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triangles, list[float]]:
-    """Drop bodies whose area is below `least_area` times the largest body's.
+    """Remove bodies whose area is below `least_area` times the area of the largest body.
 
     Returns
     -------
-    The remaining surface, and the longest bounding-box side of each body dropped.
+    The remaining surface, and the longest bounding-box side of each removed body.
     """
     body = _bodies(len(vertices), faces)
     areas = np.bincount(body, weights=triangle_areas(vertices, faces))
@@ -113,17 +116,17 @@ def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triang
 
 
 def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
-    """Give all triangles of a body one winding, outward.
+    """Orient all triangles of each body outward.
 
-    Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles
-    are linked in the states that agree. A component of that graph is a consistent choice. A body
-    with negative volume is turned, unless it lies within the box of another body, where it is a
-    cavity.
+    The function uses a graph with two nodes per triangle, for the given and the reversed winding.
+    Neighbours across an edge with two triangles are connected if their windings agree. A component
+    of this graph is a consistent orientation. A body with negative volume is reversed, unless it
+    lies within the box of another body, because it is then a cavity.
 
     Returns
     -------
-    Triangles, shape (m, 3); the number turned to agree with their neighbours; the number of bodies
-    that were inside out; the volume enclosed, in cubed units of the vertices.
+    Triangles, shape (m, 3); number of triangles that were reversed to agree with their neighbours;
+    number of bodies that were inside out; enclosed volume, in cubed units of the vertices.
     """
     faces = faces.copy()
     turned = np.zeros(len(faces), dtype=bool) if is_manifold(faces) else _disagreeing(faces)
@@ -132,10 +135,11 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     count = int(body.max()) + 1
     corners = vertices - vertices[0]
     heights = (corners[faces[:, 0]] * cross_products(corners, faces)).sum(axis=1)
-    # Tetrahedra from the first vertex to each triangle, a sixth of the triple product.
+    # Sum of tetrahedra between the first vertex and each triangle, a sixth of the triple product.
     volumes = np.bincount(body, weights=heights, minlength=count) / 6.0
     inside_out = 0
-    # Most of the volume is wound inward, so the whole surface is; cavities stay opposite to it.
+    # Most of the volume has inward normals, so reverse the whole surface. Cavities keep the
+    # opposite orientation.
     if volumes.sum() < 0.0:
         volumes = -volumes
         inside_out = count
@@ -152,7 +156,7 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
 
 
 def edge_counts(faces: Ints) -> tuple[int, int]:
-    """Count edges that one triangle uses (open) and that more than two use (non-manifold)."""
+    """Count the edges with one triangle (open) and with more than two triangles (non-manifold)."""
     if is_manifold(faces):
         return 0, 0
     _, uses = np.unique(_edge_keys(directed_edges(faces)), return_counts=True)
@@ -160,9 +164,9 @@ def edge_counts(faces: Ints) -> tuple[int, int]:
 
 
 def _distinct(faces: Ints) -> Ints:
-    """Return the numbers of the triangles to keep.
+    """Return the indices of the triangles to keep.
 
-    Of equal triangles one is kept; a pair with opposite winding is dropped.
+    One of several equal triangles is kept. A pair with opposite windings is removed.
     """
     _, first, where = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
@@ -176,10 +180,10 @@ def _distinct(faces: Ints) -> Ints:
 
 
 def _disagreeing(faces: Ints) -> Flags:
-    """Return flags of the triangles to turn so that neighbours agree.
+    """Return flags of the triangles that must be reversed so that neighbours agree.
 
-    The choice with fewer triangles is taken in each piece; no triangle of a piece is turned if no
-    choice works.
+    In each piece, the solution with fewer reversed triangles is used. If a piece has no solution,
+    no triangle is reversed.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -204,15 +208,15 @@ def _disagreeing(faces: Ints) -> Flags:
 
 
 def _edge_keys(edges: Ints) -> Ints:
-    """Compute one number for each edge, independent of its direction, shape (n,).
+    """Compute a key for each edge that does not depend on its direction, shape (n,).
 
-    The numbers sort like the edge's vertices.
+    The keys have the same order as the vertices of the edges.
     """
     return edges.min(axis=1) * (int(edges.max()) + 1) + edges.max(axis=1)
 
 
 def _bodies(vertex_count: int, faces: Ints) -> Ints:
-    """Return the number of the connected body of each triangle, shape (m,)."""
+    """Return the index of the connected body that each triangle belongs to, shape (m,)."""
     from trimesh.graph import connected_component_labels
 
     label = connected_component_labels(
@@ -230,8 +234,8 @@ def triangle_areas(vertices: Array, faces: Ints) -> Array:
 class Holes:
     """Result of `fill_holes`.
 
-    It holds the number of small and large holes closed, the points of the fans that a plane need
-    not fit, and the area of the largest hole.
+    It contains the numbers of small and large holes that were closed, the points of the caps, and
+    the area of the largest hole.
     """
 
     filled: int
@@ -247,11 +251,11 @@ def fill_holes(
     *,
     least_cap: float = np.inf,
 ) -> tuple[Triangles, Holes]:
-    """Close each loop of unmatched edges by a fan of triangles about its mean point.
+    """Close each loop of unmatched edges by a fan of triangles around its mean point.
 
-    A hole that takes more area than `largest` times the surface's counts as large. Its fan is a
-    cap. The fan of any other hole is also a cap if it has more area than `least_cap` and more than
-    one triangle is missing.
+    A hole is large if its area is more than `largest` times the area of the surface. The fan of a
+    large hole is a cap. The fan of another hole is also a cap if its area is more than `least_cap`
+    and more than one triangle is missing.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
@@ -283,9 +287,9 @@ def fill_holes(
 
 
 def _unmatched(vertex_count: int, faces: Ints) -> Ints:
-    """Return directed edges without their reverse, shape (n, 2).
+    """Return directed edges whose reverse is missing, shape (n, 2).
 
-    An edge is repeated as often as its reverse is missing.
+    If the reverse is missing several times, the edge is repeated.
     """
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
@@ -299,9 +303,9 @@ def _unmatched(vertex_count: int, faces: Ints) -> Ints:
 
 
 def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
-    """Return loops of unmatched edges that visit no vertex twice.
+    """Return loops of unmatched edges. A loop does not contain a vertex twice.
 
-    The loops run in the direction of their triangles.
+    The loops have the direction of the edges of their triangles.
     """
     following: dict[int, list[int]] = {}
     for a, b in _unmatched(vertex_count, faces).tolist():
@@ -323,22 +327,22 @@ def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
 def close_seams(
     points: Array, faces: Ints, *, first_part: int, within: float
 ) -> tuple[Array, Ints]:
-    """Join the open loops of two parts by ribbons of triangles, and fill every other open loop.
+    """Connect the open loops of two parts by ribbons of triangles, and fill all other open loops.
 
     Parameters
     ----------
     points
         Vertices, shape (n, 3).
     faces
-        Triangles wound outward, shape (m, 3).
+        Triangles with outward normals, shape (m, 3).
     first_part
-        Number of vertices that belong to the first part; all others belong to the second.
+        Number of vertices of the first part. All other vertices belong to the second part.
     within
         Largest mean distance between two loops that belong together.
 
     Returns
     -------
-    Vertices and triangles; added ones come last.
+    Vertices and triangles. Added vertices and triangles come last.
     """
     loops = open_loops(len(points), faces)
     theirs = [loop for loop in loops if loop[0] >= first_part]
@@ -355,7 +359,7 @@ def close_seams(
 
 
 def _apart(points: Array, others: Array) -> float:
-    """Compute the mean distance of the points of two loops from each other."""
+    """Compute the mean distance between the points of two loops."""
     from scipy.spatial import cKDTree
 
     there = cKDTree(others).query(points)[0]
@@ -366,7 +370,7 @@ def _apart(points: Array, others: Array) -> float:
 def _ribbon(points: Array, loop: Ints, other: Ints) -> Ints:
     """Return triangles between two loops that run in opposite directions.
 
-    Every step takes the shorter diagonal.
+    In every step, the shorter diagonal is used.
     """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())

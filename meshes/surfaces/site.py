@@ -1,4 +1,4 @@
-"""Working site on a bone surface: centre, axes, and samples of the surface around it."""
+"""Working site on a bone surface: centre and axes, and samples of a surface."""
 
 from __future__ import annotations
 
@@ -31,29 +31,34 @@ __all__ = [
 ]
 
 FACE_SAMPLES = 40_000
-"""Samples of a surface from which a site takes its normal: 0.5 mm apart on a scapula."""
+"""Number of surface samples from which the normal of a site is computed.
+
+On a scapula, they are 0.5 mm apart.
+"""
 _FARTHEST_M = 10e-3
-"""Largest distance of a given point from the surface: more is another frame or unit."""
+"""Largest distance of a given point from the surface.
+
+A larger distance means another frame or unit.
+"""
 _AROUND_M = 3e-3
-"""Radius over which a normal is averaged: single facets and steps of voxels are smaller."""
-_LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal: one degree
+"""Radius over which a normal is averaged. Facets and voxel steps are smaller."""
+_LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal, one degree
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Working place on a surface.
+    """Place on a surface where a tool works.
 
     Attributes
     ----------
     centre_m
-        Point of the surface at the centre of the working face [m], in the surface's frame, shape
-        (3,).
+        Centre of the working face, a point of the surface [m], in the surface's frame, shape (3,).
     rotation
-        Site axes as columns in the surface's frame, shape (3, 3), right-handed, z outward. Of a
-        glenoid that was searched for y is superior, x anterior on a right scapula and posterior on
-        a left one.
+        Site axes as columns in the surface's frame, shape (3, 3), right-handed, z outward. For a
+        glenoid that was found by search, y is superior, and x is anterior on a right scapula and
+        posterior on a left scapula.
     confidence
-        Method and confidence of the search, a sentence.
+        Sentence on the method and confidence of the search.
     """
 
     centre_m: Array
@@ -65,12 +70,15 @@ class Site:
         return (np.asarray(points_m, dtype=np.float64) - self.centre_m) @ self.rotation
 
     def within(self, outer: Placement) -> Site:
-        """Return this site in the frame of the file in which the site's frame is placed."""
+        """Convert this site to the frame of a file.
+
+        `outer` is the placement of the site's present frame in the file.
+        """
         centre = 1e-3 * outer.origin_mm + outer.rotation @ self.centre_m
         return Site(centre, outer.rotation @ self.rotation, self.confidence)
 
     def placement(self, unit_mm: float) -> Placement:
-        """Return the placement of the site in a file with units of that length [mm]."""
+        """Return the placement of the site in a file whose length unit is `unit_mm` [mm]."""
         return Placement(1e3 * self.centre_m, self.rotation, unit_mm)
 
 
@@ -85,9 +93,9 @@ class FoundSite:
     score
         Quality of the match, 0 to 1.
     second_score
-        Score of the best place well apart from the site, 0 if no other place matches.
+        Score of the best place at some distance from the site, 0 if no other place matches.
     second_centre_mm
-        The second place [mm] in the frame of the surface, shape (3,), or None.
+        Centre of this second place [mm] in the frame of the surface, shape (3,), or None.
     """
 
     site: Site
@@ -98,7 +106,7 @@ class FoundSite:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Points spread evenly over a surface.
+    """Points that are evenly distributed on a surface.
 
     Attributes
     ----------
@@ -114,7 +122,7 @@ class SurfaceSamples:
 
 
 def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
-    """Spread `count` points evenly by area.
+    """Distribute `count` points evenly by area.
 
     The points are the same in every call (Kronecker sequence within the triangles).
     """
@@ -126,7 +134,7 @@ def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
     shares = np.modf(
         np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
     )[0]
-    outside = shares.sum(axis=1) > 1.0  # in the other half of the parallelogram
+    outside = shares.sum(axis=1) > 1.0  # points in the other half of the parallelogram
     shares[outside] = 1.0 - shares[outside]
     u, v = shares.T
     a, b, c = (vertices[faces[chosen, k]] for k in range(3))
@@ -138,7 +146,7 @@ def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
 
 
 def refusal(surface: Surface, what: str, got: str) -> InputError:
-    """Return the error of a search that did not find its landmark."""
+    """Return the error for a search that did not find its landmark."""
     return InputError(
         "file",
         f"show a {what}",
@@ -148,7 +156,7 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
 
 
 def across(axis: Array) -> tuple[Array, Array]:
-    """Return two unit vectors at right angles to an axis and to each other."""
+    """Return two unit vectors that are perpendicular to an axis and to each other."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
@@ -157,7 +165,7 @@ def across(axis: Array) -> tuple[Array, Array]:
 def spread(heights: Floats, axis: Array) -> Array:
     """Return unit vectors on a golden-angle spiral, shape (n, 3).
 
-    Their cosines with an axis are given.
+    `heights` are the cosines of the angles between the vectors and the axis.
     """
     u, v = across(axis)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(len(heights))
@@ -179,18 +187,20 @@ def place_site(
     surface
         The bone.
     centre_mm
-        Point [mm] in the frame of the file after scaling; moved along the normal onto the surface.
+        Point [mm] in the frame of the file after scaling. It is moved along the normal onto the
+        surface.
     normal
-        Outward direction there, any length. None: the mean normal of the surface within 3 mm of the
-        nearest point.
+        Outward direction at this point, of any length. None: the mean normal of the surface within
+        3 mm of the nearest surface point.
     along
-        Direction that becomes x, projected onto the plane across the normal, any length. None: y
-        leads away from the middle of the bone.
+        Direction of x, of any length. It is projected onto the plane perpendicular to the normal.
+        None: y points away from the middle of the bone.
 
     Raises
     ------
     InputError
-        If the centre is off the surface, a direction is zero, or `along` is along the normal.
+        If the centre is not on the surface, a direction is zero, or `along` is parallel to the
+        normal.
     """
     centre = require_vector("anatomy.centre_mm", centre_mm) * 1e-3
     note = "centre and normal as given"
@@ -222,17 +232,17 @@ def site_along(
     centre, normal
         Point [m] and unit normal, shapes (3,).
     note
-        Method that found the site.
+        Description of the method that found the site.
     along
-        Direction that becomes x. None: y leads along `long_axis`, if any, and away from the middle
-        of the bone.
+        Direction of x. None: y is along `long_axis`, if given, and points away from the middle of
+        the bone.
     long_axis
-        Direction of y, sign arbitrary.
+        Direction of y with arbitrary sign.
 
     Raises
     ------
     InputError
-        If the line does not leave the bone within 10 mm of the point, or `along` is along the
+        If the line does not leave the bone within 10 mm of the point, or `along` is parallel to the
         normal.
     """
     if along is None:
@@ -246,7 +256,7 @@ def site_along(
 def axes_along(normal: Array, along: Sequence[float]) -> Array:
     """Return axes as columns, shape (3, 3), with z along a normal.
 
-    z is the unit vector `normal`, x is as close to the direction `along` as possible.
+    z is the unit vector `normal`, and x is as close to the direction `along` as possible.
 
     Raises
     ------
@@ -267,14 +277,15 @@ def axes_along(normal: Array, along: Sequence[float]) -> Array:
 
 
 def normal_near(samples: SurfaceSamples, centre: Array) -> Array:
-    """Compute the mean unit normal of the surface, shape (3,).
+    """Compute the mean unit normal of the surface near a point, shape (3,).
 
-    It is the mean within 3 mm of the surface point nearest to `centre` [m].
+    The mean is over samples within 3 mm of the surface point that is nearest to `centre` [m].
     """
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
     around = np.linalg.norm(samples.points - samples.points[nearest], axis=1) < _AROUND_M
-    # Within 60 degrees: a thin bone has its other side within 3 mm.
+    # Only normals within 60 degrees are used, because the other side of a thin bone may be within 3
+    # mm.
     facing = samples.normals @ samples.normals[nearest] > 0.5
     mean = samples.normals[around & facing].sum(axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
@@ -289,14 +300,15 @@ def _axes(
 
     y points away from the middle of the bone.
 
-    The body of the scapula lies below the glenoid, so superior is away from the middle of its
-    surface.
+    On a scapula, this is the superior direction, because the body of the scapula lies below the
+    glenoid.
     """
     away = -(to_middle - (to_middle @ normal) * normal)
     if long_axis is not None:
         y = long_axis - (long_axis @ normal) * normal
         y = y if y @ away >= 0.0 else -y
-    # Nearer than 1 um to the axis, the direction to the middle of the bone is rounding.
+    # If the middle of the bone is less than 1 um from the axis, its direction is only a rounding
+    # error.
     elif np.linalg.norm(away) > 1e-6:
         y = away
     else:
@@ -308,9 +320,9 @@ def _axes(
 def exits(surface: Surface, point: Array, rotation: Array) -> Array:
     """Return heights at which a line leaves the bone [m], shape (k,).
 
-    The line passes through a point along the z of `rotation`.
+    The line passes through a point and has the direction of the z axis of `rotation`.
     """
-    on_line = np.array([1e-9])  # off the axis, where edges of symmetric meshes lie
+    on_line = np.array([1e-9])  # off the axis, because edges of symmetric meshes lie on it
     found = column_crossings(
         (surface.vertices_m - point) @ rotation, surface.faces, on_line, on_line
     )
@@ -320,7 +332,7 @@ def exits(surface: Surface, point: Array, rotation: Array) -> Array:
 def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
     """Find the point where the axis through `centre` leaves the bone.
 
-    It is the nearest such point within 10 mm.
+    The result is the nearest such point within 10 mm.
     """
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf

@@ -1,6 +1,6 @@
-"""Bone surface from a file: read, given a unit and repaired.
+"""Bone surface from a file, with its unit determined and its triangles repaired.
 
-A surface that encloses no solid is refused.
+A surface that does not enclose a solid raises an error.
 """
 
 from dataclasses import dataclass, replace
@@ -23,38 +23,47 @@ from meshes.surfaces.triangle_files import read_triangles, require_triangles
 __all__ = ["Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
 
 _MERGE_TOLERANCE = 1e-6
-"""Distance over the longest side at which vertices are one; STL rounds each to 6e-8 of it."""
+"""Distance at which vertices are merged, relative to the longest side.
+
+STL files round coordinates to 6e-8 of the longest side.
+"""
 _DEBRIS_AREA = 0.01
-"""Area over that of the largest piece below which a piece is dropped as debris."""
+"""Area of a piece, relative to the largest piece, below which the piece is removed as debris."""
 _HOLE_AREA = 0.03
-"""Area over that of the surface above which a hole is not a defect but a missing part."""
+"""Area of a hole, relative to the surface, above which the hole is a missing part, not a defect."""
 _CAP_M2 = 1e-5
 """Area above which a hole is listed as a cap [m2].
 
-The shape of a cap is a guess, which matters where a tool works.
+A cap closes a hole. Its shape is a guess, which is important near the tool.
 """
 _FLATTEST = 1e-3
-"""Ratio of the smallest to the largest spread of points below which they are a flat sheet."""
+"""Ratio of smallest to largest spread of points below which the points are a flat sheet."""
 _FARTHEST = 1e100
-"""Coordinates beyond it count as not finite: their squares overflow."""
+"""Limit above which coordinates count as not finite, because their squares overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
-"""Limits of the longest side with a given scale: from a chip of bone to two femurs."""
+"""Limits of the longest side if the scale is given, from a chip of bone to two femurs."""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
-"""Units that are guessed: name, length [mm], and longest side of a bone in them, 5 to 700 mm."""
+"""Units that can be guessed: name, length [mm], and range of the longest side of a bone.
+
+The range is 5 to 700 mm in this unit.
+"""
 _OTHER_UNITS = (("centimetres", 10.0), ("inches", 25.4))
-"""Units that are likelier than millimetres for a small surface: name, length [mm]."""
+"""Units that are more probable than millimetres for a small surface: name, length [mm]."""
 _USUAL_BONE_MM = (60.0, 600.0)
-"""Longest side of a bone that is often scanned; in another unit it may be this long."""
+"""Range of the longest side of bones that are often scanned.
+
+A warning names the units in which the surface would have such a size.
+"""
 _RESOLVED_MM = 0.01
-"""Largest rounding of coordinates without a warning [mm]: a tenth of the finest voxels in use."""
+"""Largest rounding error of coordinates without a warning [mm], a tenth of the finest voxels."""
 _TYPICAL_BONE_MM = 140.0
-"""Longest side that a suggested scale makes: about that of a scapula."""
+"""Longest side of the bone with a suggested scale, about the size of a scapula."""
 
 
 @dataclass(frozen=True)
 class SurfaceReport:
-    """Findings in a surface file and changes made to it.
+    """Properties of a surface file, and changes to its surface.
 
     Attributes
     ----------
@@ -63,13 +72,13 @@ class SurfaceReport:
     scale_mm
         Millimetres per unit of the file.
     unit_guess
-        Method that chose the unit, a phrase.
+        Phrase on the method that determined the unit.
     size_mm
         Sides of the bounding box [mm].
     volume_mm3
-        Volume enclosed [mm3].
+        Enclosed volume [mm3].
     repairs
-        Changes, a sentence each.
+        Changes, one sentence each.
     """
 
     source: str
@@ -82,22 +91,22 @@ class SurfaceReport:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A closed triangle surface, wound outward, in the frame of its file.
+    """Closed triangle surface with outward normals, in the frame of its file.
 
     Attributes
     ----------
     vertices_m
         Vertices [m], shape (n, 3), float64.
     faces
-        Vertex numbers of the triangles, shape (m, 3), int64.
+        Vertex indices of the triangles, shape (m, 3), int64.
     report
-        Origin of the surface and changes made to it.
+        Origin of the surface and changes to it.
     caps_m
-        Points [m], shape (k, 3), of each face that closes a hole of more than 10 mm2, where the
-        scan of the bone may end.
+        Points [m], shape (k, 3), of each face that closes a hole of more than 10 mm2. At such a
+        hole, the scan of the bone may end.
     scanned
-        Vertices [m] and triangles without the faces that close holes. A site takes its axes from
-        them.
+        Vertices [m] and triangles without the faces that close holes. The axes of a site are
+        computed from these triangles.
     """
 
     vertices_m: Array
@@ -119,22 +128,22 @@ def read_surface(
     Parameters
     ----------
     path
-        File; its suffix names the format.
+        File. Its suffix determines the format.
     scale_mm
-        Millimetres per unit of the file; None: guessed from the longest side of the bounding box (5
-        to 700: millimetres; 0.005 to 0.7: metres; anything else is refused).
+        Millimetres per unit of the file. None: the unit is guessed from the longest side of the
+        bounding box (5 to 700: millimetres; 0.005 to 0.7: metres; otherwise an error is raised).
     cut_off
-        Whether the bone may end at the edge of its scan. If so, a large hole is closed by a face;
-        otherwise it is refused.
+        Whether the bone may end at the edge of its scan. If true, a large hole is closed by a face.
+        Otherwise, a large hole raises an error.
     every_piece
-        Whether all loose pieces are kept. If not, pieces below 1 % of the largest piece's area are
-        dropped.
+        Whether all separate pieces are kept. If false, pieces with less than 1 % of the largest
+        piece's area are removed.
 
     Raises
     ------
     InputError
-        If the file is missing, empty, of unknown format or not readable, or its surface cannot be
-        made to enclose a solid of 1 mm to 1 m.
+        If the file is missing, empty, not readable or has an unknown format, or if its surface
+        cannot be repaired to enclose a solid of 1 mm to 1 m.
     """
     file = Path(path)
     notes: list[str] = []
@@ -160,16 +169,16 @@ def surface_from_triangles(
     cut_off: bool = False,
     every_piece: bool = False,
 ) -> Surface:
-    """Make triangles enclose a solid.
+    """Repair triangles so that they enclose a solid.
 
-    The result has one unit, merged vertices, no debris, outward winding and no small holes.
+    The result is in metres and has merged vertices, outward normals, no debris and no holes.
 
     Parameters
     ----------
     vertices
         Vertices [file units], shape (n, 3).
     faces
-        Vertex numbers, shape (m, 3).
+        Vertex indices of the triangles, shape (m, 3).
     source, scale_mm, cut_off, every_piece
         As in `read_surface`.
 
@@ -195,7 +204,8 @@ def surface_from_triangles(
     (vertices, faces), holes, volume = _closed(
         vertices, faces, source, cut_off=cut_off, repairs=repairs
     )
-    # A sheet of two sides has only rounding inside. Small pieces of a long structure may have less.
+    # The volume of a two-sided sheet is only a rounding error. Small pieces of a long structure may
+    # have less volume.
     if volume <= (0.0 if every_piece else 1e-6 * longest**3):
         raise InputError(
             "surface",
@@ -209,7 +219,7 @@ def surface_from_triangles(
 
 
 def _require_finite(vertices: Array, source: str) -> None:
-    """Refuse vertices that are not finite or implausibly far away."""
+    """Raise an error for vertices that are not finite or implausibly far away."""
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(
@@ -223,7 +233,7 @@ def _require_finite(vertices: Array, source: str) -> None:
 def _merged(
     vertices: Array, faces: Ints, longest: float, *, every_piece: bool, repairs: list[str]
 ) -> Triangles:
-    """Return triangles with merged vertices and, unless every piece counts, without debris.
+    """Return triangles with merged vertices. Unless `every_piece` is set, debris is removed.
 
     `longest` is the longest side [m]. Sentences on changes are appended to `repairs`.
     """
@@ -245,7 +255,7 @@ def _merged(
 def _closed(
     vertices: Array, faces: Ints, source: str, *, cut_off: bool, repairs: list[str]
 ) -> tuple[Triangles, Holes, float]:
-    """Return triangles that are wound outward and without holes, the holes, and the volume [m3].
+    """Return triangles with outward normals and without holes, the holes, and the volume [m3].
 
     Sentences on changes are appended to `repairs`.
 
@@ -286,7 +296,7 @@ def _closed(
 
 
 def _require_thickness(points: Array, longest: float, source: str) -> None:
-    """Refuse points that lie in a plane or on a line, in any direction."""
+    """Raise an error for points that lie in a plane or on a line."""
     covariance = np.cov(points.T, bias=True)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
@@ -296,7 +306,7 @@ def _require_thickness(points: Array, longest: float, source: str) -> None:
 
 
 def _rounding(points: Array, scale_mm: float) -> list[str]:
-    """Return a sentence on points in single precision far from the origin, if they are."""
+    """Return a sentence if points in single precision lie far from the origin."""
     farthest = float(np.abs(points).max())
     rounding_mm = scale_mm * float(np.spacing(np.float32(farthest)))
     is_single = np.array_equal(points.astype(np.float32), points)
@@ -309,13 +319,15 @@ def _rounding(points: Array, scale_mm: float) -> list[str]:
 
 
 def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
-    """Return millimetres per file unit and how they were found, from the longest side in units.
+    """Determine the millimetres per file unit from the longest side in file units.
+
+    Also return a phrase on the method.
 
     Raises
     ------
     InputError
-        If the scale given makes a bone of impossible size, or no scale is given and the size does
-        not determine the unit.
+        If the size of the bone is impossible with the given scale, or no scale is given and the
+        size does not determine the unit.
     """
     plain = [
         (name, scale) for name, scale, lowest, highest in _UNITS if lowest <= longest <= highest

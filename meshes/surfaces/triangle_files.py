@@ -1,4 +1,4 @@
-"""Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK."""
+"""Reading of triangles from surface files: STL, OBJ, PLY and VTK."""
 
 import re
 from itertools import takewhile
@@ -23,31 +23,31 @@ __all__ = [
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Binary STL: bytes before the triangles, and the record of a triangle."""
+"""Binary STL: number of bytes before the triangles, and record type of a triangle."""
 _IGNORED = re.compile(
     "vt|vn|vp|p|l|g|s|mg|o|usemtl|mtllib|usemap|maplib|lod|bevel|c_interp|d_interp|shadow_obj|"
     "trace_obj|ctech|stech|call|csh|deg|bmat|step|cstype|curv|curv2|surf|parm|trim|hole|scrv|sp|"
     "end|con"
 )
-"""Keywords of OBJ that do not concern vertices and polygons."""
+"""OBJ keywords that do not define vertices or polygons."""
 _FURTHER = re.compile(r"/\S*")
 
 
 def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
-    """Read vertices, shape (n, 3), and triangles, shape (m, 3), as a file stores them, in its unit.
+    """Read vertices, shape (n, 3), in the file's unit, and triangles, shape (m, 3), of a file.
 
     Parameters
     ----------
     file
-        The file; its suffix names the format.
+        File. Its suffix determines the format.
     notes
-        List to which a sentence is appended for each doubt about the file.
+        List to which a sentence is appended for each possible problem of the file.
 
     Raises
     ------
     InputError
-        If the file is missing, empty, of unknown format or not readable, or a triangle names a
-        vertex that does not exist.
+        If the file is missing, empty, not readable or has an unknown format, or a triangle refers
+        to a vertex that does not exist.
     """
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
@@ -70,13 +70,13 @@ def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
 
 _Stored = tuple[NDArray[np.number], NDArray[np.number]]
 _COMMAS = re.compile(rb"\d,\d+(?:[eE][+-]?\d+)?[ \t]+[+-]?\d+,\d")
-"""Two numbers with decimal commas."""
+"""Regular expression for two numbers with decimal commas."""
 _SEARCHED = 100_000
-"""Bytes at the start of an unreadable file in which decimal commas are searched for."""
+"""Number of bytes at the start of an unreadable file in which decimal commas are searched."""
 
 
 def _require_decimal_points(file: Path) -> None:
-    """Raise an error that names decimal commas, if a file has them."""
+    """Raise an error if a file has decimal commas."""
     with file.open("rb") as stored:
         if found := _COMMAS.search(stored.read(_SEARCHED)):
             raise InputError(
@@ -97,10 +97,10 @@ def _read_by_vtk(file: Path, notes: list[str]) -> _Stored:
 
 
 def _read_ply(file: Path, notes: list[str]) -> _Stored:
-    """Read a PLY file, by trimesh if it can.
+    """Read a PLY file with trimesh if possible, otherwise with VTK.
 
-    VTK also reads binary files with polygons of different sizes, and files with further bytes after
-    the triangles. It keeps coordinates in single precision only.
+    VTK also reads binary files with polygons of different sizes, and files with additional bytes
+    after the triangles. But it only stores coordinates in single precision.
     """
     if not _is_whole_ply(file):
         reason = f"{file.name} has another length than its header states."
@@ -109,7 +109,7 @@ def _read_ply(file: Path, notes: list[str]) -> _Stored:
             return _ply_by_trimesh(file)
         except MemoryError:
             raise
-        except Exception as problem:  # the reader raises many kinds, none documented
+        except Exception as problem:  # the library raises many undocumented types of errors
             reason = f"trimesh does not read {file.name}: {problem or type(problem).__name__}"
             reason = f"{reason.rstrip('.!')}."
     found = _read_by_vtk(file, notes)
@@ -121,7 +121,7 @@ def _ply_by_trimesh(file: Path) -> _Stored:
     """Read a PLY file with trimesh."""
     import trimesh
 
-    # A PLY file may name a missing texture, for which trimesh would print a traceback.
+    # A PLY file may refer to a missing texture. trimesh would print a traceback for it.
     mesh: Any = trimesh.load(file, force="mesh", process=False, skip_materials=True)
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
@@ -131,7 +131,7 @@ def _refusal(wanted: str, got: str) -> InputError:
 
 
 def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], source: str) -> None:
-    """Refuse an empty set of triangles, and triangles that name vertices which do not exist."""
+    """Raise an error if there are no triangles, or if a triangle refers to a missing vertex."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         got = f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}"
         raise _refusal("hold triangles in space", got)
@@ -156,7 +156,7 @@ def _read_stl(file: Path, notes: list[str]) -> _Stored:
         # The number of triangles follows 80 bytes of text.
         count = int.from_bytes(head[80:], "little")
         whole = payload // _RECORD.itemsize
-        # Binary files may begin with the word "solid" too. UTF-16 has zeros between letters.
+        # Binary files may also begin with the word "solid". UTF-16 text has zeros between letters.
         words = (head + stored.read(_SEARCHED)).replace(b"\0", b"").lower()
         is_text = b"facet" in words or b"endsolid" in words
         if is_text and (count == 0 or payload != count * _RECORD.itemsize):
@@ -164,7 +164,8 @@ def _read_stl(file: Path, notes: list[str]) -> _Stored:
         if count > whole or not whole:
             got = f"{count} triangles in its header and {whole} of them in {file.name}"
             raise _refusal("be a whole STL surface", got)
-        # Programs that write while they compute leave a count of 0, or a count of an earlier state.
+        # Programs that write the file during a computation may store a count of 0 or an outdated
+        # count.
         if count < whole and payload == whole * _RECORD.itemsize:
             notes.append(f"Read {whole} triangles of {file.name}, whose header states {count}.")
             count = whole
@@ -180,7 +181,7 @@ _CORNER = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 def _read_text_stl(file: Path) -> _Stored:
-    """Read the triangles of all solids of an STL file in text."""
+    """Read the triangles of all solids in a text STL file."""
     text = decoded_text(file, "file", remedy="export it again")
     try:
         corners = np.array([[number_in(each) for each in row] for row in _CORNER.findall(text)])
@@ -196,9 +197,9 @@ def _read_text_stl(file: Path) -> _Stored:
 
 
 def _is_whole_ply(file: Path) -> bool:
-    """Return False for a PLY file in text whose length differs from its header.
+    """Return False for a text PLY file whose length differs from its header.
 
-    Binary files are checked as they are read.
+    Binary files are checked when they are read.
     """
     with file.open("rb") as stored:
         head = [
@@ -215,7 +216,7 @@ def _is_whole_ply(file: Path) -> bool:
 def _read_obj(file: Path, notes: list[str]) -> tuple[Array, Ints]:
     """Read vertices, shape (n, 3), and triangles, shape (m, 3), of an OBJ file.
 
-    Polygons become fans about their first corner.
+    Polygons are converted to fans of triangles around their first corner.
     """
     text = decoded_text(file, "file", remedy="export it again")
     lines = text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
@@ -244,18 +245,18 @@ def _vertex(rest: str) -> list[float]:
         numbers = [number_in(each) for each in rest.split()]
     except ValueError:
         numbers = []
-    if len(numbers) not in (3, 4, 6, 7):  # with a weight, a colour, or both
+    if len(numbers) not in (3, 4, 6, 7):  # with a weight, a colour, or a weight and a colour
         raise ValueError(f"must hold the three numbers of a vertex, not {rest.strip()[:40]!r}")
     return numbers[:3]
 
 
 def _polygon(rest: str, count: int) -> list[int]:
-    """Return the vertex numbers, from 0, of a polygon after `count` vertices."""
+    """Return the zero-based vertex indices of a polygon that follows `count` vertices."""
     try:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:
         numbers = []
-    # OBJ counts from 1, negative numbers from the last vertex. Numbers are kept in 64 bits.
+    # OBJ indices start at 1. Negative indices count from the last vertex. Indices have 64 bits.
     if len(numbers) < 3 or 0 in numbers or max(numbers) >= 1 << 63:
         raise ValueError(
             f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}"

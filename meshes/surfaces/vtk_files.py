@@ -1,9 +1,9 @@
-"""VTK files read in a process of their own: surfaces, meshes of tetrahedra, and saved results.
+"""Reading of VTK files in a separate process: surfaces, tetrahedral meshes and saved results.
 
-`meshes.base.isolated_parser` starts the process, because a damaged file can end it. VTK's readers
-print errors to VTK's output window and continue with half-filled arrays. Every printed error thus
+`meshes.base.isolated_parser` starts the process, because a damaged file can crash it. VTK's readers
+print errors to VTK's output window and continue with incomplete arrays, so every printed error
 counts as a failure. Cells are checked before any filter runs, because a filter would copy memory
-beyond the points.
+outside the points.
 """
 
 import re
@@ -20,7 +20,7 @@ __all__ = ["check_vtk", "mesh_arrays", "read_vtk", "vtk_mesh", "vtk_triangles"]
 
 _TETRAHEDRON = 10
 _QUADRATIC_TETRAHEDRON = 24
-"""Types of cells in VTK."""
+"""Cell types in VTK."""
 _CORNERS = {
     1: 1,
     3: 2,
@@ -39,21 +39,22 @@ _CORNERS = {
     25: 20,
     26: 15,
 }
-"""Points of a cell by its VTK type, where the type fixes them."""
+"""Number of points of a cell by its VTK type, for types with a fixed number."""
 _HEADING = re.compile(
     r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE
 )
 
 
 def read_vtk(file: Path) -> Any:
-    """Return the dataset that pyvista reads from a file, with its cells checked.
+    """Read a dataset with pyvista and check its cells.
 
     Raises
     ------
     DamagedFileError
-        If the reader complained, with its first complaint, or cells are not where the file states.
+        If the reader printed an error, with the first error, or if the cells are inconsistent with
+        the file's offsets.
     InputError
-        If a cell names a point that is not there.
+        If a cell refers to a point that does not exist.
     """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
@@ -79,19 +80,19 @@ def read_vtk(file: Path) -> Any:
 
 
 def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
-    """Read files of a folder, and refuse those that are damaged or incomplete.
+    """Read files of a folder, and raise an error for damaged or incomplete files.
 
-    A file is incomplete if it lacks one of the arrays that it should hold.
+    A file is incomplete if one of its required arrays is missing.
 
-    Where ``layer`` is among them, it must count into the field ``layer_names``. The content is not
-    returned.
+    If ``layer`` is one of these arrays, its values must be indices of the field ``layer_names``.
+    The content is not returned.
     """
     for name, wanted in arrays_by_file.items():
         try:
             data = read_vtk(folder / name)
         except (InputError, DamagedFileError) as problem:
             raise DamagedFileError(f"{name} is damaged: {problem}") from None
-        except Exception:  # the readers raise many kinds, none documented
+        except Exception:  # the libraries raise many undocumented types of errors
             raise DamagedFileError(f"{name} is damaged or cut off") from None
         missing = [each for each in wanted if each not in data.cell_data and data.n_cells]
         if missing:
@@ -105,9 +106,9 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
 
 
 def vtk_triangles(file: Path) -> Answer:
-    """Return the arrays of the surface of a file.
+    """Return the arrays of the surface in a file.
 
-    They are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
+    The arrays are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
     """
     return {}, _triangles(read_vtk(file))
 
@@ -123,9 +124,10 @@ def vtk_mesh(file: Path) -> Answer:
 def mesh_arrays(data: Any) -> Answer:
     """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
 
-    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
-    had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,
-    ... here; ``parts``, the texts of the field ``part_names``.
+    For tetrahedra, the facts are: ``others``, the number of other cells; ``quadratic``, whether
+    some tetrahedra had mid-edge nodes; ``names``, the original names of the cell arrays, which are
+    called ``cells 0``, ``cells 1``, ... in the result; ``parts``, the texts of the field
+    ``part_names``.
     """
     kinds = np.asarray(getattr(data, "celltypes", ()))
     if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
@@ -159,7 +161,7 @@ def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
     import pyvista
 
     if not isinstance(data, pyvista.PolyData):
-        # Cells with a volume: only their outer faces enclose the solid.
+        # For cells with a volume, only the outer faces enclose the solid.
         data = data.extract_surface(algorithm="dataset_surface")
     surface = data.triangulate()
     return {
@@ -171,9 +173,9 @@ def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
 def _require_cells(
     cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None
 ) -> None:
-    """Refuse cells that name points which do not exist.
+    """Raise an error for cells that refer to points which do not exist.
 
-    Also refuse cells with another number of points than their type.
+    Also raise an error for cells whose number of points does not match their type.
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
@@ -185,7 +187,7 @@ def _require_cells(
     if kinds is not None:
         if len(kinds) != len(sizes):
             raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
-        # A type is one byte. Types without a fixed number of points, such as polygons, are not
+        # A cell type is one byte. Types without a fixed number of points, such as polygons, are not
         # checked.
         expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
         short = np.flatnonzero((expected >= 0) & (sizes != expected))

@@ -1,1 +1,1 @@
-"""Tetrahedral meshes: files, filling, quality, repair."""
+"""Tetrahedral meshes: files, filling of surfaces, quality and repair."""

@@ -1,4 +1,4 @@
-"""A soft organ from a file or object: tetrahedra as stored, or a surface filled with them."""
+"""Tetrahedra of a soft organ, read from a file or object, or made inside a closed surface."""
 
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
@@ -37,9 +37,12 @@ __all__ = [
 ]
 
 _ORGAN_MM = (20.0, 450.0)
-"""Longest side of an organ, from a small gland to an enlarged liver; no length fits two units."""
+"""Range of the longest side of an organ, from a small gland to an enlarged liver.
+
+No length is in this range in two units.
+"""
 _TYPICAL_MM = 200.0
-"""Longest side that a suggested scale makes: that of a liver."""
+"""Longest side of the organ with a suggested scale, the size of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -52,14 +55,14 @@ _PART_ARRAYS = (
     "material",
     "label",
 )
-"""Names of cell arrays of integers that give the parts, the most likely first.
+"""Names of integer cell arrays that contain the parts, most probable name first.
 
-They are the names that meshers write.
+Meshing programs write these names.
 """
 _SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
-Below it a size in metres is likelier, above it one in micrometres.
+Below this range, the unit is probably metres, and above it micrometres.
 """
 _STRAIGHT = "Took the corners of quadratic tetrahedra: their edges became straight."
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
@@ -67,19 +70,18 @@ _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class TetFile:
-    """Mesh read from a file, with notes on how it was made.
+    """Mesh read from a file, with notes.
 
     Attributes
     ----------
     mesh
-        The mesh, in the frame of the file, in metres.
+        Mesh in the frame of the file, in metres.
     unit_mm
         Millimetres per unit of the file.
     sentences
-        The unit, findings and changes, a sentence each.
+        Unit, findings and changes, one sentence each.
     surface
-        The surface in which the tetrahedra were made here; None for tetrahedra as stored in the
-        file.
+        Surface that was filled with the tetrahedra; None if the file contains the tetrahedra.
     """
 
     mesh: TetMesh
@@ -97,28 +99,30 @@ def read_tets(
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
-    Gmsh text of versions 1 and 2 (``.msh``) is read here, other Gmsh files by meshio, and all other
-    formats by pyvista. In a file with tetrahedra, other cells are left out. The parts are an array
-    of integers over the cells with a usual name, such as ``gmsh:physical``, ``part`` or ``region``.
-    The field ``part_names`` holds the names of the numbers 0, 1, ... of the array ``part``.
+    Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
+    by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
+    The parts are an integer cell array with a usual name, such as ``gmsh:physical``, ``part`` or
+    ``region``. The field ``part_names`` contains the names of the numbers 0, 1, ... of the array
+    ``part``.
 
     Parameters
     ----------
     path
-        File; its suffix names the format.
+        File. Its suffix determines the format.
     unit_mm
-        Millimetres per unit of the file. None: millimetres or metres, the unit that makes the
-        longest side 20 to 450 mm.
+        Millimetres per unit of the file. None: millimetres or metres, whichever gives a longest
+        side of 20 to 450 mm.
     edge_m
-        Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
+        Edge of the tetrahedra that fill a surface [m]. None: an edge that gives about 30,000
+        tetrahedra.
     report
         Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
     InputError
-        If the file is missing, empty or not readable, holds no solid, or is not of an organ's size
-        in any plain unit.
+        If the file is missing, empty or not readable, does not contain a solid, or does not have
+        the size of an organ in millimetres or metres.
     """
     file = Path(path)
     stored = _read_stored(file)
@@ -139,7 +143,7 @@ def read_tets(
 
 
 def _read_stored(file: Path) -> StoredMesh:
-    """Read the content of a mesh file, in its units and with its node numbers."""
+    """Read the content of a mesh file, in the units and with the node numbers of the file."""
     require_file(file, "a mesh")
     if file.suffix.lower() == ".msh":
         found = read_msh(file) if is_old_text(file) else _read_by_meshio(file)
@@ -158,7 +162,7 @@ def _read_stored(file: Path) -> StoredMesh:
 
 
 def _read_by_meshio(file: Path) -> StoredMesh:
-    """Read a Gmsh file of version 4 or in binary form."""
+    """Read a Gmsh file of version 4, or a binary Gmsh file."""
     try:
         from meshio.gmsh import read
     except ImportError:
@@ -173,12 +177,12 @@ def _read_by_meshio(file: Path) -> StoredMesh:
             return _of_blocks(read(file))
         except (InputError, MemoryError):
             raise
-        except Exception as problem:  # meshio raises many kinds for a damaged file
+        except Exception as problem:  # meshio raises many types of errors for a damaged file
             raise broken_sections(file) from problem
 
 
 def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
-    """Return millimetres per file unit, for a box in file units, and a sentence on it."""
+    """Return millimetres per file unit, for a box in file units, and a sentence on the unit."""
     longest = float(size.max())
     if unit_mm is None:
         for scale, unit in ((1.0, "millimetres"), (1000.0, "metres")):
@@ -206,16 +210,16 @@ def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
 
 @dataclass(frozen=True, eq=False)
 class GivenTets:
-    """Mesh as given by the caller, and as solved.
+    """Mesh from the caller, and the mesh that is solved.
 
     Attributes
     ----------
     points_mm
-        Points as the caller numbers them [mm], shape (n, 3).
+        Points in the caller's numbering [mm], shape (n, 3).
     mesh
-        Tetrahedra, repaired where necessary [m].
+        Tetrahedra [m], repaired if necessary.
     sentences
-        Findings and changes, a sentence each.
+        Findings and changes, one sentence each.
     """
 
     points_mm: Array
@@ -231,19 +235,19 @@ def given_tets(
     Parameters
     ----------
     mesh
-        `TetMesh`, pyvista UnstructuredGrid, anything with ``points`` and ``cells`` as of meshio,
-        points and cells as a pair of arrays, shapes (n, 3) and (m, 4), or a file (.vtu .vtk .msh
-        .mesh). The parts are an array over the cells named ``part`` or as meshers name them, of
-        numbers or of names.
+        `TetMesh`, pyvista UnstructuredGrid, object with ``points`` and ``cells`` like a meshio
+        mesh, pair of arrays of points and cells, shapes (n, 3) and (m, 4), or file (.vtu .vtk .msh
+        .mesh). The parts are a cell array of numbers or names, with the name ``part`` or a usual
+        name of a meshing program.
     scale_mm
-        Millimetres per unit of the mesh; None: the mesh is in millimetres; its size is checked.
+        Millimetres per unit of the mesh. None: the mesh is in millimetres, and its size is checked.
     part_names
         Names of numbered parts.
 
     Raises
     ------
     InputError
-        If it holds no tetrahedra, is of another unit by its size, or cannot be repaired.
+        If the mesh has no tetrahedra, has a size that means another unit, or cannot be repaired.
     """
     if isinstance(mesh, TetMesh):
         return GivenTets(1e3 * mesh.nodes_m, mesh, ())
@@ -269,12 +273,12 @@ def given_tets(
 def require_millimetres(name: str, points: Array, scale_mm: float | None) -> float:
     """Return millimetres per unit of points, shape (n, 3).
 
-    The value is the given one, or 1 if the size of the points is plausible in millimetres.
+    The result is the given value, or 1 if the size of the points is plausible in millimetres.
 
     Raises
     ------
     InputError
-        If the size is not plausible. The message names a scale that is.
+        If the size is not plausible. The message suggests a plausible scale.
     """
     if scale_mm is not None:
         return require_positive("scale_mm", scale_mm, _PER_UNIT)
@@ -338,9 +342,9 @@ def _of_arrays(
 
 
 def _of_blocks(mesh: Any) -> StoredMesh:
-    """Return tetrahedra of a mesh of meshio.
+    """Return the tetrahedra of a meshio mesh.
 
-    The mesh holds blocks of cells with a type, and arrays over them by name.
+    The mesh contains blocks of cells with a type, and cell arrays by name.
     """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
@@ -353,7 +357,7 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     }
     solids: dict[int, str] = {}
     for name, row in (getattr(mesh, "field_data", None) or {}).items():
-        # Gmsh names groups of any dimension by one number each.
+        # In Gmsh, groups of all dimensions have names and numbers.
         if int(row[1]) == 3:
             solids[int(row[0])] = part_name(name, solids, "physical volumes of the mesh")
     part, names = _parts(data, len(cells), solids)
@@ -368,10 +372,10 @@ def _of_blocks(mesh: Any) -> StoredMesh:
 def _parts(
     data: Mapping[str, NDArray[Any]], count: int, named: dict[int, str]
 ) -> tuple[Ints, dict[int, str]]:
-    """Return the number of each cell's part, shape (m,), and the names of the numbers.
+    """Return the part number of each cell, shape (m,), and the names of the part numbers.
 
-    Names that count from 0 belong to the array ``part``. Names from meshio belong to its array
-    ``gmsh:physical``.
+    A list of names that starts with number 0 belongs to the array ``part``. Names from meshio
+    belong to the array ``gmsh:physical``.
     """
     for array in _PART_ARRAYS:
         values = data.get(array, np.zeros(0))

@@ -1,7 +1,7 @@
-"""Meshes as files hold them, and Gmsh files of versions 1 and 2 in text.
+"""Content of mesh files, and reading of Gmsh text files of versions 1 and 2.
 
-meshio does not read version 1, and it is an optional package. It reads version 4 and binary files,
-see `meshes.tets.files`.
+meshio does not read version 1 and is an optional package. `meshes.tets.files` uses meshio for
+version 4 and for binary files.
 """
 
 from collections.abc import Mapping
@@ -28,30 +28,33 @@ __all__ = [
 
 _TRIANGLE = 2
 _TETRAHEDRON = 4
-"""Numbers of the kinds of elements in Gmsh."""
+"""Numbers of element types in Gmsh."""
 _SECTIONS = {1: ("$NOD", "$ELM"), 2: ("$Nodes", "$Elements")}
 _LONGEST_NAME = 60
-"""Longest name of a part [characters]: names stand in tables and legends."""
+"""Longest name of a part [characters], because names are shown in tables and legends."""
 MOST_PARTS = 64
-"""Largest number of values of an array that lists parts; more are numbers of cells or materials."""
+"""Largest number of distinct values of an array of parts.
+
+Arrays with more values are numbers of cells or materials.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredMesh:
-    """Content of a file, in its units.
+    """Content of a mesh file, in its units.
 
     Attributes
     ----------
     points
         Nodes, shape (n, 3).
     tets, triangles
-        Nodes of the tetrahedra and triangles, shapes (m, 4) and (k, 3).
+        Node indices of the tetrahedra and triangles, shapes (m, 4) and (k, 3).
     part
-        Part of each tetrahedron, 0 for none, shape (m,).
+        Part of each tetrahedron, 0 without a part, shape (m,).
     names
         Names of the parts that have a name.
     notes
-        Omitted content, a sentence each.
+        Omitted content, one sentence each.
     """
 
     points: Array
@@ -63,11 +66,11 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra, else of the triangles, shape (k, 3)."""
+        """Points of the tetrahedra, or of the triangles without tetrahedra, shape (k, 3)."""
         return self.points[np.unique(self.tets if len(self.tets) else self.triangles)]
 
     def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
-        """Return the tetrahedra in metres, repaired where necessary, and sentences on them."""
+        """Return the tetrahedra in metres, repaired if necessary, and sentences on the repairs."""
         values, part = np.unique(self.part, return_inverse=True)
         if len(values) > MOST_PARTS:
             raise InputError(
@@ -89,7 +92,7 @@ def read_msh(file: Path) -> StoredMesh:
     Raises
     ------
     InputError
-        If the file is of another version, binary, cut short, or names nodes it does not hold.
+        If the file has another version, is binary or truncated, or refers to missing nodes.
     """
     text = decoded_text(file, "file", remedy="save it with gmsh -format msh22")
     lines = [line.rstrip("\r") for line in text.split("\n")]
@@ -113,7 +116,7 @@ def read_msh(file: Path) -> StoredMesh:
 
 
 def broken_sections(file: Path) -> InputError:
-    """Return the error for a Gmsh file that is damaged or cut short."""
+    """Return the error for a Gmsh file that is damaged or truncated."""
     return InputError(
         "file",
         "hold complete sections of nodes and elements",
@@ -123,7 +126,7 @@ def broken_sections(file: Path) -> InputError:
 
 
 def is_old_text(file: Path) -> bool:
-    """Return False for a Gmsh file of another version than 1 and 2 or in binary form."""
+    """Return False for a Gmsh file that is binary or has another version than 1 and 2."""
     with file.open("rb") as stored:
         first = stored.readline(_LONGEST_NAME).split()
         second = stored.readline(_LONGEST_NAME).split()
@@ -148,7 +151,7 @@ def _version(lines: list[str], file: Path) -> int:
 
 
 def _section(lines: list[str], opening: str) -> list[str]:
-    """Return the lines of a section after its count, as many as the count states."""
+    """Return the lines of a section. The first line of the section states their number."""
     start = lines.index(opening)
     count = whole_number_in(lines[start + 1])
     body = lines[start + 2 : start + 2 + count]
@@ -168,10 +171,10 @@ def _nodes(lines: list[str]) -> tuple[Ints, Array]:
 
 
 def _element(line: str, version: int) -> tuple[int, int, list[int]]:
-    """Return kind, physical group (0 for none) and nodes of an element.
+    """Return type, physical group (0 without a group) and nodes of a finite element.
 
-    Version 1: number kind physical elementary count nodes; version 2: number kind count-of-tags
-    tags nodes.
+    Format in version 1: number type physical elementary count nodes. Format in version 2: number
+    type count-of-tags tags nodes.
     """
     row = [whole_number_in(word) for word in line.split()]
     if version == 1:
@@ -187,7 +190,7 @@ def _of_kind(elements: list[tuple[int, int, list[int]]], kind: int, corners: int
 
 
 def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
-    """Return cells with node indices in place of the node numbers of the file."""
+    """Replace the node numbers of the file by node indices in cells."""
     order = np.argsort(numbers)
     found = order[np.minimum(np.searchsorted(numbers, cells, sorter=order), len(numbers) - 1)]
     unknown = cells[numbers[found] != cells]
@@ -211,7 +214,7 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
 
 
 def part_name(text: str, known: Mapping[int, str], what: str) -> str:
-    """Return the name of a part, which no other part has."""
+    """Return a unique name for a part."""
     shown = visible(text).replace("\n", " ").strip()
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
         raise InputError(

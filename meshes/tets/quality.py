@@ -1,6 +1,7 @@
 """Check and repair of tetrahedra for use in a stiffness matrix.
 
-Defects are found, located, and repaired by a stated rule or refused.
+Defects are found, located, and repaired by a rule. If a defect cannot be repaired, an error is
+raised.
 
 ==============  =====================================================  ================================================
 what            when                                                   rule
@@ -37,25 +38,31 @@ from meshes.tets.tetrahedra import (
 
 __all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "smooth"]
 
-# limits of the table above
+# limits from the table above
 _DEBRIS = 0.01
 _COINCIDENT = 1e-9
 FLAT = 1e-6
-"""Six volumes over the longest edge cubed below which a tetrahedron is flat (0.71: regular)."""
+"""Ratio 6 V / (longest edge)^3 below which a tetrahedron is flat (regular: 0.71)."""
 SLIVER = 0.1
-"""Mean ratio below which a tetrahedron is a sliver (1: regular)."""
+"""Mean ratio below which a tetrahedron is a sliver (regular: 1)."""
 _UNEVEN = 1e-3
-"""Smallest over largest volume of a mesh from which it is reported: edges differ tenfold."""
+"""Ratio of smallest to largest volume below which a mesh is reported as uneven.
+
+The edges then differ by a factor of ten.
+"""
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 _SWEEPS = 3
-"""Passes over the slivers: moves of one pass change the neighbours of the next."""
+"""Number of passes over the slivers. Node moves of one pass change the cells of the next pass."""
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
-"""Steps of the pattern search, over the size of the cells around a node: 1/4, 1/8 ... 1/128."""
+"""First and smallest step of the pattern search, relative to the size of the cells around a node.
+
+The steps are 1/4, 1/8 ... 1/128 of this size.
+"""
 
 
 def describe(mesh: TetMesh) -> tuple[str, ...]:
-    """Describe a mesh: its size and quality, and defects that are kept, a sentence each."""
+    """Return sentences on the size and quality of a mesh, and on defects that are not repaired."""
     nodes = mesh.nodes_m
     volumes = mesh.volumes_m3
     quality = mean_ratio(nodes, mesh.cells)
@@ -90,7 +97,7 @@ def repair_tets(
     part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Return a mesh of positive tetrahedra in one piece, and the repairs, by the rules above.
+    """Repair a mesh by the rules above.
 
     Parameters
     ----------
@@ -103,13 +110,14 @@ def repair_tets(
 
     Returns
     -------
-    The mesh, and the defects found and repaired, a sentence each; see `describe` for those kept.
+    Mesh of tetrahedra with positive volume, and one sentence for each repaired defect. `describe`
+    reports defects that are not repaired.
 
     Raises
     ------
     InputError
-        If nodes are not finite, cells name nodes that do not exist or overlap, or flat tetrahedra
-        cannot be repaired.
+        If nodes are not finite, cells refer to nodes that do not exist or overlap each other, or
+        flat tetrahedra cannot be repaired.
     """
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
@@ -159,9 +167,9 @@ def repair_tets(
 
 
 def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
-    """Drop nodes that no cell uses, and join nodes on one point."""
+    """Remove nodes that no cell uses, and merge nodes at the same point."""
     points, cells = compact(nodes, cells)
-    # 1e-300 avoids a division by zero if all nodes are one.
+    # 1e-300 avoids a division by zero if all nodes are at the same point.
     keys = np.round(
         (points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300)
     )
@@ -172,7 +180,7 @@ def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
 def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, int]:
     """Remove flat cells with a face on the surface.
 
-    They are removed as long as no new edge is pinched and no piece comes loose.
+    A cell is only removed if this does not pinch an edge or separate a piece.
     """
     dropped = 0
     while True:
@@ -192,7 +200,10 @@ def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes,
 
 
 def _flat_turned(nodes: Array, cells: Ints) -> Ints:
-    """Turn flat cells, whose own volume has no sign, to agree with their solid neighbours."""
+    """Orient flat cells to agree with their solid neighbours.
+
+    The volume of a flat cell has no reliable sign.
+    """
     flat = flatness(nodes, cells) < FLAT
     if not flat.any():
         return cells
@@ -204,7 +215,7 @@ def _flat_turned(nodes: Array, cells: Ints) -> Ints:
 
 
 def _whole(cells: Ints, keep: Flags) -> bool:
-    """Return whether dropping cells leaves as many pieces and no further pinched edge."""
+    """Return whether removing cells neither changes the number of pieces nor pinches an edge."""
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
         len(pinched_edges(_surface(left))) <= len(pinched_edges(_surface(cells)))
@@ -217,7 +228,7 @@ def _surface(cells: Ints) -> Ints:
 
 
 def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, Array]:
-    """Drop pieces of less than 1 % of the largest piece's volume; return their volumes [m3]."""
+    """Remove pieces with less than 1 % of the largest piece's volume; return their volumes [m3]."""
     piece = pieces(cells)
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
     small = np.flatnonzero(volumes < _DEBRIS * volumes.max())
@@ -226,10 +237,10 @@ def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Byte
 
 
 def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
-    """Return flags of the nodes away from the surface and from where parts meet, shape (n,)."""
+    """Return flags of the nodes that are not on the surface or between parts, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
-    # Parts are bytes: 255 is above every part.
+    # Parts are bytes, so 255 is larger than every part.
     lowest = np.full(count, 255, dtype=np.uint8)
     highest = np.zeros(count, dtype=np.uint8)
     np.minimum.at(lowest, cells, parts[:, None])
@@ -260,9 +271,10 @@ def _require_numbers(nodes: Array, cells: Ints) -> None:
 
 
 def _require_no_overlap(nodes: Array, cells: Ints) -> None:
-    """Refuse faces of more than two cells.
+    """Raise an error if cells overlap.
 
-    Also refuse neighbours that lie on the same side of their face.
+    Cells overlap if a face has more than two cells, or if two neighbours lie on the same side of
+    their common face.
     """
     triangles, where, shared = cell_faces(cells)
     crowded = np.flatnonzero(shared > 2)
@@ -290,7 +302,7 @@ def _require_no_overlap(nodes: Array, cells: Ints) -> None:
 
 
 def _require_volume(nodes: Array, cells: Ints) -> None:
-    """Refuse cells that are still flat or inverted."""
+    """Raise an error for cells that are still flat or inverted."""
     bad = np.flatnonzero((flatness(nodes, cells) < FLAT) | (signed_volumes(nodes, cells) <= 0.0))
     if len(bad):
         at = place(nodes[cells[bad[0]]])
@@ -311,12 +323,12 @@ def smooth(
     movable: Flags,
     enough: float,
 ) -> tuple[Array, int]:
-    """Move nodes of cells worse than `enough` by pattern search.
+    """Improve cells with a mean ratio below `enough` by moving their nodes.
 
-    The search maximises the worst mean ratio around each node.
+    A pattern search maximises the worst mean ratio of the cells around each node.
 
-    A move is kept only where the worst cell around the node improves, so no cell falls below the
-    worst one next to it.
+    A move is only accepted if the worst cell around the node improves. No cell becomes worse than
+    the previously worst cell around the node.
 
     Parameters
     ----------
@@ -329,7 +341,7 @@ def smooth(
 
     Returns
     -------
-    Nodes, shape (n, 3), and the number of nodes moved.
+    Nodes, shape (n, 3), and number of moved nodes.
     """
     nodes = nodes.copy()
     order = np.argsort(cells.ravel(), kind="stable")
@@ -338,7 +350,7 @@ def smooth(
     for _ in range(_SWEEPS):
         quality = mean_ratio(nodes, cells)
         bad = np.flatnonzero(quality < enough)
-        # Worst cells first: their neighbours start from the improved nodes.
+        # The worst cells come first, so their neighbours start from the improved nodes.
         wanted = cells[bad[np.argsort(quality[bad])]].ravel()
         wanted = wanted[np.sort(np.unique(wanted, return_index=True)[1])]
         changed = 0
@@ -355,9 +367,9 @@ def smooth(
 
 
 def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | None:
-    """Find the place of a node where the worst cell around it is best.
+    """Find the position of a node that maximises the quality of the worst cell around the node.
 
-    Return None if no cell around the node needs improvement.
+    The result is None if no cell around the node needs improvement.
     """
     corners = nodes[star]
     slot = star == node
@@ -371,8 +383,8 @@ def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | N
     centre = corners[~slot].mean(axis=0)
     while step > _SMALLEST_STEP:
         tries = np.concatenate(
-            # The middle of the other corners is often best, so it is tried at half and full
-            # distance.
+            # The mean of the other corners is often the best position, so moves to it by half and
+            # by the full distance are tried.
             [here + step * size * _DIRECTIONS, here + np.array([[0.5], [1.0]]) * (centre - here)]
         )
         moved = np.where(slot[None, :, :, None], tries[:, None, None, :], corners[None])
@@ -383,7 +395,7 @@ def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | N
             .min(axis=1)
         )
         best = int(worst.argmax())
-        # A smaller gain is rounding and would go on forever.
+        # A smaller improvement is a rounding error, and the search would not end.
         if worst[best] > score + 1e-6:
             here = tries[best]
             score = float(worst[best])

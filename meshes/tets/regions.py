@@ -1,6 +1,6 @@
-"""Nodes of a tetrahedral mesh chosen by place, by direction or by part.
+"""Selection of nodes of a tetrahedral mesh by position, direction or part.
 
-A body is held or loaded at these nodes.
+A body is supported or loaded at these nodes.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ def nodes_behind_plane(
     axis = require_direction("normal", normal)
     points = mesh.nodes_m[mesh.surface_nodes]
     away = (points - point) @ axis
-    # a margin for rounding
+    # tolerance for rounding
     chosen = mesh.surface_nodes[away <= 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())]
     if not len(chosen):
         nearest = int(away.argmin())
@@ -64,14 +64,15 @@ def nodes_behind_plane(
 
 
 def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float = 60.0) -> Nodes:
-    """Return nodes of the surface triangles that face a direction.
+    """Return the nodes of surface triangles that face a direction.
 
-    Their outward normal is within an angle of `direction`.
+    The angle between the outward normals of these triangles and `direction` is at most
+    `within_deg`.
 
     Raises
     ------
     InputError
-        If no triangle faces that direction. The message states the angle of the nearest triangle.
+        If no triangle faces the direction. The message states the smallest angle of a triangle.
     """
     axis = require_direction("direction", direction)
     within = require_range("within_deg", within_deg, 1.0, 180.0, "use 60")
@@ -91,12 +92,12 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
 
 
 def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
-    """Return all nodes of the part's cells, inside and on the surface.
+    """Return all nodes of a part's cells, inside and on the surface.
 
     Raises
     ------
     InputError
-        If the mesh has no such part, or no cell of it.
+        If the mesh has no such part, or the part has no cells.
     """
     if name not in mesh.part_names:
         raise InputError("part", f"be one of {', '.join(mesh.part_names)}", name, "use one of them")
@@ -109,7 +110,7 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
 
 
 def faces_of(mesh: TetMesh, nodes: Nodes) -> Ints:
-    """Return surface triangles with all three corners among the nodes, shape (k, 3)."""
+    """Return the surface triangles whose three corners are all in `nodes`, shape (k, 3)."""
     return mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
 
 
@@ -120,16 +121,16 @@ def surface_normals(mesh: TetMesh) -> Array:
 
 
 def place_on_surface(mesh: TetMesh, point_m: Array, around_m: float) -> tuple[Array, Array]:
-    """Return the surface point nearest to a point [m], and the outward normal there, shapes (3,).
+    """Return the surface point nearest to a point [m], and its outward normal, shapes (3,).
 
-    The normal is the mean over the triangles whose middles lie within `around_m` [m], weighted by
-    area and nearness. It thus does not turn with every facet. If there is no such triangle, it is
-    the normal of the nearest triangle.
+    The normal is a weighted mean over the triangles whose centroids lie within `around_m` [m]. The
+    weights increase with the area and with the proximity of a triangle. The normal therefore varies
+    smoothly between facets. If there is no such triangle, it is the normal of the nearest triangle.
     """
     nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]
-    normals = cross_products(mesh.nodes_m, mesh.surface)  # twice the area long
+    normals = cross_products(mesh.nodes_m, mesh.surface)  # length: twice the area
     away = np.linalg.norm(mesh.nodes_m[mesh.surface].mean(axis=1) - nearest, axis=1)
-    # 1.01 gives the nearest triangle a weight even if its middle lies outside the radius.
+    # 1.01 gives the nearest triangle a weight even if its centroid lies outside the radius.
     near = np.maximum(1.0 - (away / max(around_m, 1.01 * float(away.min()))) ** 2, 0.0) ** 2
     mean = near @ normals
     return nearest, mean / np.linalg.norm(mean)

@@ -1,8 +1,8 @@
-"""Exact structured tetrahedral meshes: every cell of a grid cut into six tetrahedra.
+"""Structured tetrahedral meshes: every cell of a grid is divided into six tetrahedra.
 
-A brick is cut along its diagonal from (0, 0, 0) to (1, 1, 1) into the six simplices of Kuhn (1960),
-the triangulation of Freudenthal (1942). All bricks are cut alike and each face along its diagonal
-through its lowest corner, so neighbours conform.
+A cuboid cell is divided along its diagonal from (0, 0, 0) to (1, 1, 1) into the six simplices of
+Kuhn (1960), the triangulation of Freudenthal (1942). All cells are divided in the same pattern, and
+each face is divided along the diagonal through its lowest corner, so neighbours conform.
 """
 
 import math
@@ -20,14 +20,14 @@ __all__ = ["box", "graded", "grid"]
 
 
 def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
-    """Build bricks of six tetrahedra each between planes at `x_m`, `y_m` and `z_m` [m].
+    """Build cuboids of six tetrahedra each between planes at `x_m`, `y_m` and `z_m` [m].
 
-    The planes are ascending, shapes (n + 1,).
+    The positions of the planes are ascending, shapes (n + 1,).
 
     Raises
     ------
     InputError
-        If an axis has fewer than two planes, or planes that do not rise.
+        If an axis has fewer than two planes, or the positions are not ascending.
     """
     axes = [np.asarray(axis, dtype=np.float64) for axis in (x_m, y_m, z_m)]
     for name, axis in zip(("x_m", "y_m", "z_m"), axes, strict=True):
@@ -41,7 +41,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
     """Build a box from the origin to `size_m` [m], shape (3,).
 
-    It has `cells` bricks along each axis, of six tetrahedra each.
+    The box has `cells` cuboids along each axis, and each cuboid has six tetrahedra.
     """
     if len(cells) != 3 or min(cells) < 1:
         raise InputError("cells", "be three numbers of at least 1", tuple(cells), "use (4, 4, 4)")
@@ -52,12 +52,12 @@ def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
 
 
 def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array:
-    """Return positions [m] from `start_m` to `end_m` with growing steps.
+    """Return positions [m] from `start_m` to `end_m` with increasing steps.
 
-    The first step is about `first_m` and each next one is `growth` times longer.
+    The first step is about `first_m`, and each further step is `growth` times longer.
 
-    The last steps are stretched alike so that the end is reached exactly. Two such series back to
-    back grade towards a centre.
+    All steps are scaled by the same factor so that the last position is exactly `end_m`. Two such
+    series, one of them reversed, refine a grid towards its centre.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
     if not growth >= 1.0:
         raise InputError("growth", "be at least 1", growth, "use 1.2")
     steps = [first_m]
-    # Rounding of the sum must not add a step.
+    # The tolerance avoids an additional step because of rounding errors of the sum.
     while sum(steps) < distance * (1.0 - 1e-12):
         steps.append(steps[-1] * growth)
     at = np.concatenate([[0.0], np.cumsum(steps)])
@@ -82,9 +82,9 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
 
 
 def _kuhn(counts: Sequence[int]) -> Ints:
-    """Return cells of a grid with `counts` bricks per axis, shape (6 bricks, 4).
+    """Return the tetrahedra of a grid with `counts` cuboids per axis, shape (6 cuboids, 4).
 
-    Nodes are numbered with z fastest.
+    In the node numbers, z varies fastest.
     """
     stride = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
     bricks = lattice(*map(np.arange, counts))
@@ -92,7 +92,7 @@ def _kuhn(counts: Sequence[int]) -> Ints:
     for order in permutations(range(3)):
         path = np.concatenate([[0], np.cumsum(stride[list(order)])])
         odd = np.linalg.det(np.eye(3)[list(order)]) < 0.0
-        # An odd permutation mirrors the tetrahedron; exchanging two corners makes its volume
+        # An odd permutation mirrors the tetrahedron. Exchange two corners so that its volume is
         # positive.
         tets.append(path[[0, 2, 1, 3]] if odd else path)
     return ((bricks @ stride)[:, None, None] + np.array(tets)[None]).reshape(-1, 4).astype(np.int64)

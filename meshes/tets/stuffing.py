@@ -1,17 +1,19 @@
-"""Tetrahedra that fill a signed distance: a body-centred cubic lattice cut by the surface.
+"""Tetrahedra that fill a signed distance, made from a body-centred cubic lattice.
 
-Isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to where the surface
-crosses one of their edges are moved onto the crossing; the edges still crossed are cut there and
-the pieces filled with tetrahedra. The four-sided faces left between pieces are cut from their
-lowest node (Dompierre et al., 1999), so neighbours conform. The pieces on both sides of a surface
-can be kept, which gives a part inside a surface of its own.
+The method is isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to a
+crossing of the surface with one of their edges are moved onto the crossing. Edges that are still
+crossed are cut at the crossing, and the pieces are filled with tetrahedra. Quadrilateral faces
+between pieces are divided from their lowest node (Dompierre et al., 1999), so neighbours conform.
+If the pieces on the two sides of a surface are kept, the inside of the surface becomes a part of
+the mesh.
 
-Refinement halves tetrahedra at their longest edges. An edge that is the longest of every
-tetrahedron around it is split at its middle, and so are these tetrahedra. The mesh stays conforming
-without any repair. Where a tetrahedron with an edge to split has a longer edge, the longer edge is
-split first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay bounded. The surface
-stays in place, or its nodes are moved onto a given surface. Flat triangles 20 mm long lie up to
-0.8 mm below a surface of 60 mm radius, for any division.
+Refinement bisects tetrahedra at their longest edges. If an edge is the longest edge of every
+tetrahedron around it, the edge and these tetrahedra are bisected. The mesh is then still
+conforming. If a tetrahedron has an edge to bisect and also a longer edge, the longer edge is
+bisected first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). The quality of the tetrahedra
+remains bounded. The surface does not change, or its nodes are moved onto a given surface. Without
+such moves, flat triangles with a length of 20 mm would lie up to 0.8 mm below a surface with a
+radius of 60 mm, for any refinement.
 """
 
 import math
@@ -37,13 +39,16 @@ __all__ = [
 ]
 
 Move = Callable[[Array], Array]
-"""Points [m], shape (n, 3), to points [m] of that shape."""
+"""Function from points [m], shape (n, 3), to points [m] of the same shape."""
 _MOST_BISECTED = 5_000_000
-"""Largest mesh made by halving: the ends of its edges take 0.5 GB, sorting them a multiple."""
-_LEAST_VOLUME = 0.5
-"""Share of its volume that every tetrahedron around a node must keep when the node is moved.
+"""Largest number of tetrahedra after refinement.
 
-A node is moved onto the surface only if every tetrahedron does.
+The end nodes of their edges take 0.5 GB, and sorting takes several times as much.
+"""
+_LEAST_VOLUME = 0.5
+"""Smallest relative volume of every tetrahedron around a node after the node is moved.
+
+Otherwise, the node is not moved onto the surface.
 """
 
 
@@ -53,7 +58,7 @@ def bisected(
     *,
     onto: Move | None = None,
 ) -> TetMesh:
-    """Return a mesh in which no edge is longer than wanted at its middle.
+    """Refine a mesh until no edge is longer than the required length at its middle.
 
     Nodes of the first mesh keep their numbers.
 
@@ -62,15 +67,16 @@ def bisected(
     mesh
         Mesh to refine.
     size_m
-        Longest edge wanted [m], shape (n,), at points [m], shape (n, 3).
+        Function from points [m], shape (n, 3), to the required longest edge [m], shape (n,).
     onto
-        Function that returns the nearest points of the surface that the mesh represents. The mesh's
-        surface nodes, old and new, are moved there.
+        Function that returns the nearest points of the surface that the mesh represents. Old and
+        new surface nodes of the mesh are moved to these points.
 
     Raises
     ------
     InputError
-        If a wanted edge is not positive, or the mesh would pass five million tetrahedra.
+        If a required edge is not positive, or the mesh would have more than five million
+        tetrahedra.
     """
     nodes = mesh.nodes_m
     cells = mesh.cells
@@ -93,15 +99,15 @@ def bisected(
                 "use a hundredth of the body",
             )
         rank = np.empty(len(keys), dtype=np.int64)
-        # Ties are broken by number, equally in every tetrahedron.
-        # Lengths that differ by rounding alone (12 digits) count as ties.
+        # Ties are decided by node numbers, with the same result in every tetrahedron. Lengths that
+        # are equal to 12 digits count as ties.
         rank[np.lexsort((keys, np.round(length / length.max(), 12)))] = np.arange(len(keys))
         edge = edge.reshape(-1, 6)
         place = rank[edge].argmax(axis=1)
         longest = np.take_along_axis(edge, place[:, None], axis=1)[:, 0]
         around = np.bincount(edge.ravel(), minlength=len(keys))
         marked = length > wanted
-        while True:  # edges that block a long edge are split first
+        while True:  # longer edges of the same tetrahedra are bisected first
             waiting = np.zeros(len(keys), dtype=bool)
             waiting[longest[marked[edge].any(axis=1)]] = True
             if not (waiting & ~marked).any():
@@ -134,7 +140,7 @@ def bisected(
 def _moved(nodes: Array, cells: Ints, chosen: Ints, onto: Move) -> Array:
     """Move the chosen nodes onto the surface.
 
-    Nodes whose move would flatten a tetrahedron stay in place.
+    Nodes are not moved if this would flatten a tetrahedron.
     """
     moved = nodes.copy()
     before = signed_volumes(nodes, cells)
@@ -149,30 +155,38 @@ Distance = Callable[[Array], Floats]
 Cells = Ints
 Points = Array
 _SNAP = 0.3
-"""Share of an edge within which a node is moved onto a crossing.
+"""Distance, relative to the edge, within which a node is moved onto a crossing.
 
-Worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With 0.2 they are 0.28,
-0.24 and 0.79, with 0.4 0.47, 0.16 and 0.27.
+The worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With a value of 0.2,
+they are 0.28, 0.24 and 0.79. With 0.4, they are 0.47, 0.16 and 0.27.
 """
 _LEAST_QUALITY = 0.15
-"""Mean ratio that every cell keeps when nodes are moved.
+"""Smallest mean ratio of a cell after nodes are moved.
 
-From 0.1 to 0.2 the meshes above are the same; with 0.05 the worst of the liver is 0.08.
+With values from 0.1 to 0.2, the meshes above are the same. With 0.05, the worst mean ratio of the
+liver is 0.08.
 """
 _STEPS = 6
-"""Steps towards a crossing: the three surfaces above are met within 0.04 um, by 4 within 0.7 um."""
+"""Number of steps towards a crossing.
+
+The error for the three surfaces above is at most 0.04 um, and 0.7 um with 4 steps.
+"""
 _MOST_CELLS = 20_000_000
-"""Largest lattice: its cells take 0.6 GB."""
+"""Largest number of cells of the lattice, which take 0.6 GB."""
 EDGE_GROWTH = 0.5
-"""Growth of the edges with the distance from where they are fine, as in scenes."""
+"""Increase of the edge length per distance from the fine region, the same as in scenes."""
 _EDGES = 3.0
-"""Edges across a ball, or two across a tube: quadratic ones bend with it."""
+"""Number of edges across a ball.
+
+Across a tube, there are two. Quadratic edges follow its curvature.
+"""
 _TRIES = 4
 _CLOSE = 0.01
-"""Number of meshes of an inclusion that are tried, and the accepted volume error.
+"""Number of meshes that are tried for an inclusion, and accepted volume error.
 
-The error is a share of the inclusion's volume. Of the meshes within it, the one with the best worst
-cell is kept; if there is none, the mesh with the nearest volume.
+The error is relative to the inclusion's volume. From the meshes within this error, the mesh with
+the best worst cell is used. If no mesh is within the error, the mesh with the smallest error is
+used.
 """
 
 
@@ -182,10 +196,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     Parameters
     ----------
     shape
-        Solid with finite bounds; details below the spacing are lost.
+        Solid with finite bounds. Details smaller than the spacing are lost.
     spacing_m
-        Side of the lattice's cubes [m]; twelve tetrahedra a cube, edges of 0.87 and 1 times the
-        side.
+        Side of the lattice's cubes [m]. There are twelve tetrahedra per cube, with edges of 0.87
+        and 1 times the side.
 
     Raises
     ------
@@ -193,7 +207,7 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
         If the shape is unbounded, or the spacing gives no tetrahedra or too many.
     """
     longest = max(np.subtract(shape.upper_m, shape.lower_m))
-    # Twenty cubes along the body; an endless one is refused below.
+    # Twenty cubes along the body. An unbounded body raises an error below.
     advised = longest / 20.0 if math.isfinite(longest) else 1e-3
     spacing = require_length("spacing_m", spacing_m, 0.0, math.inf, advised)
     lower = np.array(shape.lower_m)
@@ -206,7 +220,7 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
             "intersect the shape with a box",
         )
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
-        # Twelve tetrahedra a cube, and a tenth more for the cubes around the body.
+        # Twelve tetrahedra per cube, plus a tenth for the cubes around the body.
         possible = 1.1 * float(12.0 * np.prod(upper - lower) / _MOST_CELLS) ** (1.0 / 3.0)
         raise InputError(
             "spacing_m",
@@ -214,10 +228,12 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
             f"{1e3 * spacing:.4g} mm",
             f"use {1e3 * possible:.2g} mm or more",
         )
-    # 1.01 moves nodes off flat faces at whole cubes, so that rounding does not decide their side.
-    # Boxes have the same number of cells with 1 and 1.01, and a worst mean ratio of 0.8.
+    # The factor of 1.01 moves nodes away from flat faces at multiples of the side, because
+    # otherwise rounding errors would decide on which side the nodes lie. With 1 and 1.01, boxes
+    # have the same number of cells and a worst mean ratio of 0.8.
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
-    # A cell that the surface crosses has all nodes within an edge of it, at most a cube's side.
+    # All nodes of a cell that the surface crosses are within one edge of the surface, at most a
+    # cube's side.
     near = shape.distance(nodes) < 1.5 * spacing
     nodes, cells = compact(nodes, cells[near[cells].all(axis=1)])
     nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
@@ -232,14 +248,16 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
 
 
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
-    """Make the inside of a shape, within the first part, a part of its own.
+    """Make the part of the mesh inside a shape a separate part.
 
-    The new part is bounded by faces on the shape's surface.
+    Only cells of the first part are changed. The new part is bounded by faces on the shape's
+    surface.
 
     Raises
     ------
     InputError
-        If no cell is inside: the shape is outside the mesh, or smaller than its cells.
+        If no cell is inside the shape, because the shape is outside the mesh or smaller than its
+        cells.
     """
     nodes, cells, within, came = cut_by(mesh.nodes_m, mesh.cells, shape.distance)
     within &= mesh.part[came] == 0
@@ -255,12 +273,12 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
 
 
 def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cells, Flags, Cells]:
-    """Cut tetrahedra by the surface where a signed distance is zero, keeping both sides.
+    """Cut tetrahedra along the zero level of a signed distance, and keep the two sides.
 
     Returns
     -------
-    Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape
-    (m,); the cell each came from, shape (m,).
+    Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape (m,);
+    original cell of each cell, shape (m,).
     """
     value = np.asarray(distance(nodes), dtype=np.float64)
     nodes, value = _snapped(nodes, cells, value, distance)
@@ -276,7 +294,7 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
     ]
     made = np.array(pieces, dtype=np.int64).reshape(-1, 6)
     all_nodes = np.concatenate([nodes, _crossings(nodes, value, pairs, distance)])
-    # A cell with all corners on the surface has no sign of its own: its centre decides.
+    # If all corners of a cell lie on the surface, the sign at its centre decides.
     level = side[whole].sum(axis=1).astype(np.float64)
     level[level == 0.0] = distance(nodes[whole[level == 0.0]].mean(axis=1))
     within = np.concatenate([level < 0.0, made[:, 4] < 0])
@@ -295,21 +313,21 @@ def _crossed_edges(cells: Cells, side: Cells) -> tuple[Flags, Cells]:
 
 
 def _turned(nodes: Points, cells: Cells) -> Cells:
-    """Turn cells of negative volume over."""
+    """Reverse the orientation of cells with negative volume."""
     return np.where((signed_volumes(nodes, cells) < 0.0)[:, None], cells[:, [0, 2, 1, 3]], cells)
 
 
 def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Return tetrahedra of the part of a cell where `side` is not negative.
+    """Return tetrahedra that fill the part of a cell in which `side` is not negative.
 
-    Some corner of the cell is positive.
+    At least one corner of the cell is positive.
     """
     plus, zero, minus = (corners[side == sign].tolist() for sign in (1, 0, -1))
 
     def at(a: int, b: int) -> int:
         return number[(a, b) if a < b else (b, a)]
 
-    # One corner on this side is cut off as a tetrahedron, the rest of the cell as a prism or
+    # If one corner is on this side, the piece is a tetrahedron. The rest of the cell is a prism or
     # pyramid.
     if len(plus) == 1:
         return [[plus[0], *zero, *(at(plus[0], m) for m in minus)]]
@@ -320,8 +338,8 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
         )
     if len(plus) == 3:
         return _prism(plus, [at(p, minus[0]) for p in plus])
-    # Two corners here, one on the surface and one beyond: a pyramid, halved like the faces of
-    # prisms.
+    # Two corners are on this side, one is on the surface and one on the other side. The piece is a
+    # pyramid, which is halved like the faces of prisms.
     p, q = plus
     cp = at(p, minus[0])
     cq = at(q, minus[0])
@@ -331,7 +349,10 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
 
 
 def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
-    """Return three tetrahedra of a prism, every four-sided face cut from its lowest node."""
+    """Divide a prism into three tetrahedra.
+
+    Every quadrilateral face is divided from its lowest node.
+    """
     if min(top) < min(bottom):
         bottom, top = top, bottom
     k = bottom.index(min(bottom))
@@ -343,9 +364,9 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
 
 
 def _snapped(nodes: Points, cells: Cells, value: Array, distance: Distance) -> tuple[Points, Array]:
-    """Move nodes near the surface onto the nearest crossing, where no cell suffers.
+    """Move nodes near the surface onto the nearest crossing, if no cell becomes too bad.
 
-    A node is near if it lies within a share of a crossed edge.
+    A node is near if its distance from the crossing is less than `_SNAP` times the edge.
     """
     _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
     node = pairs.T.ravel()
@@ -358,8 +379,8 @@ def _snapped(nodes: Points, cells: Cells, value: Array, distance: Distance) -> t
     moved = nodes.copy()
     value = value.copy()
     moved[chosen] = point[nearest[first]]
-    # Of the moves that together spoil a cell the longest is taken back: a node left near the
-    # surface makes slivers.
+    # If several moves together spoil a cell, the longest move is undone, because a node that
+    # remains near the surface causes slivers.
     moved_by = np.linalg.norm(moved - nodes, axis=1)
     touched = cells[np.isin(cells, chosen).any(axis=1)]
     while len(spoiled := touched[mean_ratio(moved, touched) < _LEAST_QUALITY]):
@@ -392,7 +413,8 @@ def _crossings(nodes: Points, value: Array, pairs: Cells, distance: Distance) ->
         t = low - at_low * (high - low) / np.where(slope == 0.0, 1.0, slope)
         here = np.asarray(distance(a + t[:, None] * (b - a)), dtype=np.float64)
         moved = np.where(here * at_low > 0.0, 1.0, -1.0)
-        # The end that stays a second time counts half, else it would never move.
+        # The value at an end that is kept a second time is halved, because this end would otherwise
+        # never move.
         again = np.where(moved == last, 0.5, 1.0)
         at_high = np.where(moved > 0.0, at_high * again, here)
         at_low = np.where(moved > 0.0, here, at_low * again)
@@ -405,7 +427,7 @@ def _crossings(nodes: Points, value: Array, pairs: Cells, distance: Distance) ->
 def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cells]:
     """Build a body-centred cubic lattice.
 
-    A tetrahedron joins two centres of neighbouring cubes and an edge of their face.
+    A tetrahedron connects the centres of two neighbouring cubes with an edge of their common face.
     """
     count = np.ceil((upper - lower) / spacing).astype(np.int64)
     corner = np.stack(np.meshgrid(*(np.arange(n + 1) for n in count), indexing="ij"), axis=-1)
@@ -433,22 +455,22 @@ def with_inclusion(
     volume_m3: float,
     onto: Move | None = None,
 ) -> tuple[TetMesh, str]:
-    """Return the mesh with the inside of a closed surface as a new part, and a volume note.
+    """Make the inside of a closed surface a new part; return the mesh and a note on the volume.
 
-    Edges on the surface are at most twice its volume over its area, a third of a ball's diameter.
-    Cells of an earlier part stay in that part.
+    Edges on the surface are at most 2 V / A long, where V is the enclosed volume and A the area.
+    This is a third of a ball's diameter. Cells of an earlier part are not changed.
 
     Parameters
     ----------
     mesh, name
         Mesh to change, and name of the new part.
     vertices_m, triangles
-        Surface of the part [m], wound outward, which may extend outside the mesh.
+        Surface of the part [m] with outward normals. It may extend outside the mesh.
     volume_m3
         Volume of the part inside the mesh [m3].
     onto
-        Function that returns the nearest points of the surface that the mesh represents. The mesh's
-        surface nodes are moved there.
+        Function that returns the nearest points of the surface that the mesh represents. The
+        surface nodes of the mesh are moved to these points.
 
     Raises
     ------
@@ -463,8 +485,8 @@ def with_inclusion(
     # 6 V / A is the diameter of a ball.
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
-    # Flat faces cut the corners of a round body, so the surface is placed outside it to match the
-    # volume.
+    # A polyhedron with corners on a round surface has a smaller volume, so the surface is placed
+    # outside to match the volume.
     laid_m = 0.0
     made = fine
     share = 1.0

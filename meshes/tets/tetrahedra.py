@@ -1,4 +1,4 @@
-"""Tetrahedral meshes: nodes, cells, parts, the surface around them, and measures of quality."""
+"""Tetrahedral meshes: nodes, cells, parts, surface, and measures of quality."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -30,9 +30,9 @@ __all__ = [
 ]
 
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-"""Corners of the edges of a tetrahedron."""
+"""Corner indices of the edges of a tetrahedron."""
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Corners of the face opposite each corner, counter-clockwise seen from outside."""
+"""Corner indices of the face opposite each corner, counter-clockwise as seen from outside."""
 
 Nodes = Array
 Cells = Ints
@@ -41,7 +41,7 @@ Cells = Ints
 def signed_volumes(nodes: Nodes, cells: Cells) -> Array:
     """Compute the volume of each tetrahedron in cubed units of the nodes, shape (m,).
 
-    It is negative where a tetrahedron is inverted.
+    The volume is negative if a tetrahedron is inverted.
     """
     a, b, c, d = (nodes[cells[:, i]] for i in range(4))
     # a sixth of the triple product of three edges
@@ -51,10 +51,10 @@ def signed_volumes(nodes: Nodes, cells: Cells) -> Array:
 def mean_ratio(nodes: Nodes, cells: Cells) -> Array:
     """Compute the mean ratio quality of each tetrahedron, shape (m,).
 
-    It is 12 (3 V)^(2/3) over the sum of squared edges (Liu and Joe, 1994).
+    The mean ratio is 12 (3 V)^(2/3), divided by the sum of squared edges (Liu and Joe, 1994).
 
-    1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one; 0.84 for the corner
-    of a cube.
+    It is 1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one, and 0.84 for
+    the corner of a cube.
     """
     # 1e-300 avoids a division by zero for four equal corners.
     volume = signed_volumes(nodes, cells)
@@ -65,23 +65,23 @@ def mean_ratio(nodes: Nodes, cells: Cells) -> Array:
 
 
 def flatness(nodes: Nodes, cells: Cells) -> Array:
-    """Compute six volumes over the cube of the longest edge, without sign, shape (m,).
+    """Compute the ratio 6 |V| / (longest edge)^3 of each tetrahedron, shape (m,).
 
-    It is 0.71 for a regular tetrahedron.
+    The ratio is 0.71 for a regular tetrahedron.
     """
     longest = np.sqrt(_edge_squares(nodes, cells).max(axis=0))
     return 6.0 * np.abs(signed_volumes(nodes, cells)) / np.maximum(longest, 1e-300) ** 3
 
 
 def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
-    """Return all faces of all cells, four per cell, wound outward.
+    """Return all faces of all cells, four per cell, with outward normals.
 
-    Also return the number of each face and the number of cells that share it.
+    Also return the index of each face, and the number of cells with this face.
 
     Returns
     -------
-    Triangles, shape (4 m, 3); number of the unordered face, shape (4 m,); cells that share
-    it, shape (4 m,).
+    Triangles, shape (4 m, 3); index of the face without regard to orientation, shape (4 m,); number
+    of cells with this face, shape (4 m,).
     """
     triangles = cells[:, FACES].reshape(-1, 3)
     _, where, count = np.unique(
@@ -91,9 +91,9 @@ def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
 
 
 def pieces(cells: Cells) -> Ints:
-    """Return the number of the piece of each cell, shape (m,).
+    """Return the index of the connected piece that each cell belongs to, shape (m,).
 
-    Cells of a piece are linked through whole faces.
+    The cells of a piece are connected through common faces.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -109,7 +109,7 @@ def pieces(cells: Cells) -> Ints:
 
 
 def pinched_edges(surface: Cells) -> Ints:
-    """Return edges that more than two of the triangles share, shape (k, 2)."""
+    """Return the edges with more than two triangles, shape (k, 2)."""
     edges, uses = np.unique(np.sort(directed_edges(surface), axis=1), axis=0, return_counts=True)
     return edges[uses > 2]
 
@@ -127,28 +127,29 @@ def place(points_m: Array) -> str:
 
 
 _TETRA = 10
-"""Type of a tetrahedron in VTK."""
+"""VTK cell type of a tetrahedron."""
 
 
 @dataclass(frozen=True, eq=False)
 class TetMesh:
-    """Tetrahedra with straight edges, all of positive volume.
+    """Mesh of tetrahedra with straight edges and positive volumes.
 
     Attributes
     ----------
     nodes_m
         Node positions [m], shape (n, 3).
     cells
-        Nodes of each tetrahedron, shape (m, 4); (b - a) . ((c - a) x (d - a)) is positive.
+        Node indices a, b, c, d of each tetrahedron, shape (m, 4). (b - a) . ((c - a) x (d - a)) is
+        positive.
     part
-        Part that each tetrahedron belongs to, shape (m,).
+        Index of the part that each tetrahedron belongs to, shape (m,).
     part_names
         Names of the parts.
 
     Raises
     ------
     InputError
-        If positions are not finite, a cell names a node that does not exist, or a volume is not
+        If positions are not finite, a cell refers to a node that does not exist, or a volume is not
         positive.
     """
 
@@ -195,31 +196,31 @@ class TetMesh:
 
     @cached_property
     def surface(self) -> Ints:
-        """Triangles that bound the mesh, counter-clockwise seen from outside, shape (f, 3)."""
+        """Triangles that bound the mesh, counter-clockwise as seen from outside, shape (f, 3)."""
         triangles, _, shared = cell_faces(self.cells)
         return triangles[shared == 1]
 
     @cached_property
     def surface_nodes(self) -> Ints:
-        """Nodes on the surface in rising order, shape (s,)."""
+        """Indices of the nodes on the surface in ascending order, shape (s,)."""
         return np.unique(self.surface)
 
 
 def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
-    """Convert a mesh to a pyvista grid [mm] with ``part`` over its cells.
+    """Convert a mesh to a pyvista grid [mm] with the cell array ``part``.
 
-    ``part`` counts into the field ``part_names``.
+    The values of ``part`` are indices of the field ``part_names``.
     """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkStringArray
 
-    # VTK expects the number of corners before the corners of each cell.
+    # In VTK, the number of corners precedes the corners of each cell.
     cells = np.insert(mesh.cells, 0, 4, axis=1).ravel()
     grid = pyvista.UnstructuredGrid(
         cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m
     )
     grid.cell_data["part"] = mesh.part
-    names = vtkStringArray()  # pyvista's own method accepts ASCII only
+    names = vtkStringArray()  # pyvista's own method only accepts ASCII
     names.SetName("part_names")
     for name in mesh.part_names:
         names.InsertNextValue(name)
@@ -228,14 +229,14 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
 
 
 def write_organ(mesh: TetMesh, path: str | Path) -> None:
-    """Write a mesh [mm] with its parts and their names.
+    """Write a mesh [mm] with its parts and part names.
 
-    ``anatomy.file`` of a scene and `read_tets` read the file.
+    The file can be used as ``anatomy.file`` of a scene, and read by `read_tets`.
 
     Raises
     ------
     InputError
-        If the file is not named ``.vtu``.
+        If the file name does not end with ``.vtu``.
     """
     file = Path(path)
     if file.suffix != ".vtu":

@@ -1,9 +1,9 @@
-"""Filling of a closed surface with tetrahedra by fTetWild (Hu et al., 2020), cached.
+"""Filling of a closed surface with tetrahedra by fTetWild (Hu et al., 2020), with a cache.
 
-fTetWild keeps the surface within an envelope and takes the inside from the winding number, so a
-surface that crosses itself is filled as the union of the enclosed regions. Two runs give meshes
-that differ slightly, also on one thread: a mesh is reproducible through the cache, which holds it
-by the content of the surface.
+fTetWild keeps the surface within an envelope and determines the inside from the winding number. A
+surface that crosses itself is therefore filled as the union of the enclosed regions. The meshes of
+two runs differ slightly, also on one thread. The cache makes meshes reproducible: it stores a mesh
+under the content of its surface.
 """
 
 from dataclasses import replace
@@ -22,58 +22,60 @@ from meshes.tets.tetrahedra import TetMesh, signed_volumes
 __all__ = ["FILL_EDGES", "tetrahedralise", "with_volume"]
 
 FILL_EDGES = 14.0
-"""Edges along the longest side of an organ where no edge is given."""
+"""Number of edges along the longest side of an organ if no edge is given."""
 _CELLS = 30_000
-"""Tetrahedra of a solid if no edge is given: the compliance of 500 nodes then takes 10 s."""
+"""Number of tetrahedra of a solid if no edge is given.
+
+The computation of the compliance of 500 nodes then takes 10 s.
+"""
 _EDGE_PER_CELL = 2.7
-"""Target edge over the cube root of the mean cell volume, measured for fTetWild on a liver."""
+"""Ratio of target edge to cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance that the surface may move, over the edge, and largest distance [m].
+"""Distance by which the surface may move, relative to the edge, and largest distance [m].
 
-The largest distance is less than the voxels of the scans behind the surface.
+The largest distance is smaller than the voxels of scans from which surfaces are made.
 """
 _VOLUME_OFF = 0.005
-"""Share by which the volume of the mesh may differ before a note is added."""
+"""Relative difference of the volume of the mesh above which a note is added."""
 _STEPS = 8
 """Largest number of moves.
 
-Each move leaves the square of the remaining error, or holds nodes of tetrahedra that it would
-flatten.
+Each move squares the remaining relative error, or fixes nodes of tetrahedra that it would flatten.
 """
 _OFF = 1e-6
-"""Share of the volume that may be missing after the moves; otherwise no node is moved."""
+"""Relative volume error that is accepted after the moves. With a larger error, no node is moved."""
 _LEAST_KEPT = 0.2
-"""Share of its volume that every tetrahedron must keep."""
+"""Smallest relative volume of a tetrahedron after a move."""
 
 
 def tetrahedralise(
     surface: Surface, *, edge_m: float | None = None, report: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Fill a closed surface with tetrahedra, from the cache if it was filled before.
+    """Fill a closed surface with tetrahedra, or return its mesh from the cache.
 
     Parameters
     ----------
     surface
-        Closed, wound outward, as `meshes.read_surface` makes it.
+        Closed surface with outward normals, for example from `meshes.read_surface`.
     edge_m
-        Target edge [m]; None: about 30,000 tetrahedra.
+        Target edge [m]. None: an edge that gives about 30,000 tetrahedra.
     report
         Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Returns
     -------
-    The mesh in the frame of the surface, and notes, a sentence each.
+    Mesh in the frame of the surface, and notes, one sentence each.
 
     Raises
     ------
     InputError
-        If the edge does not suit the surface, or the surface cannot be meshed.
+        If the edge is too short or too long for the surface, or the surface cannot be meshed.
     """
     volume = surface.report.volume_mm3 * 1e-9
     longest = 1e-3 * max(surface.report.size_mm)
     edge = _EDGE_PER_CELL * (volume / _CELLS) ** (1.0 / 3.0) if edge_m is None else edge_m
-    # Shorter edges give millions of tetrahedra, longer ones a solid of one cell.
+    # Shorter edges give millions of tetrahedra, and longer edges a solid with one cell.
     edge = require_length("edge_m", edge, longest / 200.0, longest / 2.0, longest / 20.0)
     sentences = []
     pinched = edge_counts(surface.faces)[1]
@@ -114,14 +116,14 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
     """Compute nodes [m] and cells by fTetWild."""
     from pytetwild import tetrahedralize  # type: ignore[attr-defined]
 
-    left_behind = Path("__tracked_surface.stl")  # fTetWild writes it where it runs
+    left_behind = Path("__tracked_surface.stl")  # fTetWild writes this file into the working folder
     there_before = left_behind.exists()
     nodes, cells = tetrahedralize(
         surface.vertices_m,
         surface.faces.astype(np.int32),
         edge_length_abs=edge,
-        # Over the diagonal of the box, at least a tenth of fTetWild's default of 1e-3: its time
-        # grows as the envelope shrinks.
+        # The envelope is relative to the diagonal of the box. It is at least a tenth of fTetWild's
+        # default of 1e-3, because a smaller envelope takes more time.
         epsilon=max(envelope / float(np.linalg.norm(np.ptp(surface.vertices_m, axis=0))), 1e-4),
         quiet=True,
         vtk_ordering=True,
@@ -134,25 +136,26 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
 def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     """Move the mesh's surface along the normals so that the mesh encloses a volume.
 
-    All surface nodes move by one distance.
+    All surface nodes move by the same distance.
 
-    Nodes of tetrahedra too small to follow stay where they are.
+    Nodes of tetrahedra that would become too small are not moved.
 
     Parameters
     ----------
     mesh
-        A mesh whose facets cut the corners of the body that it represents.
+        Mesh whose flat facets enclose a different volume than the body that it represents.
     volume_m3
         Volume to enclose [m3].
     within_m
-        Largest distance that the surface may move [m]; if it would move farther, it stays in place.
+        Largest distance by which the surface may move [m]. If a larger distance is needed, the
+        surface is not moved.
     """
     moved = mesh
     free = np.ones(len(mesh.nodes_m))
     for _ in range(_STEPS):
         corners = moved.nodes_m[moved.surface]
         areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        # 1e-300 avoids divisions by zero at inner nodes and if all nodes are held.
+        # 1e-300 avoids divisions by zero at inner nodes and if all nodes are fixed.
         normals = np.zeros_like(mesh.nodes_m)
         np.add.at(normals, moved.surface.ravel(), np.repeat(areas, 3, axis=0))
         normals *= (free / (np.linalg.norm(normals, axis=1) + 1e-300))[:, None]

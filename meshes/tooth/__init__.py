@@ -1,1 +1,1 @@
-"""Teeth: procedural, from layered surfaces, from label images."""
+"""Teeth: procedural, from layered surfaces, or from label images."""

@@ -1,12 +1,13 @@
-"""Labels of a tooth in a site's frame, and voxels made of them.
+"""Labels of a tooth in a site's frame, and conversion to voxels.
 
-The voxels are made by sub-samples, or by interpolated shares.
+There are two conversions: sub-samples, and interpolated shares.
 
-`resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth.
-`LabelShares` is one function of the file, independent of the grid that samples it. Each layer's
-voxels are spread by the kernel of `meshes.images.bone_image` with a standard deviation of 1.5
-voxels, and interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms,
-without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
+`resampled` counts the labels at sub-samples of each voxel, which is fast for a whole tooth.
+`LabelShares` is a continuous function that does not depend on the grid on which it is sampled. The
+voxels of each layer are smoothed with the kernel of `meshes.images.bone_image` with a standard
+deviation of 1.5 voxels, and interpolated. For labels of planes and balls, the error of the surface
+is 0.08 voxels (RMS), without bias. A layer with a thickness of two voxels becomes a fifth of a
+voxel thicker on each side.
 """
 
 from __future__ import annotations
@@ -32,49 +33,56 @@ __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 
 
 MOST_SAMPLES = 6
-"""Sub-samples along the edge of a voxel, at most: the 216 of a voxel still fit a byte."""
+"""Largest number of sub-samples along the edge of a voxel.
+
+The number per voxel, 216, still fits in a byte.
+"""
 SPREAD = 1.5
 """Standard deviation of the Gaussian [voxel].
 
-With 1.0, planes are off by 0.10 voxels rms; with 2.0, thin layers are off more.
+With 1.0, the error of planes is 0.10 voxels (RMS). With 2.0, the error of thin layers is larger.
 """
 REACH = 8
-"""Voxels around a region that its shares depend on.
+"""Margin around a region on which its shares depend [voxel].
 
-They are four deviations, one voxel for the Laplacian and one to interpolate.
+It is four standard deviations, plus one voxel for the Laplacian and one voxel for interpolation.
 """
 _SLAB = 8
-"""Planes of voxels that a thread fills at once, so that progress is reported often."""
-_THREADS = 2
-"""Threads; NumPy releases the interpreter's lock in most of the work."""
-_POINTS_AT_ONCE = 1 << 18
-"""Points at which shares are interpolated at once: three indices each are 6 MB."""
-_FARTHEST = 1.0
-"""Distance [deviations] up to which the share of a plane is monotonic.
+"""Number of voxel planes that a thread fills at once.
 
-Up to there the share gives the distance.
+A small number gives frequent progress reports.
+"""
+_THREADS = 2
+"""Number of threads. NumPy releases the interpreter lock in most of the work."""
+_POINTS_AT_ONCE = 1 << 18
+"""Number of points at which shares are interpolated at once. Their three indices take 6 MB."""
+_FARTHEST = 1.0
+"""Distance [standard deviations] up to which the share behind a plane is monotonic.
+
+Up to this distance, the distance can be computed from the share.
 """
 _SURELY = 0.49
-"""A share that differs from a half by more has no surface within a voxel."""
+"""Difference of a share from one half above which no surface lies within a voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
 _DENSITY_KG_M3 = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.uint16)
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedLabels:
-    """A layer image with its place in the site frame.
+    """Layer image with its position in the site frame.
 
     Attributes
     ----------
     layer
-        Layer index, `EMPTY` outside and all along the border, uint8, shape (nx, ny, nz),
-        C-contiguous.
+        Layer index, `EMPTY` outside the tooth and at the border of the array, uint8, shape (nx, ny,
+        nz), C-contiguous.
     spacing
         Voxel sizes [m], shape (3,).
     first_m
         Centre of voxel (0, 0, 0) in the file's frame [m], shape (3,).
     origin, rotation
-        Site's origin [m] from there, and its axes as columns in the file's frame.
+        Origin of the site relative to `first_m` [m], and axes of the site as columns in the file's
+        frame.
     """
 
     layer: Bytes
@@ -84,7 +92,7 @@ class PlacedLabels:
     rotation: Array
 
     def on_plane(self, x: float, y: Array, z: Array) -> Bytes:
-        """Return the layer at the points of a plane of the site frame, shape (ny, nz)."""
+        """Return the layer at points of a plane in the site frame, shape (ny, nz)."""
         number = np.zeros((len(y), len(z)), dtype=np.int32)
         for axis, count in enumerate(self.layer.shape):
             scale = self.rotation[axis] / self.spacing[axis]
@@ -94,24 +102,24 @@ class PlacedLabels:
             )
             np.clip(index, 0, count - 1, out=index)
             number *= count
-            # rounds to the nearest, half of a voxel being added above
+            # rounds to the nearest voxel, because half a voxel is added above
             number += index.astype(np.int32)
         return self.layer.ravel()[number]
 
     @property
     def placement(self) -> Placement:
-        """Place of the site in the file."""
+        """Placement of the site in the file."""
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
     def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
-        """Return the labels around a box [m] of the site frame, and the index of points in them.
+        """Return the labels around a box [m] of the site frame, and a map from points to indices.
 
-        The labels reach `reach` voxels beyond the box.
+        The labels extend `reach` voxels beyond the box.
 
         Returns
         -------
-        A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a
-        point's index [voxel] among them, ``start + turn @ point``.
+        A copy of the labels, and ``start``, shape (3,), and ``turn``, shape (3, 3). The index
+        [voxel] of a point in the labels is ``start + turn @ point``.
         """
         turn = self.rotation / self.spacing[:, None]
         start = self.origin / self.spacing
@@ -126,7 +134,8 @@ class PlacedLabels:
     @cached_property
     def corners(self) -> Array:
         """Lowest and highest corner [m] of the tooth in the site frame, shape (2, 3)."""
-        # About 160 planes an axis are enough, because the box grows by their distance.
+        # About 160 planes per axis are enough, because the box is extended by the distance of the
+        # planes.
         steps = [max(n // 160, 1) for n in self.layer.shape]
         index = np.argwhere(self.layer[:: steps[0], :: steps[1], :: steps[2]] != EMPTY) * steps
         points = (index * self.spacing - self.origin) @ self.rotation
@@ -142,13 +151,14 @@ def resampled(
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Make voxels of edge `size` [m] between two corners [m], cropped to the tooth.
+    """Make voxels with the edge `size` [m] between two corners [m], cropped to the tooth.
 
-    The voxels lie on whole multiples of the edge.
+    The grid lines lie at integer multiples of the edge.
 
-    Fractions and layers come from sub-samples no farther apart than the image's voxels, at most
-    `most_samples` along an axis. The fraction is the share of the sub-samples in any layer. The
-    layer is the most frequent one, and among equal ones the first of `PRIORITY`.
+    Fractions and layers are computed from sub-samples. Their distance is at most the voxel size of
+    the image, unless `most_samples` along an axis would be exceeded. The fraction is the share of
+    the sub-samples in any layer. The layer is the most frequent layer, and the first of `PRIORITY`
+    if several layers are equally frequent.
 
     Raises
     ------
@@ -160,7 +170,7 @@ def resampled(
     first = np.floor(corners[0] / size).astype(int).tolist()
     count = (np.ceil(corners[1] / size).astype(int) - first).tolist()
     grid = Grid(size, (first[0], first[1], first[2]), (count[0], count[1], count[2]))
-    # Rounding of equal sizes must not double the sub-samples.
+    # The tolerance avoids twice as many sub-samples because of rounding errors of equal sizes.
     parts = min(max(ceil(size / float(placed.spacing.min()) - 1e-6), 1), most_samples)
     fraction = np.zeros(grid.shape, np.uint8)
     layer = np.zeros(grid.shape, np.uint8)
@@ -201,9 +211,10 @@ def resampled(
 
 
 def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
-    """Count sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
+    """Count the sub-samples of each voxel in up to eight layers, shape (nx, ny, nz, 8).
 
-    Eight counters of a byte share a word, so one sum counts all layers; `parts`³ fits a byte.
+    A word consists of eight one-byte counters, so one sum counts all layers. `parts`³ fits in a
+    byte.
     """
     counter = np.zeros(EMPTY + 1, dtype=np.uint64)
     counter[list(layers)] = np.uint64(1) << (np.uint64(8) * np.arange(len(layers), dtype=np.uint64))
@@ -221,16 +232,16 @@ def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequen
 
 @dataclass(frozen=True, eq=False)
 class LabelShares:
-    """Shares of layers around any point of a box.
+    """Smoothed shares of layers at any point of a box.
 
     Attributes
     ----------
     layers
-        Layers in the box, uint8; among equal shares the first layer wins.
+        Layers in the box, uint8. If shares are equal, the first layer is used.
     shares
-        Share of each at the voxels, float32, shape (nx, ny, nz) each.
+        Share of each layer at the voxels, float32, shape (nx, ny, nz).
     solid
-        Their sum.
+        Sum of the shares of all layers.
     start, turn
         Index [voxel] of a point of the site frame [m]: ``start + turn @ point``.
     deviation_m
@@ -257,7 +268,7 @@ class LabelShares:
         start: Array,
         turn: Array,
     ) -> LabelShares:
-        """Spread the layers of labels, shape (nx, ny, nz).
+        """Smooth the layers of labels, shape (nx, ny, nz).
 
         The voxels have the sides `voxel_m`, shape (3,).
         """
@@ -275,7 +286,7 @@ class LabelShares:
         )
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Sample a grid, see `meshes.shapes.anatomy.GridSampler`.
+        """Compute fraction and depth on a grid, see `meshes.shapes.anatomy.GridSampler`.
 
         The depth is zero, because layers do not use it.
         """
@@ -287,7 +298,7 @@ class LabelShares:
         return layer, _DENSITY_KG_M3[layer].astype(np.float32)
 
     def layer(self, points: Floats) -> Bytes:
-        """Return the layer of the largest share at points [m], shape (n, 3)."""
+        """Return the layer with the largest share at points [m], shape (n, 3)."""
         if len(self.layers) < 2:
             return np.full(len(points), self.layers[0] if len(self.layers) else 0, np.uint8)
         found = np.empty(len(points), dtype=np.uint8)
@@ -301,14 +312,15 @@ class LabelShares:
     def distance(self, points: Floats) -> Array:
         """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
 
-        Beyond one deviation it is a bound.
+        Beyond one standard deviation, the result is a bound.
         """
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 
     def fraction(self, grid: Grid) -> Singles:
-        """Compute the part of each voxel inside the surface.
+        """Compute the fraction of each voxel inside the surface.
 
-        The surface is treated as a plane in parts no larger than a label's voxel.
+        A voxel is divided into parts that are at most as large as a label's voxel. In each part,
+        the surface is treated as a plane.
         """
         from scipy.ndimage import binary_dilation
 
@@ -321,12 +333,12 @@ class LabelShares:
         result = (share > 0.5).astype(np.float32)
         side = result.reshape(grid.shape) > 0.5
         mixed = (np.abs(share - 0.5) < _SURELY).reshape(grid.shape)
-        # between neighbours on two sides there is a surface, even around a thin region
+        # between neighbours on different sides there is a surface, also around a thin region
         for axis in range(3):
             low, high = ((slice(None),) * axis + (part,) for part in (slice(0, -1), slice(1, None)))
             mixed[low] |= side[low] != side[high]
         near = np.flatnonzero(binary_dilation(mixed, np.ones((3, 3, 3))))
-        # Rounding of equal sizes must not double the parts.
+        # The tolerance avoids twice as many parts because of rounding errors of equal sizes.
         parts = max(ceil(grid.spacing_m / self.voxel_m - 1e-6), 1)
         size = grid.spacing_m / parts
         within = (np.arange(parts) - 0.5 * (parts - 1)) * size
@@ -337,7 +349,7 @@ class LabelShares:
         return result.reshape(grid.shape)
 
     def _part_fraction(self, centres: Array, size: float) -> Singles:
-        """Compute the part inside of cubes of an edge [m], shape (n,)."""
+        """Compute the fraction inside of cubes with a given edge [m], shape (n,)."""
         distance = self.distance(centres)
         fraction = (distance < 0.0).astype(np.float32)
         crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * size)
@@ -350,8 +362,8 @@ class LabelShares:
                 ],
                 -1,
             )
-            # Between two equal surfaces the slope vanishes; any direction then gives nearly the
-            # same part.
+            # In the middle between two surfaces the slope is zero. Any direction then gives nearly
+            # the same fraction.
             length = np.linalg.norm(slope, axis=1, keepdims=True)
             normal = np.where(
                 length > 0.0, slope / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0])
@@ -360,21 +372,22 @@ class LabelShares:
         return fraction
 
     def _solid_at(self, points: Floats) -> Singles:
-        """Compute the share of all layers at points [m], shape (n, 3)."""
+        """Compute the sum of the shares of all layers at points [m], shape (n, 3)."""
         return np.concatenate(
             [_interpolated(self.solid, self._index(points[p])) for p in _parts(len(points))]
         )
 
     def _index(self, points: Floats) -> Array:
-        """Return indices [voxel] of points [m], shape (3, n)."""
+        """Convert points [m] to indices [voxel], shape (3, n)."""
         return np.asarray(self.start[:, None] + self.turn @ points.T)
 
 
 def _plane_share() -> tuple[Array, Array]:
-    """Tabulate the share behind a plane, rising, and the depth below the plane [deviations]."""
+    """Tabulate the share behind a plane, and the depth below the plane [standard deviations]."""
     from scipy.special import ndtr
 
-    # Steps of 1/400 of a deviation: linear interpolation between them is within 2e-6 of one.
+    # With steps of 1/400 of a standard deviation, the error of linear interpolation is 2e-6
+    # standard deviations.
     depth = np.linspace(-_FARTHEST, _FARTHEST, 801)
     return ndtr(depth) + depth * np.exp(-0.5 * depth**2) / np.sqrt(2.0 * np.pi), depth
 
@@ -387,5 +400,5 @@ def _interpolated(values: Singles, at: Array) -> Singles:
 
 
 def _parts(count: int) -> list[slice]:
-    """Return slices of points that fit the processor's cache."""
+    """Return slices of points that fit in the processor's cache."""
     return [slice(k, k + _POINTS_AT_ONCE) for k in range(0, max(count, 1), _POINTS_AT_ONCE)]

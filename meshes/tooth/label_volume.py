@@ -1,6 +1,6 @@
 """Tooth from a label image (segmented micro-CT).
 
-It is placed by its enamel and resampled into the axes of its site.
+The tooth is oriented by the position of its enamel and resampled along the axes of its site.
 """
 
 from __future__ import annotations
@@ -35,34 +35,35 @@ from meshes.voxels.voxelise import voxelise
 __all__ = ["CARIES_LABELS", "LabelledTooth", "labelled_tooth"]
 
 CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
-"""Labels of segmentations of decay in extracted teeth."""
+"""Labels in segmentations of carious extracted teeth."""
 
 _FINEST_DEFAULT_MM = 0.1
-"""Smallest voxel if none is given: micro-CT of a whole tooth in its own voxels takes gigabytes."""
+"""Smallest voxel if no size is given. A whole tooth in the voxels of a micro-CT takes gigabytes."""
 _CAVITY_M = 0.1e-3
-"""Voxel in which pulp and lesion are found, that of a scene by default."""
+"""Size of the voxels in which pulp and lesion are found, the default size in a scene."""
 _CAVITY_SAMPLES = 2
-"""Sub-samples along its edges: the cavity needs no finer fractions."""
+"""Number of sub-samples along an edge of these voxels, enough to find the cavity.
+"""
 _SITE_POINTS = 200_000
-"""Voxels from which axes are computed; they give the middle of a tooth to 0.01 mm."""
+"""Number of voxels from which axes are computed. The error of the centre of a tooth is 0.01 mm."""
 _MOST_VOXELS = 4e8
-"""Largest number of voxels: fraction, layer and density take 4 bytes each, 1.6 GB."""
+"""Largest number of voxels. Fraction, layer and density take 4 bytes per voxel, 1.6 GB in total."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledTooth:
-    """A tooth of labels at a site, from which voxels of any size are made.
+    """Tooth in a label image at a site, from which voxels of any size are made.
 
     Attributes
     ----------
     placed
-        Its labels and their place.
+        Labels of the tooth with their position.
     has_pulp
-        Whether a label is the pulp.
+        Whether one of the labels is the pulp.
     finest_mm
         Smallest side of the image's voxels [mm].
     sentences
-        Findings in the image and changes made to it.
+        Findings in the image and changes to it.
     """
 
     placed: PlacedLabels
@@ -72,13 +73,16 @@ class LabelledTooth:
 
     @cached_property
     def cavity(self) -> PulpCavity | None:
-        """Return the cavity of the whole tooth, found in voxels of 0.1 mm, or None."""
+        """Return the pulp cavity of the whole tooth, found in voxels of 0.1 mm, or None."""
         return PulpCavity.of(
             resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES)
         )
 
     def at_lesion(self) -> LabelledTooth:
-        """Return the tooth with its site over its lesion, see `meshes.tooth.layers.lesion_site`."""
+        """Return the tooth with its site above its lesion.
+
+        See `meshes.tooth.layers.lesion_site`.
+        """
         found = lesion_site(self.volume(resample_mm=1e3 * _CAVITY_M))
         turned = self.placed.rotation @ found.rotation
         origin = self.placed.origin + self.placed.rotation @ found.centre_m
@@ -97,25 +101,24 @@ class LabelledTooth:
     ) -> VoxelVolume:
         """Make voxels of the tooth in its site frame.
 
-        The layers are those named in `meshes.tooth.layers.TOOTH_LAYERS`.
+        The layers have the names in `meshes.tooth.layers.TOOTH_LAYERS`.
 
-        For the whole tooth, fractions and layers come from sub-samples no farther apart than the
-        image's voxels. The fraction is the share of the sub-samples in any layer. The layer is the
-        most frequent one, and among equal ones the first of `PRIORITY`. For a region, fractions,
-        layers and distances come from the labels' interpolated shares, which give one surface for
-        all voxel sizes. If no label is the pulp, the empty cavity in the dentin is taken as pulp.
+        For the whole tooth, fractions and layers are computed from sub-samples, see
+        `meshes.tooth.label_sampling.resampled`. For a region, fractions, layers and distances are
+        computed from the interpolated shares of the labels, which give the same surface for all
+        voxel sizes. If no label is the pulp, the empty cavity in the dentin is the pulp.
 
         Parameters
         ----------
         resample_mm
-            New voxel size [mm]; None: the image's, or 0.1 where that is finer.
+            New voxel size [mm]. None: the voxel size of the image, but at least 0.1.
         region_m
             Lowest and highest corner [m] of the region in the site frame; None: the whole tooth.
             The content of a voxel does not depend on the region.
         remark
-            Called with each sentence on assumptions, findings and dropped pieces.
+            Function that is called with each sentence on assumptions, findings and removed pieces.
         progress
-            Called with the finished fraction, 0 to 1.
+            Function that is called with the finished fraction, 0 to 1.
 
         Raises
         ------
@@ -143,7 +146,7 @@ class LabelledTooth:
                 [np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])]
             )
             if (corners[0] >= corners[1]).any():
-                # an error for a tool that misses states the place of the tooth
+                # the error for a region outside the tooth states the position of the tooth
                 corners = self.placed.corners
         count = float(np.prod(np.ptp(corners, axis=0) / size))
         if count > _MOST_VOXELS:
@@ -174,7 +177,7 @@ class LabelledTooth:
         return volume
 
     def _pulp_note(self) -> tuple[str, ...]:
-        """Describe the region taken as pulp if no label is the pulp."""
+        """Describe the region that is used as pulp if no label is the pulp."""
         if self.has_pulp:
             return ()
         if self.cavity is None:
@@ -185,7 +188,7 @@ class LabelledTooth:
         )
 
     def _anatomy(self, corners: Array) -> Anatomy:
-        """Return the tooth between two corners [m] as a function of position, its cavity filled."""
+        """Return the anatomy of the tooth between two corners [m], with its cavity filled."""
         labels, start, turn = self.placed.around(corners, REACH)
         if not self.has_pulp and self.cavity is not None:
             back = np.linalg.inv(turn)
@@ -206,17 +209,18 @@ class LabelledTooth:
 
 
 def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -> LabelledTooth:
-    """Check and place the labels of a tooth.
+    """Check the labels of a tooth and find its site.
 
-    The site's origin is where the tooth's long axis through the middle of the enamel leaves the
-    tooth: the enamel, or a lesion open to the surface there. z points from the roots to the crown.
+    The origin of the site is the point where the tooth's long axis through the middle of the enamel
+    leaves the tooth. At this point, the surface is enamel or an open lesion. z points from the
+    roots to the crown.
 
     Parameters
     ----------
     image
-        Labels, 0 outside.
+        Label image, 0 outside the tooth.
     labels
-        Layer name by label.
+        Dictionary from label to layer name.
 
     Raises
     ------
@@ -255,14 +259,14 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
 
 
 def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], list[str]]:
-    """Crop a label image to its tooth and name its labels.
+    """Crop a label image to its tooth, and convert labels to layers.
 
-    Pieces that are not connected to the largest piece by faces are dropped.
+    Pieces that are not connected to the largest piece by faces are removed.
 
     Returns
     -------
-    Layer index, `EMPTY` outside the tooth; the image index of its first voxel; a note on the
-    dropped pieces.
+    Layer index, `EMPTY` outside the tooth; image index of the first voxel; note on the removed
+    pieces.
     """
     from scipy.ndimage import find_objects
     from scipy.ndimage import label as label_pieces
@@ -284,7 +288,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
             "use a label image",
         )
     cropped = cropped.astype(np.uint8)
-    # Plane by plane, because the count of a whole image takes eight bytes a voxel.
+    # Count plane by plane, because counting a whole image takes eight bytes per voxel.
     counts = np.sum(
         [np.bincount(plane.ravel(), minlength=EMPTY + 1) for plane in cropped.T], axis=0
     )
@@ -316,14 +320,14 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
 
 
 def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
-    """Find the site of a tooth; return its labels placed there, and the method as text."""
+    """Find the site of a tooth, and return its labels at the site and a text on the method."""
     layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
     axes = tooth_axes(
         _points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing)
     )
     placed = PlacedLabels(layer, spacing, first_m - spacing, axes.middle_m, axes.rotation)
     reach = float(np.linalg.norm(spacing * layer.shape))
-    # A quarter of a voxel: the surface is found to within half of that.
+    # With steps of a quarter of a voxel, the error of the surface is at most half a step.
     heights = np.arange(-reach, reach, 0.25 * float(spacing.min()))
     on_axis = placed.on_plane(0.0, np.zeros(1), heights)[0]
     filled = np.flatnonzero(on_axis != EMPTY)
@@ -342,7 +346,7 @@ def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels,
 
 
 def _points(flags: Flags, spacing: Array) -> Array:
-    """Return centres of some of the flagged voxels [m], spread evenly, shape (n, 3)."""
+    """Return the centres of evenly selected flagged voxels [m], shape (n, 3)."""
     found = np.flatnonzero(flags)
     found = found[:: max(len(found) // _SITE_POINTS, 1)]
     return np.column_stack(np.unravel_index(found, flags.shape)) * spacing

@@ -1,8 +1,8 @@
-"""Fit of the layers of a tooth: overlaps, gaps and enclosed voids, counted on a lattice of points.
+"""Fit of the layers of a tooth: overlaps, gaps and enclosed voids, measured on a lattice of points.
 
-A gap is a space of at most 0.3 mm along x, y or z between two layers that should touch. It reaches
-deeper than it is wide. Wider spaces, and those between layers that need not touch, count as
-anatomy.
+A gap is a space between two layers that should touch, with a width of at most 0.3 mm along x, y or
+z. A gap is deeper than it is wide. Wider spaces, and spaces between layers that need not touch, are
+part of the anatomy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,8 +42,10 @@ _TOUCHING = [
 _TOUCH_M = 0.5e-3
 """Largest distance of layers that count as touching."""
 _POINTS_TESTED = 4000
-"""Points of a layer from which its distance from the others is measured: 0.3 mm apart on a
-tooth."""
+"""Number of points of a layer from which its distance to other layers is measured.
+
+On a tooth, they are 0.3 mm apart.
+"""
 _NEAR_M = 0.2e-3
 _LEAST_WITHIN = 0.6
 """Share of the pulp's surface that must lie in the dentin or near to the dentin's surface.
@@ -51,22 +53,23 @@ _LEAST_WITHIN = 0.6
 Near means within ``_NEAR_M``.
 """
 _LINES_A_POINT = 2
-"""Lines over points above which points are too scattered to share lines."""
+"""Ratio of lines to points above which points are too scattered to share lines."""
 
 
 @dataclass(frozen=True, eq=False)
 class LayerContact:
-    """Overlaps and gaps.
+    """Measured overlaps and gaps of layers.
 
     Attributes
     ----------
     overlap_mm3, gap_mm3
-        Volume by pair of layer names, the pairs that have one.
+        Dictionary from a pair of layer names to the volume of overlap or gap. Pairs without overlap
+        or gap are not included.
     void_mm3
-        Volume enclosed by the layers but in no layer, without gaps.
+        Volume that is enclosed by the layers but not in a layer or a gap.
     gap_layer
-        Layer index + 1 of the layer that takes the gap at each lattice point, 0 elsewhere, uint8,
-        shape (nx, ny, nz).
+        Layer index + 1 of the layer to which the gap at each lattice point is assigned, 0
+        elsewhere, uint8, shape (nx, ny, nz).
     """
 
     overlap_mm3: Mapping[tuple[str, str], float]
@@ -89,8 +92,9 @@ def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
     crossings = column_crossings(vertices, faces, x.astype(np.float64), y.astype(np.float64))
     if len(crossings.line) == 0:
         return np.zeros(len(points), dtype=bool)
-    # Line and height become one number to search for. Heights take the middle half of the unit
-    # between two lines, and points outside them stay within 0.05 and 0.95 of it.
+    # Line and height are combined to one sort key. Heights use the middle half of the interval
+    # between two lines. Points outside the range of heights are limited to 0.05 and 0.95 of the
+    # interval.
     low = float(crossings.height.min())
     span = max(float(crossings.height.max()) - low, 1e-9)
     below = np.clip((points[:, 2].astype(np.float64) - low) / span, -0.4, 1.4)
@@ -117,20 +121,21 @@ def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags
         weights=crossings.entering,
         minlength=len(x) * len(y) * (len(z) + 1),
     )
-    # Winding numbers are whole but kept in floating point.
+    # Winding numbers are integers, but stored in floating point.
     return np.cumsum(change.reshape(len(x), len(y), len(z) + 1), axis=2)[:, :, :-1] > 0.5
 
 
 def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> LayerContact:
-    """Measure overlaps and gaps of layers given as flags on a lattice of pitch `PITCH_M`.
+    """Measure overlaps and gaps of layers, given as flags on a lattice with the spacing `PITCH_M`.
 
     Parameters
     ----------
     inside
-        Whether each lattice point lies within the layer, by layer name, all of shape (nx, ny, nz).
+        Dictionary from layer name to flags of the lattice points within the layer, shape (nx, ny,
+        nz).
     priority
-        Layer names; of two layers, the layer named first takes their overlap and the gap between
-        them.
+        Layer names. The overlap of two layers and the gap between them are assigned to the layer
+        that is named first.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -153,7 +158,7 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
-    """Return the layer index + 1 that takes each lattice point in a gap.
+    """Return the layer index + 1 to which each lattice point in a gap is assigned.
 
     Also return the number of points by pair of layers.
     """
@@ -176,9 +181,9 @@ def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], 
 
 
 def _drop_creases(between: Bytes, label: Bytes) -> None:
-    """Clear, in place, spaces that are nowhere deeper than a gap is wide.
+    """Remove, in place, spaces that are nowhere deeper than the width of a gap.
 
-    Such a space is the crease in which two layers meet from outside.
+    Such a space is the crease between two layers at the outer surface.
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.ndimage import label as connected
@@ -186,22 +191,23 @@ def _drop_creases(between: Bytes, label: Bytes) -> None:
     depth = distance_transform_edt((label > 0) | (between > 0)) * PITCH_M
     pieces, count = connected(between > 0, np.ones((3, 3, 3)))
     deep = np.zeros(count + 1, dtype=bool)
-    # A crease is open to the outside, so its points lie at most a gap deep; 1.5 has reserve.
+    # A crease is open to the outside, so the depth of its points is at most the width of a gap. The
+    # factor of 1.5 is a margin.
     deep[pieces[(between > 0) & (depth > 1.5 * _WIDEST_GAP_M)]] = True
     between[~deep[pieces]] = 0
 
 
 def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
-    """Return labels of the nearest filled points before and after each point along an axis.
+    """Return the labels of the nearest filled points before and after each point along an axis.
 
-    A label is 0 where there is no filled point. Also return the distance of the points.
+    A label is 0 if there is no filled point. Also return the distance of these points.
     """
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
     first = np.maximum.accumulate(np.where(label > 0, place, np.int16(-1)), axis=axis)
     backward = np.flip(np.where(label > 0, place, np.int16(count)), axis)
     last = np.flip(np.minimum.accumulate(backward, axis=axis), axis)
-    # An empty plane at both ends represents a missing filled point.
+    # An empty plane at each end represents a missing filled point.
     ends = [(1, 1) if k == axis else (0, 0) for k in range(3)]
     padded = np.pad(label, ends)
     before = np.take_along_axis(padded, first.astype(np.intp) + 1, axis)
@@ -210,19 +216,22 @@ def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16
 
 
 def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangles]) -> None:
-    """Raise for layers that lie in no other layer and farther than 0.5 mm from each of them.
+    """Raise an error for layers that do not touch another layer.
+
+    A layer touches another layer if it lies in this layer or its distance is at most 0.5 mm.
 
     Parameters
     ----------
     points_m, solids
-        Points on the surface of each layer [m], shape (n, 3), and its vertices [m] and triangles.
+        Points on the surface of each layer [m], shape (n, 3), and vertices [m] and triangles of
+        each layer.
     """
     from scipy.spatial import cKDTree
 
     trees = {name: cKDTree(points) for name, points in points_m.items()}
     for name, points in points_m.items():
         tested = points[:: max(len(points) // _POINTS_TESTED, 1)]
-        # One point inside another layer decides, so a hundred are enough.
+        # One point inside another layer is sufficient, so a hundred points are tested.
         few = tested[:: max(len(tested) // 100, 1)]
         others = [other for other in trees if other != name]
         apart = {other: float(trees[other].query(tested)[0].min()) for other in others}
@@ -239,18 +248,21 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
 
 
 def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
-    """Raise if less than 60 % of a pulp's surface is in the dentin or 0.2 mm from its surface.
+    """Raise an error if a pulp is not in the dentin.
+
+    At least 60 % of its surface must lie in the dentin, or at most 0.2 mm from the surface of the
+    dentin.
 
     Parameters
     ----------
     pulp_m, dentin_samples_m
-        Points on both surfaces [m], shape (n, 3).
+        Points on the surfaces of pulp and dentin [m], shape (n, 3).
     dentin
-        Vertices of the dentin [m] and its triangles.
+        Vertices [m] and triangles of the dentin.
     """
     from scipy.spatial import cKDTree
 
-    # 2000 points estimate a share of 0.6 with a standard error of 0.01.
+    # With 2000 points, the standard error of a share of 0.6 is 0.01.
     tested = pulp_m[:: max(len(pulp_m) // 2000, 1)]
     far = tested[cKDTree(dentin_samples_m).query(tested)[0] >= _NEAR_M]
     within = 1.0 - float(np.count_nonzero(~inside_surface(*dentin, far))) / len(tested)

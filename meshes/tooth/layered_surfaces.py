@@ -1,6 +1,7 @@
 """Tooth from one closed surface per layer.
 
-The surfaces are placed, their overlaps and gaps are measured and resolved, and a socket is added.
+The surfaces are moved to the site frame, their overlaps and gaps are measured and resolved, and a
+socket is added.
 """
 
 from __future__ import annotations
@@ -51,26 +52,38 @@ __all__ = ["Lattice", "LayeredSolid", "joined", "layered_anatomy", "layered_surf
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Distance of the points that stand for a layer's surface, and their largest number, 30 cm2."""
+"""Distance and largest number of the sample points of a layer's surface.
+
+The largest number is enough for 30 cm2.
+"""
 _LESION_M = 0.15e-3
-"""Edge of the voxels in which a lesion is searched for."""
+"""Edge of the voxels in which a lesion is searched."""
 _SOCKET_PITCH_M = 0.2e-3
-"""Pitch of the table of distances: interpolation is within 2 um around a root of 3 mm radius."""
+"""Spacing of the table of distances.
+
+Around a root with a radius of 3 mm, the interpolation error is 2 um.
+"""
 _MERGE_TOLERANCE_M = 1e-8
-"""Distance at which vertices of two surfaces are one; single precision rounds to 2e-9 m."""
+"""Distance at which vertices of two surfaces are merged.
+
+The rounding error of single precision is 2e-9 m.
+"""
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Values at points of even pitch [m], the first at `origin`."""
+    """Values at points with an even spacing [m]. The first point is `origin`."""
 
     origin: Array
     pitch: float
     values: NDArray[np.number]
 
     def __call__(self, points: Floats, *, beyond: float) -> Singles:
-        """Interpolate linearly to points [m], shape (n, 3); `beyond` outside the lattice."""
+        """Interpolate linearly to points [m], shape (n, 3).
+
+        The result is `beyond` outside the lattice.
+        """
         from scipy.ndimage import map_coordinates
 
         index = ((points - self.origin) / self.pitch).T
@@ -79,7 +92,7 @@ class Lattice:
         )
 
     def nearest(self, points: Floats) -> NDArray[np.number]:
-        """Return the value at the nearest lattice point; 0 outside the lattice."""
+        """Return the value at the nearest lattice point, or 0 outside the lattice."""
         index = np.rint((points - self.origin) / self.pitch).astype(np.int64)
         held = ((index >= 0) & (index < self.values.shape)).all(axis=1)
         found = np.zeros(len(points), dtype=self.values.dtype)
@@ -94,13 +107,13 @@ class LayeredSolid:
     Attributes
     ----------
     solids
-        Vertices [m] and triangles by layer index, the layer with the highest priority first.
+        Vertices [m] and triangles by layer index. The first layer has the highest priority.
     union
-        Surface of all of them; where they overlap it crosses itself.
+        Combined surface of all layers. It crosses itself where layers overlap.
     samples, sample_layer
-        Points of all surfaces, and the layer index of each.
+        Sample points of all surfaces, and layer index of each point.
     gap
-        Layer index + 1 that takes a gap, 0 elsewhere.
+        Layer index + 1 to which a gap is assigned, 0 elsewhere.
     socket
         Distance from the bone socket [m], negative inside.
     """
@@ -115,11 +128,11 @@ class LayeredSolid:
     def distance(self, points: Floats) -> Floats:
         """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket.
 
-        It is negative inside.
+        The distance is negative inside.
         """
         away = triangle_distance(*self.union, points)
         if self.socket is not None:
-            # 1 m is farther than any tooth: outside its table there is no socket.
+            # 1 m is farther than any tooth. Outside its table, there is no socket.
             away = np.minimum(away, self.socket(points, beyond=1.0))
         return away.astype(points.dtype)
 
@@ -143,7 +156,7 @@ class LayeredSolid:
             filled = np.minimum(filled + open_gap(points, beyond=0.0), 1.0)
         if self.socket is not None:
             away = self.socket(points, beyond=1.0)
-            # A plane at this distance cuts the voxel; what the layers leave free is bone.
+            # A plane at this distance cuts the voxel. The part that is not in a layer is bone.
             filled = filled + (1.0 - filled) * np.clip(
                 0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0
             )
@@ -152,9 +165,10 @@ class LayeredSolid:
         return fraction, depth
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return the layer that holds each point, by priority.
+        """Return the layer that contains each point. Of several layers, the priority decides.
 
-        A point in no layer takes the layer that takes the gap, or the nearest layer.
+        A point outside all layers belongs to the layer to which its gap is assigned, or to the
+        nearest layer.
         """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -180,7 +194,7 @@ class LayeredSolid:
 
 
 def joined(solids: Sequence[Triangles]) -> Triangles:
-    """Join several surfaces; triangles that two of them share back to back cancel."""
+    """Join several surfaces. Coincident triangles with opposite orientation are removed."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
     vertices = np.concatenate([vertices for vertices, _ in solids])
     faces = np.concatenate(
@@ -190,9 +204,10 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
 
 
 def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
-    """Tabulate the distance [m] from socket bone.
+    """Tabulate the distance [m] from the bone socket.
 
-    The bone lies within `margin` of the ligament and nearer to it than to the other layers.
+    The socket consists of the points within `margin` of the ligament that are nearer to the
+    ligament than to the other layers.
 
     Parameters
     ----------
@@ -205,7 +220,7 @@ def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
     reach = margin + 2.0 * _SOCKET_PITCH_M
     count = np.ceil((ligament.max(axis=0) + reach - low) / _SOCKET_PITCH_M).astype(int) + 1
     points = low + _SOCKET_PITCH_M * lattice(*map(np.arange, count))
-    # Every fourth point: 0.2 mm apart, the pitch of the table.
+    # Every fourth point is used. These points are 0.2 mm apart, the spacing of the table.
     away = np.minimum(cKDTree(ligament[::4]).query(points, distance_upper_bound=reach)[0], reach)
     near = np.flatnonzero(away < reach)
     signed = away - margin
@@ -222,21 +237,22 @@ def layered_surfaces(
     socket_mm: float = 0.0,
     at_lesion: bool = False,
 ) -> Anatomy:
-    """Read a tooth from surface files, one closed surface per layer, in one common frame and unit.
+    """Read a tooth from surface files, one closed surface per layer, with a common frame and unit.
 
     Parameters
     ----------
     paths_by_layer
-        File by layer name; enamel and dentin at least.
+        Dictionary from layer name to file. Enamel and dentin are required.
     scale_mm
-        Millimetres per unit of the files; None: guessed from the dentin, used for all.
+        Millimetres per unit of the files. None: the unit is guessed from the dentin and used for
+        all files.
     socket_mm, at_lesion
-        As in `layered_anatomy`.
+        See `layered_anatomy`.
 
     Raises
     ------
     InputError
-        If a file cannot be used, or as in `layered_anatomy`.
+        If a file cannot be used, or for the reasons listed in `layered_anatomy`.
     """
     require_known(paths_by_layer, "paths_by_layer")
     dentin = _read("dentin", paths_by_layer["dentin"], scale_mm)
@@ -249,7 +265,7 @@ def layered_surfaces(
 
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
-    """Read the surface of a layer; an error of its file names the layer."""
+    """Read the surface of a layer. Error messages name the layer."""
     with names_of_caller(
         {word: f"{layer} {word}" for word in ("file", "surface", "vertices", "faces", "cells")}
     ):
@@ -263,36 +279,37 @@ def layered_anatomy(
     at_lesion: bool = False,
     at: Site | None = None,
 ) -> Anatomy:
-    """Build a tooth from closed surfaces by layer name, in the site frame of teeth.
+    """Build a tooth from one closed surface per layer, in the site frame of teeth.
 
     The origin is the point where the tooth's long axis through the middle of the enamel leaves the
-    enamel. A thin bur that moves down that axis first touches there. z points from the roots to the
-    crown, x along the wider direction of the roots. A voxel shared by layers belongs to the layer
-    that holds its centre, so it is full, and the layers keep their volumes. Of two layers, the
-    first of `meshes.tooth.layers.PRIORITY` takes their overlap and the gap between them.
+    enamel. A thin bur that moves down this axis first touches the tooth at the origin. z points
+    from the roots to the crown, and x along the wider direction of the roots. A voxel that several
+    layers share belongs to the layer that contains its centre. The voxel is full, and the layers
+    have the correct volumes. The overlap of two layers, and the gap between them, are assigned to
+    the layer that comes first in `meshes.tooth.layers.PRIORITY`.
 
     Parameters
     ----------
     surfaces
-        Surfaces by layer name; enamel and dentin at least. The dentin may be hollow or hold the
-        pulp.
+        Dictionary from layer name to surface. Enamel and dentin are required. The surface of the
+        dentin may be hollow or include the pulp.
     socket_mm
-        Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the
-        ligament than to all other layers of the tooth.
+        Thickness of the bone that is added around the ligament [mm], 0 (no bone) to 10. The bone
+        consists of points that are nearer to the ligament than to all other layers of the tooth.
     at_lesion
-        Whether the origin lies over the lesion, see `meshes.tooth.layers.lesion_site`.
+        Whether the origin lies above the lesion, see `meshes.tooth.layers.lesion_site`.
     at
-        The site in the frame of the surfaces, where it is known.
+        Site in the frame of the surfaces, if it is known.
 
     Raises
     ------
     InputError
         If a layer is unknown, enamel or dentin is missing, the size is implausible for a tooth,
-        layers do not touch, the pulp lies outside the dentin, or a socket is asked for without a
+        layers do not touch, the pulp lies outside the dentin, or there is a socket without a
         ligament.
     """
     require_known(surfaces, "surfaces")
-    # 10 mm: more bone than there is around a root.
+    # 10 mm is more than the thickness of bone around a root.
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
     if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
         raise InputError(
@@ -346,7 +363,7 @@ def _solid(
     gap: Lattice | None,
     margin: float,
 ) -> LayeredSolid:
-    """Combine layers placed in the site frame and a socket of a margin [m].
+    """Combine layers in the site frame and a socket with the thickness `margin` [m].
 
     The first layer has the highest priority.
     """
@@ -370,9 +387,9 @@ def _solid(
 
 
 def _spread(surface: Surface) -> Array:
-    """Sample a surface by points about 0.1 mm apart [m], shape (n, 3)."""
+    """Sample a surface with points about 0.1 mm apart [m], shape (n, 3)."""
     area = float(triangle_areas(surface.vertices_m, surface.faces).sum())
-    # At least 1000 points, so that a small layer has axes and distances.
+    # At least 1000 points are needed to compute axes and distances of a small layer.
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
@@ -380,18 +397,18 @@ def _spread(surface: Surface) -> Array:
 def _site(
     surfaces: Mapping[str, Surface], samples: Mapping[str, Array]
 ) -> tuple[Array, Array, str]:
-    """Find origin [m] and axes of the tooth's site in the frame of the surfaces.
+    """Find the origin [m] and the axes of the tooth's site in the frame of the surfaces.
 
-    The returned text states the method.
+    The returned text describes the method.
     """
     body = np.concatenate(
         [points for name, points in samples.items() if name not in ("enamel", "bone")]
     )
     axes = tooth_axes(samples["enamel"], body)
-    # A lesion may have taken the enamel on the axis.
+    # The enamel on the axis may be missing because of a lesion.
     for name in ("enamel", "dentin"):
         placed = (surfaces[name].vertices_m - axes.middle_m) @ axes.rotation
-        # 1 nm off the axis, where edges of symmetric meshes lie.
+        # 1 nm off the axis, because edges of symmetric meshes lie on the axis.
         found = column_crossings(placed, surfaces[name].faces, np.array([1e-9]), np.array([1e-9]))
         if len(found.height):
             origin = axes.middle_m + found.height.max() * axes.rotation[:, 2]
@@ -405,8 +422,9 @@ def _site(
 
 
 def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[Array, LayerContact]:
-    """Return the first point of the lattice [m], and the fit of the layers on it."""
-    # Two empty planes on each side; the half step keeps points off flat faces at whole pitches.
+    """Return the first point of a lattice [m], and the fit of the layers on this lattice."""
+    # Two empty planes on each side. The half step avoids points on flat faces at multiples of the
+    # spacing.
     low = np.min([vertices.min(axis=0) for vertices, _ in placed.values()], axis=0) - 2.5 * PITCH_M
     high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M
     axes = [
@@ -425,7 +443,7 @@ def _notes(
     order: Sequence[str],
     socket_mm: float,
 ) -> dict[str, str]:
-    """Describe measurements and assumptions for reports."""
+    """Return measurements and assumptions for reports."""
 
     def listed(volumes: Mapping[tuple[str, str], float]) -> str:
         return ", ".join(

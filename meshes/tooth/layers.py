@@ -1,4 +1,4 @@
-"""Layers of a tooth: names, densities, softness of decayed dentin, and checks of names and size.
+"""Layers of a tooth: names, densities, softness of carious dentin, checks, and sites.
 
 M = from memory of the literature, with confidence H, M or L.
 
@@ -11,11 +11,10 @@ ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
 
-The sites of a tooth are given by its long axis or by its lesion. The long axis is the principal axis
-of all the tooth's points with the smallest angle to the line between the middles of dentin and
-enamel. If no principal axis is within 25 degrees of that line (a crown without roots), the long axis
-is the line itself.
-"""  # noqa: E501 a table
+The site of a tooth is given by its long axis or by its lesion. The long axis is a principal axis of
+all points of the tooth. It is the one with the smallest angle to the line between the centres of
+dentin and enamel. If all angles are larger than 25 degrees, as in a crown without roots, the long
+axis is the line itself."""  # noqa: E501 a table
 
 import math
 from collections.abc import Callable, Iterable
@@ -65,29 +64,30 @@ LAYER_DENSITY_KG_M3 = {
 }
 """Density of each layer [kg/m3].
 
-The density of `caries` is for a lesion of unknown softness (one half).
+The density of `caries` is for a lesion of unknown softness, which is assumed to be one half.
 """
 
 EMPTY = 255
 """Layer index outside the tooth."""
 PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
-"""Order of layers that claim the same place: the first one takes it."""
+"""Priority of layers. A point in several layers belongs to the layer that comes first."""
 
 _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
-"""Densities of dentin of softness 0 and 1, see the table above."""
+"""Densities of dentin with softness 0 and 1, see the table above."""
 _POINTS_AT_ONCE = 1 << 17
-"""Points evaluated at once: 3 MB of coordinates stay in the processor's cache."""
+"""Number of points evaluated at once. Their coordinates, 3 MB, fit in the processor's cache."""
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest side of a tooth: limits for a crown alone and a canine with its root, and a molar's."""
+"""Longest side of a tooth: crown without roots, canine with its root, and typical molar.
+"""
 
 
 def caries_density(softness: Floats) -> Floats:
-    """Compute the density [kg/m3] of decayed dentin from its softness.
+    """Compute the density [kg/m3] of carious dentin from its softness.
 
-    It is linear in the softness, 0 (sound) to 1 (fully softened).
+    The density is linear in the softness, 0 (sound) to 1 (fully softened).
     """
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
@@ -95,17 +95,17 @@ def caries_density(softness: Floats) -> Floats:
 def caries_softness(density_kg_m3: Floats) -> Floats:
     """Compute the softness of the layer `caries` from its density [kg/m3].
 
-    It is (2100 - density)/800, limited to 0 to 1.
+    The softness is (2100 - density)/800, limited to 0 to 1.
 
-    0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound
-    tissues have densities of their own.
+    0 is sound dentin, and 1 is fully softened, infected dentin. Use this function only for voxels
+    of the layer `caries`, because sound tissues have other densities.
     """
     density = np.asarray(density_kg_m3)
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
 
 
 def in_chunks(function: Callable[[Floats], NDArray[Kind]], points: Floats) -> NDArray[Kind]:
-    """Apply a function of points, shape (n, 3), to parts that fit the processor's cache."""
+    """Apply a function of points, shape (n, 3), to parts that fit in the processor's cache."""
     if len(points) <= _POINTS_AT_ONCE:
         return function(points)
     starts = range(0, len(points), _POINTS_AT_ONCE)
@@ -115,7 +115,7 @@ def in_chunks(function: Callable[[Floats], NDArray[Kind]], points: Floats) -> ND
 
 
 def require_known(names: Iterable[str], argument: str) -> None:
-    """Raise for names that are not layers of a tooth, and for a tooth without enamel or dentin."""
+    """Raise an error for unknown layer names, and for a tooth without enamel or dentin."""
     given = list(names)
     for name in given:
         if name not in TOOTH_LAYERS:
@@ -130,16 +130,16 @@ def require_known(names: Iterable[str], argument: str) -> None:
 
 
 def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
-    """Raise if the longest side [mm] is not a tooth's.
+    """Raise an error if the longest side [mm] is not plausible for a tooth.
 
-    The message suggests a value of the argument that sets it.
+    The message suggests a value for the argument that determines the size.
 
     Parameters
     ----------
     argument, given
-        Argument that sets the size, and its value.
+        Name of the argument that determines the size, and its value.
     per_unit
-        Size relative to that value: voxels along the side, or file units.
+        Ratio of the size to this value: number of voxels along the side, or size in file units.
     """
     if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
         return
@@ -152,22 +152,28 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
 
 
 _LEAST_RISE_M = 0.4e-3
-"""Smallest distance between the middles of enamel and dentin.
+"""Smallest distance between the centres of enamel and dentin.
 
-The procedural molar has 6.3 mm, its crown without roots 2.2 mm.
+The distance is 6.3 mm in the procedural molar, and 2.2 mm in its crown without roots.
 """
 _MOST_LEANING = math.cos(math.radians(25.0))
 """Cosine of the angle up to which a principal axis counts as the tooth's long axis.
 
-In the procedural molar it is 0 degrees, in its crown without roots 5 degrees.
+The angle is 0 degrees in the procedural molar, and 5 degrees in its crown without roots.
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
-"""Smoothing of the outer surface and radius of the mean normal: voxels are 0.1 to 0.15 mm."""
+"""Smoothing of the outer surface, and radius of the mean normal.
+
+For comparison, voxels are 0.1 to 0.15 mm.
+"""
 _BEYOND_M = 1.0e-3
-"""Distance beyond the nearest surface point at which the search along the normal ends."""
+"""Distance outside the nearest surface point at which the search along the normal ends."""
 _UPRIGHT = 0.7
-"""Cosine of 45 degrees: nearer to the axis, the direction to the crown is nearly the normal."""
+"""Cosine of 45 degrees.
+
+If the normal is closer to the axis, the direction to the crown is nearly parallel to the normal.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,12 +184,13 @@ class ToothAxes:
     ----------
     rotation
         Site axes as columns in the frame of the points, shape (3, 3), right-handed: z from the
-        roots to the crown, x along the widest direction across the lower half (mesiodistal where
-        there are two roots, its sign unknown).
+        roots to the crown, x along the widest direction of the lower half (mesiodistal if there are
+        two roots; the sign is unknown).
     middle_m
-        Middle of the enamel [m], shape (3,); the site's origin lies above or below it along z.
+        Centre of the enamel [m], shape (3,). The site's origin lies above or below this point along
+        z.
     note
-        Method that found the long axis, a sentence.
+        Sentence on the method that found the long axis.
     """
 
     rotation: Array
@@ -194,17 +201,17 @@ class ToothAxes:
 def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     """Find the orientation of a tooth from points on its enamel and on its other layers.
 
-    The points are spread evenly.
+    The points must be distributed evenly.
 
     Parameters
     ----------
     enamel_m, body_m
-        Points of the enamel, and of dentin, pulp and ligament [m], shapes (n, 3) and (m, 3).
+        Points of the enamel, and points of dentin, pulp and ligament [m], shapes (n, 3) and (m, 3).
 
     Raises
     ------
     InputError
-        If the enamel does not lie to one side of the other layers.
+        If the enamel does not lie on one side of the other layers.
     """
     middle = enamel_m.mean(axis=0)
     rise = middle - body_m.mean(axis=0)
@@ -239,29 +246,30 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
 
 
 def _widest(points: Array, up: Array) -> Array:
-    """Return the unit vector across `up` along which the lower half of the points spreads most."""
+    """Return the unit vector across `up` along which the lower half of the points is widest."""
     offset = points - points.mean(axis=0)
     lower = offset[offset @ up < 0.0]
     across = lower - np.outer(lower @ up, up)
     direction = np.linalg.eigh(np.cov(across.T))[1][:, 2]
     direction = direction - (direction @ up) * up
     direction /= np.linalg.norm(direction)
-    # The sign of an eigenvector is free: the largest component becomes positive.
+    # The sign of an eigenvector is arbitrary. Make the largest component positive.
     return direction * (1.0 if direction[int(np.argmax(np.abs(direction)))] > 0.0 else -1.0)
 
 
 def lesion_site(tooth: VoxelVolume) -> Site:
-    """Find the site over the middle of a tooth's largest lesion.
+    """Find the site above the centre of a tooth's largest lesion.
 
-    The outward normal is the normal of the outer surface, smoothed over 0.3 mm, at the point
-    nearest to the lesion's middle. The origin is the point where the line along the normal through
-    the middle leaves the tooth. If the normal leans far from the tooth's axis, y points to the
-    crown; otherwise x is as in the tooth's frame.
+    The outward normal is the normal of the smoothed outer surface at the point nearest to the
+    centre of the lesion. The origin is the point where the line along the normal through the centre
+    leaves the tooth. If the angle between the normal and the tooth's axis is large, y points to the
+    crown. Otherwise, x is as in the tooth's frame.
 
     Parameters
     ----------
     tooth
-        Voxels of the whole tooth in its own frame, z from the roots to the crown, its pulp filled.
+        Voxels of the whole tooth in its own frame, z from the roots to the crown, with its pulp
+        filled.
 
     Raises
     ------
@@ -283,7 +291,7 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     smooth = gaussian_filter(solid.astype(np.float32), _SMOOTH_M / tooth.spacing_m)
     normal, surface = _outward(smooth, middle + pad, tooth.spacing_m)
     reach = float(np.linalg.norm(surface - middle - pad)) * tooth.spacing_m + _BEYOND_M
-    # A tenth of a voxel, so that no voxel on the line is missed.
+    # Steps of a tenth of a voxel, so that no voxel on the line is missed.
     steps = np.arange(0.0, reach / tooth.spacing_m, 0.1)
     line = np.rint(middle + pad + steps[:, None] * normal).astype(int)
     line = np.clip(line, 0, np.array(solid.shape) - 1)
@@ -306,11 +314,12 @@ def lesion_site(tooth: VoxelVolume) -> Site:
 
 
 def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Array]:
-    """Return the mean outward normal around the surface point nearest to the middle.
+    """Return the mean outward normal around the surface point nearest to `middle`.
 
-    Also return that point [voxel].
+    Also return this point [voxel].
     """
-    # The smoothed surface lies at 0.5; 0.3 and 0.7 are 0.16 mm to either side, a voxel or more.
+    # The smoothed surface lies at the value 0.5. The values 0.3 and 0.7 lie 0.16 mm on either side
+    # of it, a voxel or more.
     shell = np.argwhere((smooth > 0.3) & (smooth < 0.7)).astype(np.float64)
     nearest = shell[np.argmin(np.linalg.norm(shell - middle, axis=1))]
     around = shell[np.linalg.norm(shell - nearest, axis=1) * spacing < _AROUND_M].astype(int)

@@ -1,6 +1,6 @@
 """Procedural lower first molar with ligament, bone socket and caries.
 
-It has cusped enamel, dentin, and pulp with horns and canals.
+The tooth has enamel with cusps, dentin, and a pulp with horns and canals.
 
 Sources, M = from memory of the literature, with confidence H, M or L.
 
@@ -54,9 +54,9 @@ from meshes.tooth.molar_parts import (
 __all__ = ["MolarSizes", "molar"]
 
 _CREST_M = 1.5e-3
-"""Distance of the crest of bone below the cervical line, see the table above."""
+"""Distance of the bone crest below the cervical line, see the table above."""
 _LEAST_OVER_PULP_M = 0.3e-3
-"""Dentin left between a lesion and the pulp, six voxels of the scene."""
+"""Smallest thickness of dentin between a lesion and the pulp, six voxels of the scene."""
 _SHALLOWEST_LESION_M = 0.1e-3
 """Depth of the shallowest lesion, two voxels of the scene."""
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
@@ -69,28 +69,30 @@ class MolarSizes(Ranged):
     Attributes
     ----------
     crown_width_mm, crown_length_mm
-        Mesiodistal and buccolingual size of the crown at its widest [mm].
+        Largest mesiodistal and buccolingual size of the crown [mm].
     crown_height_mm
-        Buccal cervical line to the highest cusp tip [mm].
+        Height from the buccal cervical line to the highest cusp tip [mm].
     root_length_mm
-        Buccal cervical line to the apices [mm].
+        Length from the buccal cervical line to the apices [mm].
     enamel_thickness_mm
-        Thickness over the highest cusp along z [mm]; 62 % of it in the fossa, 0 at the cervical
-        line.
+        Thickness above the highest cusp along z [mm]. In the fossa, the enamel has 62 % of this
+        thickness, and at the cervical line 0.
     cusp_height_mm
-        Central fossa to the highest cusp tip [mm].
+        Height from the central fossa to the highest cusp tip [mm].
     pulp_roof_mm
-        Depth of the chamber's roof below the fossa [mm]; the horns rise 0.9 to 1.2 mm above it.
+        Depth of the roof of the pulp chamber below the fossa [mm]. The horns extend 0.9 to 1.2 mm
+        above the roof.
     ligament_thickness_mm
         Thickness of the periodontal ligament [mm].
     socket_mm
-        Bone left around and below the roots in a block with a flat crest [mm].
+        Thickness of the bone around and below the roots, in a block with a flat crest [mm].
     caries_depth_mm
-        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof.
-        Its softness is (1 - r²)², with r the distance from its centre relative to its rim, an
-        ellipsoid from the fossa down; see `meshes.tooth.layers.caries_softness`.
+        Depth of a lesion under the fossa [mm]: 0 for no lesion, or at least 0.1 and at most 0.3
+        less than the depth of the chamber's roof. The rim of the lesion is an ellipsoid that
+        extends from the fossa down. The softness is (1 - r²)², where r is the distance from the
+        centre relative to the rim; see `meshes.tooth.layers.caries_softness`.
     caries_diameter_mm
-        Its widest diameter [mm].
+        Largest diameter of the lesion [mm].
     """
 
     crown_width_mm: float = ranged(11.0, 9.0, 13.0)
@@ -109,10 +111,10 @@ class MolarSizes(Ranged):
 def molar(**sizes_mm: float) -> Anatomy:
     """Build a lower first molar in its socket, in the site frame of teeth.
 
-    The origin is the bottom of the central fossa on the enamel, where a thin bur that comes down
-    the tooth's long axis first touches. A ball wider than the fossa touches the inclines of the
-    cusps a little above. x points mesially, y buccally, z outward (the bur comes from +z), so the
-    roots point to -z.
+    The origin is the bottom of the central fossa on the enamel. A thin bur that moves down the
+    tooth's long axis first touches the tooth there. A ball that is wider than the fossa touches the
+    inclines of the cusps slightly above. x points mesially, y buccally, and z outward. The bur
+    comes from +z, and the roots point to -z.
 
     Parameters
     ----------
@@ -173,9 +175,9 @@ def molar(**sizes_mm: float) -> Anatomy:
 
 
 def _require_fit(depth: float, roof: float, line: float) -> None:
-    """Raise for a lesion of impossible depth, and for a chamber that reaches into the roots.
+    """Raise an error for an impossible lesion, and for a chamber that extends into the roots.
 
-    A lesion must be neither too shallow nor too near to the pulp.
+    A lesion must not be too shallow or too near to the pulp.
 
     Parameters
     ----------
@@ -196,7 +198,8 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
             f"{1000.0 * depth:g} with the chamber's roof at {1000.0 * roof:g}",
             f"use at most {1000.0 * (roof - _LEAST_OVER_PULP_M):g}",
         )
-    # The chamber is 1.9 mm high and the root trunk 3.2 mm, so its lower end stays 0.5 mm inside.
+    # The height of the chamber is 1.9 mm and that of the root trunk 3.2 mm. The lower end of the
+    # chamber is then at least 0.5 mm inside the trunk.
     if roof > line + 0.8e-3:
         raise InputError(
             "pulp_roof_mm",
@@ -207,7 +210,7 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
 
 
 def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
-    """Return the block of bone around the roots, its flat crest below the cervical line."""
+    """Return the block of bone around the roots, with a flat crest below the cervical line."""
     crest = crown.cervix - _CREST_M
     bottom = roots[0].top - roots[0].length - margin
     width = 2.0 * (max(root.reach_x for root in roots) + margin)
@@ -222,9 +225,9 @@ def _layers(
     ligament: float,
     lesion: tuple[float, float] | None,
 ) -> Classify:
-    """Classify by the parts' distances.
+    """Return a function that classifies points by their distances from the parts.
 
-    Pulp lies within dentin within enamel; ligament and bone lie around the roots.
+    Pulp lies in dentin, and dentin lies in enamel. Ligament and bone lie around the roots.
     """
     crest = crown.cervix - _CREST_M
 
@@ -232,7 +235,7 @@ def _layers(
         return tooth_distance(crown, roots, points, dentin=True)
 
     def around(points: Floats, distance: Floats) -> Bytes:
-        """Return ligament or bone for points outside the roots."""
+        """Return the layer, ligament or bone, of points outside the roots."""
         layer = np.full(len(points), BONE, dtype=np.uint8)
         near = np.flatnonzero(distance < 2.0 * ligament)
         layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = (
@@ -247,8 +250,8 @@ def _layers(
         outside = distance >= 0.0
         crowned = points[:, 2] > crown.cervical_line(points[:, 0])
         layer[outside & crowned] = ENAMEL
-        # A voxel that the crest cuts may have its centre in the air above it: points nearer to the
-        # crest are bone.
+        # The centre of a voxel at the crest may lie in the air above the crest. Points that are
+        # nearer to the crest are bone.
         embedded = np.flatnonzero(outside & ~crowned & (points[:, 2] - crest < distance))
         layer[embedded] = around(points[embedded], distance[embedded])
         inside = np.flatnonzero(~outside)
@@ -289,13 +292,15 @@ def _true_distance(
 ) -> Floats:
     """Compute the first-order distance [m] near the surface.
 
-    It is value over slope, by differences of 20 µm.
+    The distance is the value divided by the slope, from finite differences of 20 µm.
     """
-    # 20 um: single precision resolves 1e-9 m here, and no shape bends within that length.
+    # 20 um: single precision resolves 1e-9 m here, and the curvature of the shapes is negligible
+    # within 20 um.
     step = points.dtype.type(20e-6)
     slopes = []
     for axis in range(3):
         shift = step * np.eye(3, dtype=points.dtype)[axis]
         slopes.append((function(points + shift) - function(points - shift)) / (2.0 * step))
-    # The slope is about 1; 0.1 bounds the quotient where blended surfaces cancel it.
+    # The slope is about 1. The limit of 0.1 bounds the quotient where the slopes of blended
+    # surfaces cancel.
     return value / np.maximum(np.sqrt(sum(s * s for s in slopes)), 0.1)

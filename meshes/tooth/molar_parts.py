@@ -1,10 +1,10 @@
 """Parts of a procedural lower first molar: crown, roots and pulp.
 
-They are in the site frame of `meshes.tooth.molar`.
+The parts are in the site frame of `meshes.tooth.molar`.
 
-Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of
-cones, one for each cusp, that meet in the grooves. Roots and canals are round cones about bent
-axes, flattened along x.
+Lengths are in metres. The crown has a side wall with superelliptic sections and an occlusal surface
+of cones. There is one cone for each cusp, and the cones meet in the grooves. Roots and canals are
+round cones with curved axes, flattened along x.
 """
 
 from dataclasses import dataclass
@@ -27,29 +27,32 @@ _CUSPS = (
 )
 """Positions and heights of the cusp tips.
 
-Each has the tip over half the crown's width and length, x mesial and y buccal, and the height over
-the highest cusp's height.
+Each entry has the position of the tip relative to half the crown's width and length, x mesial and y
+buccal, and the height relative to the highest cusp.
 """
 _TRUE_CUSPS = 5
-"""Number of cusps at the start of `_CUSPS`; ridges follow."""
-# The shape is drawn: the sizes in the table of `meshes.tooth.molar` are from its sources, and the
-# other numbers below and in this module are chosen by eye so that the parts look like a molar's.
+"""Number of cusps at the start of `_CUSPS`. The other entries are ridges."""
+# The sizes in the table of `meshes.tooth.molar` are from the sources in the table. The other
+# numbers below and in this module are chosen by eye, so that the parts look like a molar.
 _TIP_RADIUS_M = 0.5e-3  # roundness of the cusps
 _GROOVE_M = 0.35e-3  # width of the blend between two cusps
 _EDGE_M = 1.0e-3  # width of the blend between chewing surface and wall
-_CERVIX = (9.0 / 11.0, 9.0 / 10.5)  # width and length there over the widest, from the table
-_TABLE = (0.80, 0.78)  # width and length at the height of the cusp tips over the widest
+_CERVIX = (9.0 / 11.0, 9.0 / 10.5)  # width and length at the cervix / largest, from the table
+_TABLE = (0.80, 0.78)  # width and length at the height of the cusp tips / largest
 _BULGE = (0.62, 0.45)  # height of the widest section along x and y, 0 (cervix) to 1 (cusp tips)
 _LINGUAL_LEAN_M = 0.35e-3  # shift of the crown towards the tongue at the cusp tips
 _TRUNK_M = 3.2e-3  # from the table
 _TRUNK_TAPER = 22.0  # relative narrowing of the trunk per metre below the cervix
 _TRUNK_BLEND_M = 1.6e-3  # width of the blend between trunk and roots
 _CERVICAL_CURVE_M = 0.9e-3  # from the table
-_FULL_ENAMEL = 0.60  # height, over the crown's, from which the enamel of the wall is full
-_FOSSA_ENAMEL = 0.62  # thickness in the fossa over that over cusps, 1.4 of 2.2 mm
-_WALL_ENAMEL = 0.62  # thickness at the wall over that over cusps
+_FULL_ENAMEL = 0.60  # height / crown height from which the enamel of the wall is full
+_FOSSA_ENAMEL = 0.62  # thickness in the fossa / thickness above cusps, 1.4 of 2.2 mm
+_WALL_ENAMEL = 0.62  # thickness at the wall / thickness above cusps
 _STEEPEST = 1.85
-"""Bound of the slope of `tooth_distance`; the largest slope found at sizes in range is 1.74."""
+"""Upper bound of the slope of `tooth_distance`.
+
+The largest slope found for allowed sizes is 1.74.
+"""
 _CANAL_RISE_M = 0.8e-3  # height above the roots at which canals start, within the chamber
 
 
@@ -62,11 +65,11 @@ class Crown:
     half_width, half_length
         Half the mesiodistal and buccolingual size at the widest section [m].
     height
-        From the cervical line on the buccal side to the highest cusp tip [m].
+        Height from the cervical line on the buccal side to the highest cusp tip [m].
     cusp_height
-        From the central fossa to the highest cusp tip [m].
+        Height from the central fossa to the highest cusp tip [m].
     enamel
-        Thickness of the enamel over the highest cusp [m].
+        Thickness of the enamel above the highest cusp [m].
     """
 
     half_width: float
@@ -94,7 +97,7 @@ class Crown:
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
         """Compute the height of the chewing surface [m].
 
-        Each cusp is a cone with a round tip that falls to the fossa.
+        Each cusp is a cone with a round tip that extends down to the fossa.
         """
         surface = np.full_like(x, -np.inf)
         for along, across, relative in _CUSPS:
@@ -108,9 +111,9 @@ class Crown:
 
     @property
     def _fossa(self) -> float:
-        """Compute the height [m] at which the blended grooves of seven cones meet.
+        """Compute the height [m] at which the blended grooves of the seven cones meet.
 
-        All cones fall to 0.
+        At this point, the height of all cones is 0 before blending.
         """
         level = 0.0
         for _ in _CUSPS[1:]:
@@ -120,7 +123,7 @@ class Crown:
     def cervical_line(self, x: Floats) -> Floats:
         """Compute the height of the cervical line [m].
 
-        It rises on the mesial and distal sides.
+        The cervical line is higher on the mesial and distal sides.
         """
         return self.cervix + _CERVICAL_CURVE_M * np.minimum(
             (x / (_CERVIX[0] * self.half_width)) ** 2, 1.0
@@ -144,29 +147,29 @@ class Crown:
 
     @staticmethod
     def _bulge(height: Floats, axis: int) -> Floats:
-        """Compute the half width over the widest half width, at some heights.
+        """Compute the ratio of the half width to the largest half width, at given heights.
 
-        Heights are 0 (cervix) to 1 (cusp tips).
+        The heights are 0 (cervix) to 1 (cusp tips).
         """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
-        # The wall keeps narrowing a little beyond the tips, up to 1.2. Farther out its shape has no
-        # effect.
+        # Above the tips, the wall continues to narrow up to the height 1.2. Above this height, its
+        # shape has no effect.
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
     def outside(self, p: Floats) -> Floats:
         """Compute the distance from crown and trunk [m].
 
-        It is taken along z under the chewing surface, and horizontally at the wall.
+        The distance is measured along z below the chewing surface, and horizontally at the wall.
         """
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
     def outside_dentin(self, p: Floats) -> Floats:
-        """Compute the distance like `outside`, for the dentin under the enamel.
+        """Compute the same distance as `outside`, but for the dentin under the enamel.
 
-        It equals `outside` below the cervical line.
+        Below the cervical line, the result is equal to `outside`.
         """
         height = self.occlusal_height(p[:, 0], p[:, 1])
         relative = np.clip(height / self.cusp_height, 0.0, 1.0)
@@ -179,18 +182,19 @@ class Crown:
 
 @dataclass(frozen=True)
 class Root:
-    """A round cone about an axis bent in the x-z plane, wider along y.
+    """Round cone with an axis that is curved in the x-z plane, wider along y.
 
     Attributes
     ----------
     top, length
-        Height of its upper end, and length from there to the apex [m].
+        Height of the upper end, and length from the upper end to the apex [m].
     axis
-        x of the axis [m] as coefficients of 1, u and u², u from 0 at the top to 1 at the apex.
+        x of the axis [m], given by the coefficients of 1, u and u², where u is 0 at the top and 1
+        at the apex.
     radius, apex_radius
         Half width along x at the top and at the apex [m].
     flattening
-        Half width along x over that along y.
+        Ratio of the half width along x to the half width along y.
     """
 
     top: float
@@ -215,7 +219,8 @@ class Root:
     def distance(self, p: Floats) -> Floats:
         """Compute a bound of the distance [m], negative inside.
 
-        It is exact along x, and short along y by the flattening.
+        The bound is exact along x. Along y, it is smaller than the distance by the factor
+        `flattening`.
         """
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
         return _round_cone(
@@ -229,7 +234,7 @@ class Root:
     def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
         """Compute the distance [m] from a canal along the root's axis.
 
-        The canal is shifted along y by `offset` at its top and apex [m].
+        `offset` is the shift of the canal along y at its top and at its apex [m].
         """
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
@@ -242,11 +247,12 @@ class Root:
 
 
 def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
-    """Build the mesial and distal root [m].
+    """Build the mesial and the distal root [m].
 
-    Both apices end `root_length` below the buccal cervical line.
+    The two apices lie `root_length` below the buccal cervical line.
     """
-    # Roots start within the trunk. Radii, bends and places [m] are of a crown 11.0 x 10.5 mm wide.
+    # The roots start inside the trunk. Radii, curvatures and positions [m] are for a crown of
+    # 11.0 x 10.5 mm.
     top = crown.cervix - 1.5e-3
     length = root_length - 1.5e-3
     side = crown.half_width / 5.5e-3
@@ -261,7 +267,7 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 
 
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
-    """Compute the distance [m] from the whole tooth, or from its dentin with the pulp filled in.
+    """Compute the distance [m] from the whole tooth, or from its dentin including the pulp.
 
     It is negative inside.
     """
@@ -273,11 +279,12 @@ def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin:
 
 
 def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
-    """Build the tooth as a shape.
+    """Build the outer surface of the tooth as a shape.
 
-    Its distance is divided by its steepest slope, so it is a bound.
+    The distance is divided by its largest slope, so it is a bound.
     """
-    # A tenth of reserve holds the lean of the crown, 7 % of its half length, and 2 % its tips.
+    # A margin of a tenth includes the inclination of the crown, 7 % of its half length. A margin of
+    # 2 % includes the tips.
     low = (-1.1 * crown.half_width, -1.1 * crown.half_length, roots[0].top - roots[0].length)
     high = (1.1 * crown.half_width, 1.1 * crown.half_length, 1.02 * crown.cusp_height)
     return Shape(
@@ -288,16 +295,16 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
     """Build the pulp [m].
 
-    It has a chamber with a horn under each cusp, two canals in the mesial root and one in the
-    distal root.
+    The pulp has a chamber with a horn under each cusp, two canals in the mesial root and one canal
+    in the distal root.
 
     Parameters
     ----------
     roof
         Depth of the chamber's roof below the fossa [m].
     """
-    # Height of the chamber, from the table. The other sizes and places [m] are drawn within the
-    # dentin.
+    # The height of the chamber is from the table. The other sizes and positions [m] are chosen by
+    # eye, inside the dentin.
     height = 1.9e-3
     size = (0.40 * 2.0 * crown.half_width, 0.34 * 2.0 * crown.half_length, height)
     chamber = box(size, (0.0, 0.0, -roof - 0.5 * height), rounding_m=0.8e-3)
@@ -320,9 +327,9 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
 def _round_cone(
     across: Floats, along: Floats, radius: float, end_radius: float, length: float
 ) -> Floats:
-    """Compute the distance [m] from the hull of two balls on an axis (I. Quilez).
+    """Compute the distance [m] from the convex hull of two balls on an axis (I. Quilez).
 
-    The second ball is `length` farther along.
+    The second ball is `length` farther along the axis.
     """
     sine = (radius - end_radius) / length
     cosine = float(np.sqrt(1.0 - sine * sine))

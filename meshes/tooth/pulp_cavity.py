@@ -1,4 +1,4 @@
-"""The pulp of a scanned tooth without one: the cavity in its dentin, filled."""
+"""Pulp of a scanned tooth without a pulp label: the filled cavity in the dentin."""
 
 from __future__ import annotations
 
@@ -20,42 +20,49 @@ The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1
 13:728).
 """
 _LARGEST_MOUTH_M2 = 1.0e-6
-"""A round opening of 0.8 mm has 0.5 mm2; its staircase of voxels has up to twice as much."""
-_CROWN_LEAK_M2 = 0.05e-6
-"""Largest area of openings in the crown [m2], for leaks of a segmentation: five faces of voxels."""
-_VOLUME_M3 = (1e-9, 200e-9)
-"""Bounds of the volume of a pulp cavity.
+"""Largest area of one opening in the roots.
 
-Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod J
-19:194). Old pulps are several times smaller, and pulps of teeth with open roots several times
-larger.
+A round opening of 0.8 mm has 0.5 mm2. In voxels, its stepped area is up to twice as large.
+"""
+_CROWN_LEAK_M2 = 0.05e-6
+"""Largest area of openings in the crown [m2].
+
+It allows leaks of a segmentation with an area of five voxel faces.
+"""
+_VOLUME_M3 = (1e-9, 200e-9)
+"""Limits of the volume of a pulp cavity.
+
+Mean pulp volumes range from 6 mm3 in lower incisors to 68 mm3 in upper first molars (Fanibunda
+1986, Int Endod J 19:194). Pulps of old patients are several times smaller, and pulps of teeth with
+open roots are several times larger.
 """
 _LEAST_DENTIN = 0.5
-"""Smallest share of the wall that is dentin.
+"""Smallest share of dentin in the wall of the cavity.
 
-The remainder may be caries, and enamel where a crown is worn.
+The rest may be caries, or enamel if the crown is worn.
 """
 _ENAMEL_PERCENT = 2.0
-"""Part of the enamel [%] that may lie below the neck of the tooth, such as mislabelled pieces."""
+"""Part of the enamel [%] that may lie below the neck of the tooth, as in mislabelled pieces.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class PulpCavity:
-    """The void in the dentin of a whole tooth that can be its pulp.
+    """Void in the dentin of a whole tooth that may be its pulp.
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
-    apical foramina. No ball wider than 0.8 mm enters it, and its openings lie in the roots and are
-    at most 1 mm2 each. Fissures and grooves open into the mouth along their length, clefts between
-    roots along theirs.
+    apical foramina. A ball with a diameter of more than 0.8 mm cannot enter the void. Its openings
+    lie in the roots and are at most 1 mm2 each. Fissures, grooves and clefts between roots are not
+    pulp cavities, because they are open along their length.
 
     Attributes
     ----------
     tooth
-        Voxels of the whole tooth that it was found in.
+        Voxels of the whole tooth in which the cavity was found.
     inside
-        Its voxels, bool, shape of the tooth.
+        Mask of the voxels of the cavity, bool, shape of the tooth.
     away_m
-        Distance of each voxel from where such a ball can be [m], shape of the tooth.
+        Distance of each voxel from the region that such a ball can reach [m], shape of the tooth.
     """
 
     tooth: VoxelVolume
@@ -67,7 +74,7 @@ class PulpCavity:
         """Find the cavity of a whole tooth whose crown points along +z, or return None."""
         from scipy.ndimage import distance_transform_edt, find_objects, label
 
-        # Such a ball fits between tooth and border, so that the border is one outside.
+        # Such a ball fits between the tooth and the border, so the border is connected.
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
         empty = np.pad(tooth.fraction < FULL / 2, margin, constant_values=True)
         layer = np.pad(tooth.layer, margin)
@@ -103,9 +110,9 @@ class PulpCavity:
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> Flags:
-        """Return the voxels of the same tooth, of any size, that lie in the cavity.
+        """Return a mask of the voxels in the cavity, for voxels of any size of the same tooth.
 
-        The result is bool with the shape of the volume.
+        The mask is bool and has the shape of the volume.
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
@@ -133,16 +140,16 @@ class PulpCavity:
 
     @cached_property
     def _near(self) -> Flags:
-        """Voxels of the cavity and the voxels that touch them by a face."""
+        """Mask of the voxels of the cavity and of their face neighbours."""
         from scipy.ndimage import binary_dilation
 
         return np.asarray(binary_dilation(self.inside))
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """Return the volume with its cavity filled by pulp.
+    """Fill the cavity of a volume with pulp.
 
-    The voxels along the cavity's wall are filled up with their own layers.
+    Partly filled voxels at the wall of the cavity are filled with their own layers.
     """
     from scipy.ndimage import binary_dilation
 
@@ -162,11 +169,11 @@ def _is_closed(piece: Flags, empty: Flags, neck: float, spacing_m: float) -> boo
     Parameters
     ----------
     piece
-        Voxels of the void, with at least one voxel around them.
+        Mask of the void, with a margin of at least one voxel.
     empty
-        Voxels without tissue, same shape.
+        Mask of voxels without tissue, same shape.
     neck
-        Index along z of the neck of the tooth, above which the crown is.
+        Index along z of the neck of the tooth. The crown lies above it.
     spacing_m
         Edge of a voxel [m].
     """

@@ -1,1 +1,1 @@
-"""A procedural lumbar vertebra."""
+"""Procedural lumbar vertebra."""

@@ -1,8 +1,9 @@
 """Procedural lumbar vertebra (L4).
 
-It has a body with endplates, pedicles, lamina, processes and spinal canal.
+The vertebra has a body with endplates, pedicles, lamina, processes and a spinal canal.
 
-Sources, M = from memory of the literature, with confidence H, M or L; L4 unless stated otherwise.
+Sources: M = from memory of the literature, R = read, with confidence H, M or L. Values are for L4
+unless stated otherwise.
 
 =============================  =============  ======================================================================
 body width, depth, height      48, 34.5, 25   M, M: Panjabi 1992, means of upper and lower endplate; height posterior
@@ -18,8 +19,7 @@ spinous, transverse process    32, 21 mm      M, L: lengths; Panjabi 1992 gives 
 trabecular density             180 kg/m3      M, M: Keaveny 2001, lumbar bodies 100 to 300; cortex 1800
 =============================  =============  ======================================================================
 
-Facets, accessory processes and the wedge of the body are not modelled.
-"""  # noqa: E501 a table
+Facets, accessory processes and the wedge shape of the body are not modelled."""  # noqa: E501 a table
 
 import math
 from dataclasses import dataclass
@@ -49,15 +49,18 @@ _ISTHMUS_M = 4e-3
 _ENTRY_M = 19e-3
 """Distance from the back wall of the body to the entry behind the pedicle, along its axis.
 
-It covers pedicle and pars and is a prior.
+The distance includes pedicle and pars, and is a prior.
 """
 _REACH_M = 75e-3
-"""Half side of a box that holds bone; the default spinous process ends at 71 mm."""
+"""Half side of a box that contains the bone. The default spinous process ends at 71 mm."""
 
 
 @dataclass(frozen=True)
 class _HalfSizes:
-    """Half sizes [m] in the frame of the body: x left, y back, z up, the origin in its centre."""
+    """Half sizes [m] in the frame of the body.
+
+    x points left, y back and z up. The origin is the centre of the body.
+    """
 
     width: float
     depth: float
@@ -70,14 +73,14 @@ class _HalfSizes:
 
     @property
     def canal_y(self) -> float:
-        """Centre of the canal behind the centre of the body [m]."""
+        """Distance of the canal's centre behind the centre of the body [m]."""
         return self.depth + self.canal_depth
 
     @property
     def isthmus(self) -> Array:
         """Middle of the narrowest part of the left pedicle [m].
 
-        It lies next to the canal, midway from cortex to cortex.
+        It lies next to the canal, in the middle between the two cortices.
         """
         return np.array(
             [
@@ -89,12 +92,12 @@ class _HalfSizes:
 
     @property
     def axis(self) -> Array:
-        """Unit vector along the left pedicle, backward and outward."""
+        """Unit vector along the left pedicle, pointing backward and outward."""
         return np.array([math.sin(self.angle), math.cos(self.angle), 0.0])
 
     @property
     def entry(self) -> Array:
-        """Point of the axis behind the pedicle, near the entry [m]."""
+        """Point on the axis behind the pedicle, near the entry [m]."""
         return self.isthmus + (_ENTRY_M - _ISTHMUS_M) * self.axis
 
 
@@ -105,13 +108,13 @@ class VertebraSizes(Ranged):
     Attributes
     ----------
     body_width_mm, body_depth_mm, body_height_mm
-        The body from side to side, front to back and in height [mm].
+        Width, depth and height of the body [mm].
     canal_width_mm, canal_depth_mm
         Width and depth of the elliptic spinal canal [mm].
     pedicle_width_mm, pedicle_height_mm
         Width and height of the elliptic pedicle [mm].
     pedicle_angle_deg
-        Angle by which the pedicle leans medially toward the front [degrees].
+        Angle by which the pedicle is inclined medially toward the front [degrees].
     pedicle_cortex_mm
         Thickness of the cortex of pedicle and arch [mm], less than a third of the pedicle's width.
     cortical_density_kg_m3
@@ -137,10 +140,11 @@ class VertebraSizes(Ranged):
 def lumbar_vertebra(**sizes: float) -> Anatomy:
     """Build a lumbar vertebra in the site frame of its left pedicle.
 
-    Its structure `canal` is the spinal canal.
+    The structure `canal` of the anatomy is the spinal canal.
 
-    The origin is the point at the back where the axis of the left pedicle leaves the bone. z points
-    backward out of the bone along that axis, y upward and x across. The canal lies at positive x.
+    The origin is the posterior point where the axis of the left pedicle leaves the bone. z points
+    backward out of the bone along this axis, y points upward, and x is perpendicular to y and z.
+    The canal lies at positive x.
 
     Parameters
     ----------
@@ -164,7 +168,8 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
         0.5e-3 * given.pedicle_height_mm,
         math.radians(given.pedicle_angle_deg),
     )
-    # 0.66 of the half width is a third of the width: at least a third is then trabecular.
+    # 0.66 times the half width is a third of the width. At least a third of the pedicle is then
+    # trabecular.
     if cortex > 0.66 * half.pedicle_width:
         raise InputError(
             "pedicle_cortex_mm",
@@ -178,7 +183,8 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
         lambda p: np.maximum(bone.distance(p), -canal.distance(p)), bone.lower_m, bone.upper_m
     )
     entry = half.entry
-    # The axis leaves the bone between these distances from the entry; steps of 5 um find where.
+    # The axis leaves the bone between these distances from the entry. The point is found in steps
+    # of 5 um.
     along = np.linspace(-5e-3, 25e-3, 6001)
     held = whole.distance(entry + along[:, None] * half.axis) < 0.0
     origin = entry + along[np.flatnonzero(held)[-1]] * half.axis
@@ -214,8 +220,8 @@ def _bone(sizes: _HalfSizes) -> Shape:
     pedicles = Shape(lambda p: _pedicles(sizes, p))
     body = Shape(lambda p: _body(sizes, p))
     back = sizes.canal_y + sizes.canal_depth
-    # Two rods make the spinous process and one each transverse process. Radii and places are drawn
-    # [m].
+    # The spinous process consists of two rods, and each transverse process of one rod. Radii and
+    # positions [m] are chosen by eye.
     tip = (0.0, back + _SPINOUS_M, -6e-3)
     spinous = capsule(3.5e-3, (0.0, back, 2e-3), tip) | capsule(
         3.5e-3, (0.0, back, -6e-3), (0.0, tip[1], -12e-3)
@@ -237,19 +243,19 @@ def _bone(sizes: _HalfSizes) -> Shape:
 
 
 def _body(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance from an elliptic column with a waist [m]."""
+    """Compute the distance from the body, an elliptic column with a waist [m]."""
     share = np.clip(p[:, 2] / sizes.height, -1.0, 1.0)
     narrowed = 1.0 - _WAIST * (1.0 - share**2)
     column = _ellipse(p[:, 0], p[:, 1], sizes.width * narrowed, sizes.depth * narrowed)
-    # The waist's slope is 0.2 at most, which makes the column's value too large by 2 %; 0.9 keeps
-    # it a bound.
+    # The slope of the waist is at most 0.2, so the value of the column is too large by up to 2 %.
+    # With the factor of 0.9, the value is a bound.
     return np.asarray(0.9 * np.maximum(column, np.abs(p[:, 2]) - sizes.height))
 
 
 def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance [m] from elliptic columns along both pedicle axes.
+    """Compute the distance [m] from elliptic columns along the two pedicle axes.
 
-    They reach from within the body to the entry.
+    The columns extend from inside the body to the entry.
     """
     centre = sizes.isthmus.astype(p.dtype)
     axis = sizes.axis.astype(p.dtype)
@@ -259,8 +265,8 @@ def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
     along = x * axis[0] + y * axis[1]
     across = x * axis[1] - y * axis[0]
     column = _ellipse(across, z, sizes.pedicle_width, sizes.pedicle_height)
-    # Along the axis from 14 mm before the isthmus, inside the body, to the entry; the isthmus lies
-    # 4 mm behind the body's back wall.
+    # A column extends along the axis from 14 mm in front of the isthmus, inside the body, to the
+    # entry. The isthmus lies 4 mm behind the body's back wall.
     ends = np.abs(along - 0.5 * (_ENTRY_M - 4e-3 - 14e-3)) - 0.5 * (_ENTRY_M - 4e-3 + 14e-3)
     return np.asarray(np.maximum(column, ends))
 
@@ -272,7 +278,7 @@ def _arch(sizes: _HalfSizes, p: Floats) -> Floats:
     """
     y = p[:, 1] - sizes.canal_y
     outer = _ellipse(p[:, 0], y, sizes.canal_width + _LAMINA_M, sizes.canal_depth + _LAMINA_M)
-    # The lamina is 6 mm lower than the body and hangs 1 mm deeper (drawn).
+    # The lamina is 6 mm lower than the body in height and lies 1 mm deeper (chosen by eye).
     tall = np.abs(p[:, 2] + 1e-3) - (sizes.height - 3e-3)
     return np.asarray(np.maximum.reduce([outer, tall, -y]))
 
@@ -287,12 +293,13 @@ def _canal(sizes: _HalfSizes) -> Shape:
 
 
 def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
-    """Compute the signed distance from an ellipse of half axes a and b [m].
+    """Compute the signed distance from an ellipse with the half axes a and b [m].
 
-    Three steps give an error of 1e-5 of its size.
+    After three steps, the error is 1e-5 of the size of the ellipse.
 
-    Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing
-    the distance between a point and an ellipse"), from the direction of 45 degrees.
+    Each step approximates the ellipse by its circle of curvature at the last point (A. Nash,
+    "Computing the distance between a point and an ellipse"). The start is the direction of 45
+    degrees.
     """
     px = np.abs(x)
     py = np.abs(y)
@@ -301,7 +308,8 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
         ex = (a * a - b * b) * tx**3 / a
         ey = (b * b - a * a) * ty**3 / b
         r = np.hypot(a * tx - ex, b * ty - ey)
-        # 1e-12 m avoids a division by zero at the centre of curvature, and below at the centre.
+        # 1e-12 m avoids a division by zero at the centre of curvature and (below) at the centre of
+        # the ellipse.
         q = np.maximum(np.hypot(px - ex, py - ey), 1e-12)
         tx = np.clip(((px - ex) * r / q + ex) / a, 0.0, 1.0)
         ty = np.clip(((py - ey) * r / q + ey) / b, 0.0, 1.0)
@@ -313,9 +321,9 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
 
 
 def _layers(sizes: _HalfSizes, given: VertebraSizes, turn: Array, origin: Array) -> Classify:
-    """Classify by depth.
+    """Return a function that classifies points by depth.
 
-    A thin shell and endplates surround the body, a thicker cortex surrounds the other parts.
+    The body has a thin shell and endplates. The other parts have a thicker cortex.
     """
 
     cortex = 1e-3 * given.pedicle_cortex_mm
@@ -323,11 +331,11 @@ def _layers(sizes: _HalfSizes, given: VertebraSizes, turn: Array, origin: Array)
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
 
-        The depths below the surface are in m.
+        The depths below the surface have the unit m.
         """
         p = points @ turn.T.astype(points.dtype) + origin.astype(points.dtype)
-        # Cortex and density change from the body's to the pedicle's over its last 4 mm, without a
-        # step.
+        # Cortex thickness and density change continuously from body to pedicle within the last 4 mm
+        # of the body.
         behind = np.clip((p[:, 1] - sizes.depth + 4e-3) / 4e-3, 0.0, 1.0)
         shell = _BODY_CORTEX_M + (cortex - _BODY_CORTEX_M) * behind
         plate = (sizes.height - np.abs(p[:, 2]) < _ENDPLATE_M) & (behind < 1.0)
@@ -342,7 +350,7 @@ def _layers(sizes: _HalfSizes, given: VertebraSizes, turn: Array, origin: Array)
 
 
 def _placed(shape: Shape, turn: Array, origin: Array) -> Shape:
-    """Move a shape from the body's frame to the site frame.
+    """Convert a shape from the body's frame to the site frame.
 
     The columns of `turn` are the axes of the site frame.
     """

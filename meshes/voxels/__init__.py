@@ -1,1 +1,1 @@
-"""Grids of voxels and their filling."""
+"""Voxel grids, and their filling."""

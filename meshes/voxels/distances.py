@@ -1,11 +1,11 @@
-"""Distances of voxels to the bone's surface, in bytes.
+"""Distances of voxel centres to the bone's surface and to changes of layer, stored in bytes.
 
-They are interpolated between voxel centres. A surface or a change of layer is thus located to
-second order in the spacing, not to the nearest voxel.
+The distances are interpolated between voxel centres. The position of a surface or a change of layer
+is thus accurate to second order in the spacing, not only to the nearest voxel.
 
-Distances to the nearest change of layer come from the layer at any point, or from labels alone.
-Only voxels in a cell of eight centres with two different layers have one. The distance of other
-voxels is never used.
+Distances to the nearest change of layer are computed from the layer at any point, or only from
+labels. They are only computed for voxels in a cell of eight centres with two different layers. The
+distance of other voxels is never used.
 """
 
 from __future__ import annotations
@@ -39,19 +39,20 @@ _SMALLEST_COMPONENT = 1e-5  # see `cube_fraction`
 
 
 def cube_fraction(distance: Floats, normal: Floats) -> Array:
-    """Compute the volume of the unit cube about the origin where n·x <= -distance.
+    """Compute the volume of the part of a unit cube behind a plane, n·x <= -distance.
 
-    With m = |n| / Σ|n| and a = 1/2 - distance / Σ|n| (the plane's height over the cube's lowest
-    corner, in units of the cube's extent along n), the volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ /
-    (6 m1 m2 m3) over the subsets S of the three axes (inclusion-exclusion over the cube's corners;
-    equivalent to Scardovelli & Zaleski 2000, J. Comput. Phys. 164:228). Components below 1e-5 are
-    raised to it, which changes the volume by less than 2e-5.
+    The centre of the cube is the origin. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|, which is
+    the plane's height above the cube's lowest corner relative to the cube's extent along n. The
+    volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets S of the
+    three axes. This is inclusion-exclusion over the cube's corners, equivalent to Scardovelli &
+    Zaleski 2000, J. Comput. Phys. 164:228. Components below 1e-5 are set to 1e-5, which changes the
+    volume by less than 2e-5.
 
     Parameters
     ----------
     distance
-        Signed distance of the cube's centre from the plane, in cube edges, positive in front of it,
-        shape (n,).
+        Signed distance of the cube's centre from the plane, in cube edges, positive in front of the
+        plane, shape (n,).
     normal
         Outward plane normals, unit length, shape (n, 3).
 
@@ -78,9 +79,12 @@ SURFACE_STEPS = 63
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
-"""Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
+"""Stored surface distance on the surface, and two or more voxels inside and outside the surface."""
 _BISECTIONS = 14
-"""Halvings of the distance of a plane: 1e-4 voxels are left, a stored step is 0.016."""
+"""Number of halvings in the search for the distance of a plane.
+
+The remaining interval is 1e-4 voxels. A stored step is 0.016 voxels.
+"""
 # neighbours up to (2, 1, 0) away
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
 
@@ -95,10 +99,11 @@ def surface_steps(distance: Floats) -> Bytes:
 def near_the_surface(
     volume: VoxelVolume,
 ) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
-    """Return surface distance, layer, density and boundary distance of a volume, each of its shape.
+    """Return surface distance, layer, density and boundary distance of a volume.
 
-    Layer and density continue beyond the surface, as far as its distance is known: a point between
-    the last voxel centre in the bone and the first one outside lies in a layer too.
+    The arrays have the shape of the volume. Layer and density are extended beyond the surface, as
+    far as the surface distance is known, because a point between the last voxel centre in the bone
+    and the first one outside also needs a layer.
     """
     surface = (
         volume.surface_distance
@@ -118,7 +123,7 @@ def carried_beyond(
 ) -> tuple[Bytes, NDArray[np.uint16], Flags]:
     """Extend layer and density of the outermost voxels beyond the surface.
 
-    Also return flags of the voxels where they are known.
+    Also return flags of the voxels with known layer and density.
     """
     layer = layer.copy()
     density = density.copy()
@@ -140,16 +145,18 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 
     The result is uint8, shape (nx, ny, nz).
 
-    Each voxel that the surface crosses or passes next to has a plane. The plane leaves the voxel's
-    fraction behind it, and its direction is the gradient of the fractions. Voxels near those take
-    the mean over their planes. There is no bone beyond the array. On a ball the mean lies below the
-    true distance and the interpolation between centres lies above it. Each bias is a twelfth of the
-    principal curvatures' sum; the interpolated surface keeps a quarter of it.
+    Each voxel that the surface crosses, or that is next to the surface, has a plane. The fraction
+    of the voxel behind the plane is the filled fraction, and the direction of the plane is the
+    gradient of the fractions. For voxels near such voxels, the mean distance from their planes is
+    used. The space outside the array has no bone. On a ball, the mean is smaller than the true
+    distance, and the interpolation between centres is larger. Each of these two biases is a twelfth
+    of the sum of the principal curvatures. A quarter of this bias remains in the interpolated
+    surface.
     """
-    # Three voxels: planes of two voxels' reach and a gradient over one more.
+    # A margin of three voxels: two for the reach of planes, and one for the gradient.
     padded = np.pad(fraction, 3)
     result = np.where(padded > 127, INSIDE, OUTSIDE).astype(np.uint8)
-    # A flat surface may pass exactly between full and empty voxels, without a partly filled one.
+    # A flat surface may lie exactly between full and empty voxels, without partly filled voxels.
     crossed = ((padded > 0) & (padded < 255)) | _beside(padded == 255, padded == 0)
     at = np.argwhere(crossed)
     normal = _outward(padded, at)
@@ -161,15 +168,15 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     known[crossed] = np.arange(planes, dtype=np.int32)
     near = np.argwhere(_grown(_grown(crossed)))
     summed, weights = np.zeros((2, len(near)))
-    # A full or an empty voxel next to the surface bounds its distance and does not give it.
+    # A full or an empty voxel next to the surface only gives a bound for the distance.
     trust = np.where((share > 0.0) & (share < 1.0), 1.0, np.where(total > 0.0, 1e-3, 0.0))
     for offset in np.vstack([np.zeros((1, 3), dtype=int), _OFFSETS]):
         there = tuple(np.clip(near + offset, 0, np.array(padded.shape) - 1).T)
         plane = known[there]
         held = np.flatnonzero(plane >= 0)
         index = plane[held]
-        # Near planes count most. With 0.1 to 0.5 the error on a ball is 0.019 to 0.025 voxels
-        # (rms).
+        # Near planes have the largest weights. With values of 0.1 to 0.5, the error on a ball is
+        # 0.019 to 0.025 voxels (RMS).
         weight = trust[index] / (0.25 + float(offset @ offset)) ** 2
         summed[held] += weight * (distance[index] - normal[index] @ offset)
         weights[held] += weight
@@ -182,7 +189,7 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 def _plane_distance(share: Floats, normal: Floats) -> Array:
     """Compute the signed distance of unit cubes' centres from a plane.
 
-    The plane leaves a given share of the cube behind it.
+    The share of the cube behind the plane is given.
     """
     half = 0.5 * np.abs(normal).sum(axis=1)
     low = -half
@@ -196,14 +203,15 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 
 
 def _outward(fraction: Bytes, at: Ints) -> Array:
-    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3).
+    """Return unit vectors opposite to the gradient of the fractions, shape (n, 3).
 
-    The vector is z where the gradient is zero.
+    The gradient is computed in 3 x 3 x 3 voxels. The vector is z if the gradient is zero.
     """
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
         if offset.any():
-            # Weights of a 3 x 3 x 3 Sobel filter: 2 across a face, 1 an edge, 1/2 a corner.
+            # Weights of a 3 x 3 x 3 Sobel filter: 2 for a face neighbour, 1 for an edge, 1/2 for a
+            # corner.
             weight = 2.0 ** (2 - np.abs(offset).sum())
             slope -= weight * fraction[tuple((at + offset).T)].astype(np.float64)[:, None] * offset
     slope[~slope.any(axis=1), 2] = 1.0
@@ -211,7 +219,7 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
 
 
 def _beside(one: Flags, other: Flags) -> Flags:
-    """Flag voxels of either kind that share a face with one of the other kind."""
+    """Flag the voxels of two kinds that share a face with a voxel of the other kind."""
     met = np.zeros(one.shape, dtype=bool)
     for axis in range(3):
         a, b = _halves(axis)
@@ -222,7 +230,7 @@ def _beside(one: Flags, other: Flags) -> Flags:
 
 
 def _grown(flags: Flags) -> Flags:
-    """Flag all voxels that touch flagged ones, too."""
+    """Return the flags with all voxels flagged that touch a flagged voxel."""
     grown = flags.copy()
     for axis in range(3):
         a, b = _halves(axis)
@@ -233,7 +241,7 @@ def _grown(flags: Flags) -> Flags:
 
 
 def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return slices of all but the last and all but the first along an axis."""
+    """Return two slices along an axis: without the last entry, and without the first entry."""
     low, high = ([slice(None)] * 3 for _ in range(2))
     low[axis] = slice(0, -1)
     high[axis] = slice(1, None)
@@ -243,37 +251,39 @@ def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 BOUNDARY_STEPS = 127
 """Stored steps per voxel; stored distances reach two voxels."""
 FAR = 254
-"""Stored distance of voxels that are far from any change of layer.
+"""Stored distance of voxels that are far from every change of layer.
 
-No layer changes within two voxels, or in any cell that the voxel is a corner of.
+The layer does not change within two voxels, or in any cell of which the voxel is a corner.
 """
 _UNKNOWN = 255
 _PADDED = 6
-"""Border of unknown voxels, as wide as the larger ball."""
+"""Width of the border of unknown voxels, the radius of the larger ball."""
 _AT_ONCE = 1 << 18
-"""Pairs of a voxel and a neighbour summed at once: their index and values are some MB."""
+"""Number of pairs of voxel and neighbour that are summed at once, which takes some MB.
+"""
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Steps [voxel] that bracket a change along a direction, and number of bisections.
+"""Step [voxel] of the search for a change along a direction, and number of bisections.
 
-The middle of what is left is within 0.008 voxels, a stored step.
+The error of the middle of the remaining interval is 0.008 voxels, a stored step.
 """
 _WIDE = 6.0
 _NARROW = 3.0
-"""Radii of the balls [voxel] whose shares give the distance.
+"""Radii of the balls [voxel] in which shares are computed for the distance.
 
-The RMS error is 0.07 voxels on a ball of 14 voxels' radius and 0.18 on a block. With 4 in place of
-6 they are 0.11 and 0.16, with 8 0.05 and 0.20. With 2 in place of 3 the block has 0.29.
+The RMS error is 0.07 voxels on a ball with a radius of 14 voxels and 0.18 voxels on a block. With 4
+instead of 6, the errors are 0.11 and 0.16 voxels, and with 8 they are 0.05 and 0.20 voxels. With 2
+instead of 3, the error on the block is 0.29 voxels.
 """
 _DISAGREES = 0.25
 _REACH = 2
-"""Deviation [voxel] of a label above which the narrow ball counts, and reach of that [voxel].
+"""Deviation [voxel] of a label above which the narrow ball is used, and range of its use [voxel].
 
-With deviations of 0.1 to 1 and a reach of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
+With deviations of 0.1 to 1 and ranges of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
 """
 
 LayerAt = Callable[[Singles], Bytes]
-"""Points [voxel], shape (n, 3), to their layers, shape (n,)."""
+"""Function from points [voxel], shape (n, 3), to layers, shape (n,)."""
 
 
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
@@ -281,24 +291,24 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
     The result has the shape (nx, ny, nz).
 
-    The voxels of other layers around a voxel give the direction; along it the change is bracketed
-    in half voxels, then halved.
+    The direction to the change is computed from the voxels of other layers around a voxel. Along
+    this direction, the change is searched in steps of half a voxel, and then by bisection.
 
     Parameters
     ----------
     layer
         Layer of each voxel, shape (nx, ny, nz).
     known
-        Voxels whose layer has a meaning, shape (nx, ny, nz).
+        Flags of the voxels whose layer is known, shape (nx, ny, nz).
     layer_at
-        Layer between the voxel centres; voxel (i, j, k) has its centre at (i + 0.5, j + 0.5, k +
-        0.5).
+        Function that returns the layer between voxel centres. The centre of voxel (i, j, k) is (i +
+        0.5, j + 0.5, k + 0.5).
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
-    # Neighbours up to (2, 1, 0) away; 1e-6 for rounding.
+    # Neighbours up to the offset (2, 1, 0). 1e-6 is for rounding errors.
     offsets = _offsets(np.sqrt(5.0) + 1e-6)
-    # In sixtieths, whole numbers: their sums are exact in any order.
+    # The weights are integers, in units of 1/60. Their sums are exact in any order.
     toward = _sums(
         codes, chosen, offsets, 60 // np.maximum((offsets**2).sum(axis=1), 1) * offsets.T
     )[1].T
@@ -307,7 +317,7 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     chosen = chosen[found]
     direction = toward[found] / length[found, None]
     distance = np.empty(len(chosen), dtype=np.float32)
-    # Parts of 65,536 points bound the memory of the layer function.
+    # Parts of 65,536 points limit the memory of the layer function.
     for start in range(0, len(chosen), 1 << 16):
         part = slice(start, start + (1 << 16))
         at = np.column_stack(np.unravel_index(chosen[part], codes.shape)) - _PADDED
@@ -316,13 +326,14 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest change of layer from labels alone.
+    """Compute the stored distance to the nearest change of layer from labels.
 
-    The distance follows from the share of a voxel's layer in the ball of six voxels around it, see
-    `_ball`. A ball of three voxels is used where labels disagree with that distance by a quarter
-    voxel, at corners and thin layers. Each voxel's centre stays in its layer, so that no boundary
-    moves by more than half a voxel. A voxel with most neighbours in other layers keeps up to half a
-    voxel around its centre, so that a layer of one voxel does not vanish.
+    The distance is computed from the share of a voxel's layer in a ball with a radius of six voxels
+    around the voxel, see `_ball`. If labels contradict this distance by more than a quarter voxel,
+    as at corners and thin layers, a ball with a radius of three voxels is used. Each voxel's centre
+    remains in its layer, so no boundary is shifted by more than half a voxel. A voxel with most
+    neighbours in other layers keeps a distance of up to half a voxel, so that a layer with a
+    thickness of one voxel does not vanish.
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
@@ -335,8 +346,9 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
     distance[narrow] = _distance_of_share(codes, chosen[narrow], _NARROW)
     neighbours = _offsets(np.sqrt(3.0) + 1e-6)
     same, other = _sums(codes, chosen, neighbours, np.ones((1, len(neighbours))))
-    # A layer of one voxel has a third of its 27 neighbours and keeps 0.5; a flat boundary has two
-    # thirds and keeps the smallest stored step.
+    # In a layer of one voxel, a third of the 27 neighbours have the same layer, and the smallest
+    # distance is 0.5. At a flat boundary, two thirds have the same layer, and the smallest distance
+    # is one stored step.
     least = np.clip(1.4 - 2.7 * same[0] / (same[0] + other[0]), 1.0 / BOUNDARY_STEPS, 0.5)
     return _stored(codes, chosen, np.maximum(distance, least))
 
@@ -344,15 +356,15 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
 def _codes(layer: Bytes, known: Flags) -> Bytes:
     """Return layers with a border around them.
 
-    They are 255 in the border and where they are not known.
+    The value is 255 in the border and where the layer is not known.
     """
     return np.pad(np.where(known, layer, np.uint8(_UNKNOWN)), _PADDED, constant_values=_UNKNOWN)
 
 
 def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
-    """Return distances [voxel] of the chosen voxels as bytes, without the border.
+    """Convert distances [voxel] of the chosen voxels to stored bytes, without the border.
 
-    Other voxels are `FAR`.
+    All other voxels are `FAR`.
     """
     result = np.full(codes.shape, FAR, dtype=np.uint8)
     result.ravel()[chosen] = np.rint(np.minimum(BOUNDARY_STEPS * distance, FAR))
@@ -362,7 +374,7 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
     """Return flat indices of the known voxels in cells with two layers.
 
-    A cell has 2 x 2 x 2 voxels. Two neighbours in it differ in layer.
+    A cell has 2 x 2 x 2 voxels. It has two layers if two neighbours in the cell differ in layer.
     """
     flat = codes.ravel()
     steps = _strides(codes)
@@ -384,10 +396,10 @@ def _sums(
 ) -> tuple[Singles, Singles]:
     """Compute weighted sums over the known voxels around each voxel, shapes (rows, n).
 
-    One sum is over the voxel's own layer, the other over other layers.
+    One sum is over voxels of the same layer, the other over voxels of other layers.
 
-    ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly,
-    on any machine.
+    ``weights`` has the shape (rows, offsets). Sums of integers up to 2**24 are exact on any
+    machine.
     """
     flat = codes.ravel()
     shifts = (offsets @ _strides(codes))[:, None]
@@ -404,9 +416,10 @@ def _sums(
 
 
 def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Array:
-    """Compute the distance [voxel] to the plane that leaves a voxel's own share of a ball.
+    """Compute the distance [voxel] of a plane from the share of a voxel's layer in a ball.
 
-    The ball is around the voxel. The distance is negative beyond the plane.
+    The centre of the ball is the voxel. The part of the ball behind the plane has the given share.
+    The distance is negative if the voxel lies in front of the plane.
     """
     offsets, weights, share, distance = _ball(radius)
     same, other = (sums[0].astype(np.float64) for sums in _sums(codes, at, offsets, weights))
@@ -415,22 +428,22 @@ def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Arr
 
 @cache
 def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
-    """Compute offsets and weights in a ball, and the share behind a plane.
+    """Compute the offsets and weights in a ball, and the share behind a plane.
 
-    The share is a function of the plane's distance [voxel] from the centre.
+    The share is tabulated by the plane's distance [voxel] from the centre.
 
-    The weight (1 - r²)² (1 - 5/2 r²), r relative to the radius, has no second moment in a plane
-    through the centre. The share behind a surface through the centre therefore does not change with
-    the curvature, to first order. The share grows with the distance t up to the weight's turning
-    point, t² = 1/5. The weight summed over the plane at t is, up to a factor, (1 - t²)³ (5/8 (1 -
-    t²) - 1/2).
+    The weight is (1 - r²)² (1 - 5/2 r²), where r is relative to the radius. Its second moment in a
+    plane through the centre is zero. The share behind a surface through the centre therefore does
+    not depend on the curvature, to first order. The share increases with the distance t up to t² =
+    1/5. The integral of the weight over the plane at t is, up to a factor, (1 - t²)³ (5/8 (1 - t²)
+    - 1/2).
     """
     offsets = _offsets(radius)
     r2 = (offsets**2).sum(axis=1) / radius**2
     weights = (1.0 - r2) ** 2 * (1.0 - 2.5 * r2)
-    # Whole numbers whose sums stay below 2^24 are exact in single precision, in any order.
+    # Sums of integers below 2^24 are exact in single precision, in any order.
     weights = np.rint(2.0**22 / np.abs(weights).sum() * weights)
-    # Steps of 1/2000 of the radius, 0.003 voxels; a stored step is 0.008.
+    # Steps of 1/2000 of the radius, 0.003 voxels. A stored step is 0.008 voxels.
     t = np.linspace(-1.0, 1.0, 4001)
     slices = (1.0 - t**2) ** 3 * (0.625 * (1.0 - t**2) - 0.5)
     share = np.cumsum(slices) - 0.5 * slices
@@ -440,21 +453,21 @@ def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
 
 
 def _offsets(radius: float) -> Ints:
-    """Return whole offsets shorter than a radius [voxel], shape (n, 3)."""
+    """Return integer offsets shorter than a radius [voxel], shape (n, 3)."""
     reach = int(radius)
     offsets = np.array(list(np.ndindex((2 * reach + 1,) * 3))) - reach
     return offsets[(offsets**2).sum(axis=1) < radius**2]
 
 
 def _strides(array: Bytes) -> Ints:
-    """Return steps along each axis in the flat array."""
+    """Return the index step along each axis in the flat array."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
     """Compute the distance [voxel] from voxel centres along a direction to the change of layer.
 
-    It is at most 2, shape (n,).
+    The distance is at most 2, shape (n,).
     """
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)

@@ -1,11 +1,12 @@
 """Bone fraction and depth of voxels under a triangle surface.
 
-Fraction: each voxel column holds 3 x 3 lines along z. A line's winding number changes where it
-crosses the triangles, and its parts with a positive winding number are bone. This is exact along z
-and a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4 mm or
-a voxel, interpolated to the voxels.
+Fraction: there are 3 x 3 lines along z in each voxel column. The winding number along a line
+changes where the line crosses triangles. The parts of a line with a positive winding number are
+bone. The fraction is exact along z, and a quadrature with nine lines across. Depth: the distance to
+the surface is computed on a lattice with a spacing of 0.4 mm or one voxel, and interpolated to the
+voxels.
 
-Crossings of vertical lines with the triangles also decide whether scattered points lie inside.
+Crossings of vertical lines with triangles also determine whether scattered points lie inside.
 """
 
 from dataclasses import dataclass
@@ -28,21 +29,21 @@ __all__ = [
 ]
 
 _PAIRS_AT_ONCE = 2_000_000
-"""Pairs of triangles and lines tested at once: a dozen arrays of 16 MB."""
+"""Number of pairs of triangles and lines that are tested at once, for a dozen arrays of 16 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnCrossings:
-    """Heights at which vertical lines enter and leave the solid, sorted by line, then upward.
+    """Heights at which vertical lines enter and leave the solid, sorted by line and height.
 
     Attributes
     ----------
     line
-        Number of the line, shape (n,).
+        Index of the line, shape (n,).
     height
         Height of the crossing [m], shape (n,).
     entering
-        +1 where the line enters the solid, -1 where it leaves, shape (n,).
+        +1 if the line enters the solid, -1 if it leaves the solid, shape (n,).
     """
 
     line: Ints
@@ -51,19 +52,20 @@ class ColumnCrossings:
 
 
 def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> ColumnCrossings:
-    """Cross the vertical lines through each (x, y) with the triangles.
+    """Compute the crossings of the vertical lines through each (x, y) with a solid.
 
-    Crossings where the winding number starts or ceases to be positive are kept.
+    Only crossings at which the winding number becomes positive, or stops being positive, are
+    returned.
 
-    An edge shared by two triangles is tested with the same arithmetic for both, so a line passes
-    through one of them.
+    A common edge of two triangles is tested with the same arithmetic for the two triangles, so a
+    line passes through exactly one of them.
 
     Parameters
     ----------
     vertices, faces
-        Triangles wound outward, [m], shapes (n, 3) and (m, 3).
+        Vertices [m], shape (n, 3), and triangles with outward normals, shape (m, 3).
     x, y
-        Positions of the lines [m], evenly spaced, ascending; line i·len(y) + j is at (x[i], y[j]).
+        Positions of the lines [m], evenly spaced, ascending. Line i·len(y) + j is at (x[i], y[j]).
     """
     found = []
     for axis, at in enumerate((x, y) if len(x) and len(y) else ()):
@@ -90,8 +92,8 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
 def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
     """Return whether points [m], shape (n, 3), lie where the winding number is positive.
 
-    Each point is tested by the vertical line through it. Triangles are sorted into square columns,
-    so that a point is tested only against the triangles of its column.
+    Each point is tested with the vertical line through it. Triangles are sorted into square
+    columns, so a point is only tested against the triangles of its column.
     """
     points = np.asarray(points, dtype=np.float64)
     inside = np.zeros(len(points), dtype=bool)
@@ -103,7 +105,7 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         return inside
     corners = vertices[faces]
     low = points[:, :2].min(axis=0)
-    # As many columns as triangles, so that a column holds a few.
+    # The number of columns is about the number of triangles, so a column contains few triangles.
     count = max(int(len(faces) ** 0.5), 1)
     edge = np.maximum(np.ptp(points[:, :2], axis=0), 1e-9) / count
     triangle, starts = _by_column(corners, low, edge, count)
@@ -127,17 +129,17 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         below = sign * (height <= points[point, 2])
         winding = np.bincount(point - done, weights=below, minlength=len(part))
         unclosed = np.bincount(point - done, weights=sign, minlength=len(part)) != 0.0
-        # Winding numbers are whole. A line through a hole of the surface does not end at 0:
-        # unknown.
+        # Winding numbers are integers. On a line through a hole of the surface, the winding number
+        # does not end at 0, so inside and outside are unknown.
         inside[part] = (winding > 0.5) & ~unclosed
         done = stop
     return inside
 
 
 def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
-    """Return triangles whose box overlaps each of count x count columns, column after column.
+    """Return the triangles whose box overlaps each of count x count columns, sorted by column.
 
-    Also return the start of each column.
+    Also return the index at which each column starts.
     """
     boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
     first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
@@ -153,7 +155,7 @@ def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Int
 
 
 def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high: float) -> Ints:
-    """Return triangles whose box overlaps an interval along an axis."""
+    """Return the triangles whose box overlaps an interval along an axis."""
     below = vertices[:, axis] < low
     above = vertices[:, axis] > high
     a, b, c = faces.T
@@ -162,9 +164,9 @@ def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high:
 
 
 def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
-    """Return first line and number of lines along x and y within each triangle's box.
+    """Return the first line and the number of lines along x and y within each triangle's box.
 
-    Each has the shape (m, 2).
+    Each result has the shape (m, 2).
     """
     boxes = [lowest_and_highest(*corners[:, :, k].T) for k in range(2)]
     first = [np.searchsorted(axis, low) for axis, (low, _) in zip((x, y), boxes, strict=True)]
@@ -176,9 +178,9 @@ def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
 
 
 def lowest_and_highest(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Return lowest and highest of three arrays, element by element.
+    """Return the elementwise minimum and maximum of three arrays.
 
-    NumPy is slow along an axis of three.
+    NumPy is slow along an axis with three entries.
     """
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -193,7 +195,7 @@ def _crossed(
 ) -> tuple[Ints, Array, Ints]:
     """Return line, height and sign (+1 entering) of each crossing of triangles and lines.
 
-    Only the lines in a triangle's box are tested.
+    A triangle is only tested with the lines in its box.
     """
     pairs = counts[:, 0] * counts[:, 1]
     triangle = np.repeat(np.arange(len(pairs)), pairs)
@@ -213,7 +215,7 @@ def _met(
 ) -> tuple[Flags, Array, Ints]:
     """Return flags of the vertical lines through (px, py) that cross their triangle.
 
-    Also return height and sign (+1 entering) of the crossings.
+    Also return the height and the sign (+1 entering) of the crossings.
     """
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)
@@ -243,7 +245,7 @@ def _met(
 
 
 def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
-    """Keep the crossings where the winding number becomes positive or ceases to be."""
+    """Keep the crossings at which the winding number becomes positive, or stops being positive."""
     if len(line) == 0:
         return ColumnCrossings(line, height, sign)
     order = np.lexsort((height, line))
@@ -258,36 +260,43 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
     after = running - base
     before = after - sign
     turns = (before > 0) != (after > 0)
-    # The winding number of a line through a hole of the surface does not end at 0, so inside and
-    # outside are unknown: its crossings are dropped.
+    # On a line through a hole of the surface, the winding number does not end at 0, so inside and
+    # outside are unknown. The crossings of such a line are removed.
     unclosed = line[np.append(starts[1:], True) & (after != 0)]
     turns &= ~np.isin(line, unclosed)
     return ColumnCrossings(line[turns], height[turns], np.where(after[turns] > 0, 1, -1))
 
 
 _LINES = 3
-"""Lines through a voxel along x and along y."""
+"""Number of lines through a voxel along x and along y."""
 _WIDEST_LATTICE_M = 0.41e-3
-"""Widest lattice on which depth is evaluated: 0.4 mm, and 0.01 mm for rounding."""
+"""Largest spacing of the lattice on which depth is evaluated, 0.4 mm plus 0.01 mm for rounding."""
 _CELLS_BEYOND = 4
-"""Lattice cells beyond the threshold from which triangles are kept: depth is right around it."""
+"""Number of lattice cells beyond the threshold within which triangles are kept.
+
+The depth near the threshold is thus correct.
+"""
 _OFFSET = np.array([0.0137, 0.0071])
-"""Shift of the lines, over their distance: edges of boxes and symmetric meshes lie on none."""
+"""Shift of the lines, relative to their distance.
+
+Edges of boxes and symmetric meshes then do not lie on a line.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class TriangleSampler:
-    """Fraction and depth of the voxels of a grid under a closed surface.
+    """Function that computes fraction and depth of a grid's voxels inside a closed surface.
 
     Attributes
     ----------
     vertices_m
         Vertices in the frame of the grid [m], shape (n, 3).
     faces
-        Triangles wound outward, shape (m, 3).
+        Triangles with outward normals, shape (m, 3).
     threshold_m
-        Depth that decides the layer of a voxel: in lattice cells that lie wholly on one side of it
-        the depth is only on that side. Infinite: the depth is right everywhere.
+        Depth that decides the layer of a voxel. In lattice cells that lie completely on one side of
+        this depth, the computed depth is only guaranteed to be on this side. Infinite: the depth is
+        correct everywhere.
     """
 
     vertices_m: Array
@@ -296,13 +305,16 @@ class TriangleSampler:
 
     @cached_property
     def _along_x(self) -> tuple[Array, Array]:
-        """Lowest and highest x of each triangle [m], shape (m,): grids are slabs along x."""
+        """Lowest and highest x of each triangle [m], shape (m,).
+
+        They select the triangles of a grid, because grids are slabs along x.
+        """
         return lowest_and_highest(*np.ascontiguousarray(self.vertices_m[:, 0])[self.faces].T)
 
     def _within(self, grid: Grid, margin: float, axes: int) -> Ints:
-        """Return triangles whose box overlaps the grid's box along its first `axes` axes.
+        """Return the triangles whose box overlaps the grid's box along the first `axes` axes.
 
-        The grid's box is grown by a margin [m].
+        The grid's box is extended by a margin [m].
         """
         low = np.array(grid.first) * grid.spacing_m - margin
         high = np.array(grid.last) * grid.spacing_m + margin
@@ -314,9 +326,9 @@ class TriangleSampler:
     def __call__(self, grid: Grid) -> tuple[Singles, Singles]:
         """Compute bone fraction, 0 to 1, and depth [m], positive inside.
 
-        Both are float32 with the shape of the blocked grid.
+        The two arrays are float32 and have the shape of the blocked grid.
 
-        The depth is computed only in lattice cells that hold bone; elsewhere it is meaningless.
+        The depth is only computed in lattice cells with bone. In other cells, it has no meaning.
         """
         fraction = self._fraction(grid)
         return fraction, self._depth(grid, fraction)
@@ -360,8 +372,8 @@ class TriangleSampler:
         if needed.any():
             points = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
             depth = -triangle_distance(vertices, faces, points)
-            # So far from all that was kept, a point of a cell with bone lies inside, whatever the
-            # sign of the nearest.
+            # A point of a cell with bone that is so far from all kept triangles lies inside,
+            # independent of the sign at the nearest triangle.
             corners[needed] = np.where(np.abs(depth) >= margin, np.abs(depth), depth)
         weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):
@@ -377,12 +389,12 @@ class TriangleSampler:
 
 
 def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:
-    """Return flags of the points that are surely farther from the triangles than a threshold [m].
+    """Flag the points that are certainly farther from the triangles than a threshold [m].
 
-    Also return flags of the points that are surely nearer. Points have the shape (n, 3).
+    Also flag the points that are certainly nearer. Points have the shape (n, 3).
 
-    No point of a triangle is farther from its nearest corner than its longest side over the root of
-    three (Jung).
+    The distance of a point of a triangle from the nearest corner is at most the longest side
+    divided by the square root of three (Jung).
     """
     from scipy.spatial import cKDTree
 
@@ -396,7 +408,7 @@ def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> t
 
 
 def _corners_of(cells: Flags) -> Flags:
-    """Return lattice points at the corners of cells."""
+    """Return the lattice points at the corners of cells."""
     points = np.zeros(np.add(cells.shape, 1), dtype=bool)
     for i, j, k in np.ndindex(2, 2, 2):
         points[i : i + cells.shape[0], j : j + cells.shape[1], k : k + cells.shape[2]] |= cells
@@ -404,7 +416,7 @@ def _corners_of(cells: Flags) -> Flags:
 
 
 def _whole_cells(points: Flags) -> Flags:
-    """Return cells with all corners among the lattice points."""
+    """Return the cells whose corners are all in the lattice points."""
     return ~_corners_of(~points)[1:-1, 1:-1, 1:-1]
 
 

@@ -1,4 +1,4 @@
-"""Bone as voxels with fraction, layer and density, and the grids on which voxels lie."""
+"""Bone as voxels with fraction, layer and density, and voxel grids."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from meshes.base.placement import Placement
 __all__ = ["BLOCK", "FULL", "Grid", "VoxelVolume", "density_volume"]
 
 DENSEST_KG_M3 = 2e4
-"""Largest accepted density: that of the densest implant metals; a larger value has another unit."""
+"""Largest accepted density, the density of the densest implant metals.
+
+A larger value has another unit.
+"""
 FULL = 255
-"""Stored fraction of a voxel that is bone throughout."""
+"""Stored fraction of a voxel that is completely bone."""
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelVolume:
-    """A block of cubic voxels with the part of each that is bone.
+    """Block of cubic voxels with the bone fraction of each voxel.
 
     Attributes
     ----------
@@ -30,21 +33,21 @@ class VoxelVolume:
     spacing_m
         Edge of a voxel [m].
     fraction
-        Bone in the voxel, 255 = full, uint8, shape (nx, ny, nz).
+        Bone fraction of the voxel, 255 = full, uint8, shape (nx, ny, nz).
     layer
-        Index into `layer_names`, uint8, shape (nx, ny, nz); meaningless where `fraction` is 0.
+        Index into `layer_names`, uint8, shape (nx, ny, nz). It has no meaning if `fraction` is 0.
     density_kg_m3
         Apparent density of the bone in the voxel [kg/m3], uint16, shape (nx, ny, nz).
     layer_names
         Name of each layer.
     placement
-        Placement of the frame in the frame of the bone's file; None if the bone is from no file.
+        Placement of the frame in the frame of the bone's file; None without a file.
     surface_distance
         Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`,
-        uint8, shape (nx, ny, nz); None: computed from the fractions when needed.
+        uint8, shape (nx, ny, nz). None: it is computed from the fractions when needed.
     layer_distance
-        Distance of each voxel's centre to the nearest change of layer, likewise; None: computed
-        from the layers when needed.
+        Distance of each voxel's centre to the nearest change of layer, with the same type and
+        shape. None: it is computed from the layers when needed.
 
     Raises
     ------
@@ -97,12 +100,12 @@ class VoxelVolume:
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
     def volume_m3(self, layer: str | None = None) -> float:
-        """Compute the bone volume [m3], of one named layer or of all.
+        """Compute the bone volume [m3] of one layer or of all layers.
 
         Raises
         ------
         InputError
-            If the layer is unknown; the message lists the known ones.
+            If the layer is unknown. The message lists the known layers.
         """
         if layer is not None and layer not in self.layer_names:
             raise InputError(
@@ -114,7 +117,7 @@ class VoxelVolume:
         )
 
     def centres_m(self, axis: int) -> Array:
-        """Return coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
+        """Return the coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 
 
@@ -146,7 +149,7 @@ def density_volume(
     layer_names: tuple[str, ...] = ("bone",),
     margin: int = 0,
 ) -> VoxelVolume:
-    """Return voxels that are bone throughout where the density is not 0.
+    """Make voxels that are completely bone if their density is not 0.
 
     Parameters
     ----------
@@ -157,18 +160,18 @@ def density_volume(
     origin_mm
         Corner of the first voxel with the lowest coordinates [mm].
     layer
-        Number of each voxel's layer, same shape; default all 0.
+        Layer index of each voxel, same shape. Default: 0 for all voxels.
     layer_names
         Name of each layer.
     margin
-        Empty voxels added on each side. Without any, the force on a cutter at bone that fills the
-        array to its edge is up to 3 % low, because the surface is interpolated between voxels on
-        both sides of it.
+        Number of empty voxels that are added on each side. With 0, the force on a cutter is up to 3
+        % too low where bone extends to the edge of the array, because the surface is interpolated
+        between voxels on its two sides.
 
     Raises
     ------
     InputError
-        If an array has another shape, is not finite or out of range, or holds no bone.
+        If an array has another shape, is not finite or out of range, or contains no bone.
     """
     density = np.asarray(density_kg_m3, dtype=np.float64)
     if density.ndim != 3 or 0 in density.shape:
@@ -209,19 +212,21 @@ def density_volume(
 
 
 BLOCK = 8
-"""Voxels along the edge of a block."""
+"""Number of voxels along the edge of a block."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Voxels numbered from the frame's origin: voxel i spans [i, i + 1] spacings.
+    """Grid of voxels with indices relative to the frame's origin.
+
+    Voxel i spans [i, i + 1] spacings.
 
     Attributes
     ----------
     spacing_m
         Edge of a voxel [m].
     first
-        Number of the lowest voxel along x, y and z; negative below the origin.
+        Index of the lowest voxel along x, y and z; negative below the origin.
     shape
         Number of voxels along x, y and z.
     """
@@ -232,7 +237,7 @@ class Grid:
 
     @property
     def last(self) -> tuple[int, int, int]:
-        """Number after the highest voxel along x, y and z."""
+        """Index of the highest voxel along x, y and z, plus one."""
         x, y, z = (f + n for f, n in zip(self.first, self.shape, strict=True))
         return x, y, z
 
@@ -242,7 +247,7 @@ class Grid:
         return np.array(self.first) * self.spacing_m
 
     def blocked(self) -> Grid:
-        """Return the smallest grid of whole blocks that holds this grid.
+        """Return the smallest grid of whole blocks that contains this grid.
 
         Blocks are counted from the frame's origin.
         """
@@ -255,7 +260,7 @@ class Grid:
         )
 
     def slab(self, start: int, stop: int) -> Grid:
-        """Return the part with the local x numbers `start` to `stop`."""
+        """Return the part with the local x indices `start` to `stop`."""
         return Grid(
             self.spacing_m,
             (self.first[0] + start, *self.first[1:]),
@@ -263,7 +268,7 @@ class Grid:
         )
 
     def block_firsts(self) -> Ints:
-        """Return the number of the lowest voxel of each block of a blocked grid, shape (n, 3).
+        """Return the index of the lowest voxel of each block of a blocked grid, shape (n, 3).
 
         The blocks are in C order.
         """

@@ -1,12 +1,12 @@
-"""Conversion of an anatomy to voxels over a region of the site frame.
+"""Conversion of an anatomy to voxels in a region of the site frame.
 
 Each voxel has a sub-voxel bone fraction, a layer and a density.
 
-A signed distance is evaluated coarse to fine over blocks of 8 x 8 x 8. A block whose centre is
-farther from the surface than its half diagonal is empty or solid throughout, because a signed
-distance is 1-Lipschitz. Only the blocks that the surface crosses are evaluated voxel by voxel.
-Solid blocks take their density by trilinear interpolation between their corners where the layer is
-the same all around them.
+A signed distance is first evaluated at the centres of blocks of 8 x 8 x 8 voxels. A block whose
+centre is farther from the surface than its half diagonal is completely empty or solid, because a
+signed distance is 1-Lipschitz. Only blocks that the surface may cross are evaluated voxel by voxel.
+In solid blocks, the density is interpolated trilinearly between the corners if the layer is the
+same at the corners of the block and its neighbours.
 """
 
 from __future__ import annotations
@@ -46,26 +46,32 @@ __all__ = [
 ]
 
 _BLOCKS_AT_ONCE = 256
-"""Blocks evaluated at once: coordinates of 131,072 voxels, 1.5 MB, stay in cache."""
+"""Number of blocks evaluated at once.
+
+The coordinates of 131,072 voxels, 1.5 MB, fit in the cache.
+"""
 _WIDEST_INTERPOLATION_M = 1.0e-3
-"""Widest block whose density is interpolated: `Classify` is smooth over a millimetre."""
+"""Largest block whose density is interpolated. `Classify` is smooth over a millimetre."""
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
-"""Change of slope within a voxel from which the distance is creased.
+"""Change of slope within a voxel above which the distance has a crease.
 
-A block with sharp edges has 0.04 % of volume too much with 0.03 and 0.1, 0.08 % with 0.3 and 0.17 %
-with 1.
+The volume of a block with sharp edges is 0.04 % too large with 0.03 and 0.1, 0.08 % with 0.3 and
+0.17 % with 1.
 """
 _PARTS = 4
-"""Parts along the edge of a creased voxel; with 2 the same volume is 0.07 % off, with 8 0.04 %."""
+"""Number of parts along the edge of a voxel with a crease.
+
+The error of the same volume is 0.07 % with 2 parts and 0.04 % with 8 parts.
+"""
 _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelArrays:
-    """Arrays of a `VoxelVolume` while they are filled, over a blocked grid.
+    """Arrays of a `VoxelVolume` on a blocked grid while they are filled.
 
-    All have the shape of the grid.
+    All arrays have the shape of the grid.
     """
 
     fraction: Bytes
@@ -80,7 +86,7 @@ class VoxelArrays:
         return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
-        """Return views of the part with the x numbers `start` to `stop`."""
+        """Return views of the part with the x indices `start` to `stop`."""
         part = slice(start, stop)
         return VoxelArrays(
             self.fraction[part], self.layer[part], self.density[part], self.surface[part]
@@ -95,23 +101,24 @@ def voxel_fraction(
     *,
     split_creases: bool = True,
 ) -> Singles:
-    """Compute the part of each voxel inside the shape, the surface being a plane within the voxel.
+    """Compute the fraction of each voxel inside a shape. In a voxel, the surface is a plane.
 
-    Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x
-    4 x 4 and each part taken as crossed by a plane of its own.
+    If the distance has a crease within a voxel (an edge or corner), the voxel is divided into
+    4 x 4 x 4 parts, and the surface is a plane in each part.
 
     Parameters
     ----------
     centres
         Voxel centres [m], shape (n, 3).
     distance
-        The shape's signed distance there [m], shape (n,).
+        Signed distance of the shape at the centres [m], shape (n,).
     spacing_m
         Edge of a voxel [m].
 
     Returns
     -------
-    Fractions 0 to 1, shape (n,). The gradient is taken by central differences over half a voxel.
+    Fractions from 0 to 1, shape (n,). The gradient is computed from central differences over half a
+    voxel.
     """
     fraction = (distance < 0.0).astype(np.float32)
     crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
@@ -119,7 +126,7 @@ def voxel_fraction(
         return fraction
     points = centres[crossed]
     middle = distance[crossed]
-    # Half a voxel between the two points of a difference: both stay within the voxel.
+    # The two points of a difference are half a voxel apart, so they lie within the voxel.
     step = np.float32(0.25 * spacing_m)
     gradient = np.empty((len(crossed), 3), dtype=np.float32)
     bend = np.zeros(len(crossed), dtype=np.float32)
@@ -130,7 +137,8 @@ def voxel_fraction(
         )
         gradient[:, axis] = (forward - backward) / (2.0 * step)
         bend = np.maximum(bend, np.abs(forward + backward - 2.0 * middle))
-    # Where a distance is flat, as between two surfaces, its direction is rounding, so z is taken.
+    # If the slope is zero, as in the middle between two surfaces, its direction is only a rounding
+    # error, so z is used.
     slope = np.maximum(np.linalg.norm(gradient, axis=1), np.float32(1e-3))
     normal = np.where(
         slope[:, None] > 2e-3,
@@ -145,7 +153,7 @@ def voxel_fraction(
 
 
 def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
-    """Compute the fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
+    """Compute the fraction of voxels from 4 x 4 x 4 parts per voxel, shape (n,)."""
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
     local = lattice(offsets, offsets, offsets)
     points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
@@ -156,7 +164,7 @@ def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles
 
 
 def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
-    """Fill `out` over the blocked `grid` from the anatomy's signed distance."""
+    """Fill `out` on the blocked `grid` from the anatomy's signed distance."""
     firsts = grid.block_firsts()
     distance = anatomy.shape.distance(centres_of(firsts, grid.spacing_m, 0.5 * BLOCK))
     reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
@@ -178,7 +186,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         layer, density = anatomy.classify(points, -depth)
         where = np.unravel_index(chosen, blocks[0].shape[:3])
         surface = surface_steps(depth / np.float32(grid.spacing_m))
-        # beyond the surface too: points between voxel centres read both sides
+        # also outside the surface, because points between voxel centres use the two sides
         present = surface < OUTSIDE
         filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
         for block, values in zip(blocks, filled, strict=True):
@@ -186,7 +194,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
 
 
 def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
-    """Find blocks with one layer at all corners of their own and of their neighbours.
+    """Find the blocks with the same layer at all corners of the block and of its neighbours.
 
     Returns
     -------
@@ -210,9 +218,9 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
 
 
 def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
-    """Combine each window of 4 x 4 x 4 lattice points.
+    """Combine the values in each window of 4 x 4 x 4 lattice points.
 
-    A window holds the corners of a block and of its neighbours.
+    A window contains the corners of a block and of its neighbours.
     """
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
@@ -233,9 +241,9 @@ def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Return coordinates [m] of voxel numbers shifted by `shift` spacings.
+    """Return the coordinates [m] of voxel indices, shifted by `shift` spacings.
 
-    They are float32, shape (n, 3), stored by columns.
+    The coordinates are float32, shape (n, 3), stored in column order.
     """
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
@@ -258,13 +266,13 @@ def _chunks(chosen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
 Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
 
 AROUND_VOXELS = 2
-"""Voxels around the bone whose distance to its surface is stored."""
+"""Width of the region around the bone in which the surface distance is stored [voxel]."""
 _ROUNDING = 1e-6
-"""Part of a voxel by which a corner may miss a grid line through rounding."""
+"""Distance of a corner from a grid line that counts as a rounding error [voxel]."""
 _MAXIMUM_THREADS = 4
-"""Largest number of threads: each holds the points and distances of a slab."""
+"""Largest number of threads. Each thread stores the points and distances of a slab."""
 _SAMPLED_BLOCKS = 4
-"""Blocks along x that are sampled at once: each call looks through all triangles."""
+"""Number of blocks along x that are sampled at once, because each call searches all triangles."""
 
 
 def voxelise(
@@ -277,10 +285,10 @@ def voxelise(
 ) -> VoxelVolume:
     """Convert an anatomy to voxels, in its site frame.
 
-    Grid lines lie on whole multiples of the spacing, so the content of a voxel does not depend on
-    the region. A voxel that the surface crosses holds the part of its cube behind the surface's
-    tangent plane (an error of second order in the spacing over the volume; where two surfaces cross
-    in a voxel, of first order there).
+    Grid lines lie at integer multiples of the spacing, so the content of a voxel does not depend on
+    the region. The fraction of a voxel that the surface crosses is the part of its cube behind the
+    surface's tangent plane. The error of the volume is of second order in the spacing. In voxels in
+    which two surfaces cross, the error is of first order.
 
     Parameters
     ----------
@@ -289,14 +297,13 @@ def voxelise(
     spacing_m
         Edge of a voxel [m].
     region_m
-        Lowest and highest corner [m] of the box to cover, grown to whole voxels; None: the
-        anatomy's bounding box and two voxels around it, as far as the distance to its surface is
-        stored.
+        Lowest and highest corner [m] of the region, extended to whole voxels. None: the anatomy's
+        bounding box and a margin of two voxels, in which the surface distance is also stored.
     minus
-        Solid taken out first, in the site frame, sub-voxel too (a pilot hole). Layers stay as they
-        were without it.
+        Solid in the site frame that is subtracted with sub-voxel accuracy, such as a pilot hole. It
+        does not change the layers.
     progress
-        Called with the part done, 0 to 1, from this thread.
+        Function that is called with the finished fraction, 0 to 1, in the calling thread.
 
     Raises
     ------
@@ -354,15 +361,15 @@ def voxelise(
 
 
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
-    """Return the anatomy's layer at points in voxels of the grid.
+    """Return a function that gives the anatomy's layer at points in voxel coordinates.
 
-    The depth is interpolated where the anatomy samples it.
+    If the anatomy samples the depth, the depth is interpolated.
     """
     first = np.array(grid.first, dtype=np.float32)
     spacing = np.float32(grid.spacing_m)
 
     def layer_at(points: Singles) -> Bytes:
-        """Return the layer, shape (n,), at points in voxels from the grid's first corner.
+        """Return the layer, shape (n,), at points in voxels relative to the grid's first corner.
 
         The points have the shape (n, 3).
         """
@@ -378,9 +385,9 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
-    """Build the grid over the region, or over the anatomy's bounding box and a margin.
+    """Build the grid for the region, or for the anatomy's bounding box with a margin.
 
-    Its lines lie on whole multiples of the spacing.
+    The grid lines lie at integer multiples of the spacing.
     """
     around = AROUND_VOXELS * spacing
     lower = np.array(anatomy.shape.lower_m) - around
@@ -419,7 +426,7 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
 def _fill_from_samples(
     anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays
 ) -> Singles:
-    """Fill `out` from an anatomy that gives fraction and depth for a whole grid.
+    """Fill `out` from an anatomy that computes fraction and depth for a whole grid.
 
     Return the depth [m].
     """
@@ -448,8 +455,8 @@ def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
     points = centres_of(numbers, grid.spacing_m, 0.5)
     taken = voxel_fraction(minus, points, minus.distance(points), grid.spacing_m).reshape(size)
     out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
-    # Rounded once, not at each step as above: these are the points that the traces of all scenes
-    # were recorded with.
+    # These points are rounded once, not at each step as above. The traces of all scenes were
+    # recorded with these points.
     points = np.asfortranarray((numbers + 0.5) * grid.spacing_m, dtype=np.float32)
     hole = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
     out.surface[part] = np.maximum(out.surface[part], hole)

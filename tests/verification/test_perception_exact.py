@@ -130,7 +130,7 @@ def test_people_have_the_laws_that_are_stated():
 
 
 def test_e5_the_reference_feels_what_was_wanted_to_1e_6():
-    """The observer's expected intensity equals the reference's to 1e-6 (E5).
+    """The observer's expected intensity equals the reference's to 1e-6.
 
     It is the intensity of the command for the observer and of the force for the reference; by
     table, every choice.

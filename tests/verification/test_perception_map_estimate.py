@@ -1,4 +1,4 @@
-"""Maximum-posterior estimate against a brute-force grid (E7)."""
+"""Maximum-posterior estimate against a brute-force grid."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_bimodal_posteriors_are_among_them_and_both_sides_win():
 
 
 def test_e7_a_climb_from_one_start_ends_on_the_lower_maximum_of_some():
-    """A climb from one start ends on the lower maximum in some cases (E7).
+    """A climb from one start ends on the lower maximum in some cases.
 
     It moves uphill from the prior's median, or from the observation, along the exact slope, in
     steps of at most 0.02.

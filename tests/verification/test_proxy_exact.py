@@ -92,7 +92,7 @@ def test_ball_on_a_convex_edge_and_corner(radius):
 
 
 def test_thin_wall_holds_where_the_nearest_point_pops_through():
-    """A thin wall holds where the nearest point jumps through (E12).
+    """A thin wall holds where the nearest point jumps through.
 
     The free point nearest to the device changes sides halfway through a wall; the proxy does not.
     """

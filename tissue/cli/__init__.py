@@ -1,1 +1,1 @@
-"""The ``tissue`` command, one file a command."""
+"""The ``tissue`` command; each subcommand has a file of its own."""

@@ -18,10 +18,11 @@ __all__ = ["calibrate"]
 
 TRIALS = 120
 NUMBERS = 24
-"""Default numbers of comparisons, and of forces with a magnitude, in a session.
+"""Default number of comparisons in a session, and of forces that are rated with a number.
 
-With 120 comparisons, 95 % intervals of a Weber fraction of 7 % hold it in 95 to 96 % of 400
-simulated people (`python tests/bench/bench_calibration.py coverage`). The 24 are chosen.
+With 120 comparisons, the 95 % interval contains the true Weber fraction of 7 % in 95 to 96 % of 400
+simulated people (`python tests/bench/bench_calibration.py coverage`). The second number, 24, is
+chosen.
 """
 
 
@@ -40,36 +41,37 @@ def calibrate(
 ) -> None:
     """Estimate a person's force threshold and exponent in an adaptive session.
 
-    With --population, a population's values are estimated from many sessions. Every trial is
-    written to disk before the next one: after an interruption the same command continues where it
-    stopped.
+    With --population, the values of a population are estimated from many sessions. Each trial is
+    written to disk before the next one. After an interruption, the same command continues the
+    session.
 
     Parameters
     ----------
     observer
-        Simulated person who answers: simulated:SEED, or simulated:GROUP:SEED with novice,
-        intermediate or expert.
+        Simulated person who answers: simulated:SEED, or simulated:GROUP:SEED; the groups are
+        novice, intermediate and expert.
     ask
-        Run the trials with a person: forces on the device, answers from the keyboard.
+        Run the trials with a person, who feels forces on the device and answers with the keyboard.
     population
-        Folder of sessions' logs (*.trials.jsonl) to which the hierarchy of observers is fitted.
+        Folder with logs of sessions (*.trials.jsonl), from which the population is estimated.
     out
-        File to write; default observer.json, or population.json. Trials and picture are written
-        next to it.
+        File to write; default observer.json, or population.json. The log of the trials and a
+        picture are written to the same folder.
     device
-        Device that plays forces to a person: a real one (haply, forcedimension, sigma-7,
-        openhaptics, network, recorded, or one of a package), or bars on the screen as large as the
-        forces of mouse (default), touch, omni or six-dof.
+        Device that plays forces to a person: haply, forcedimension, sigma-7, openhaptics, network,
+        recorded, or a device of an installed package. With mouse (default), touch, omni or six-dof,
+        bars on the screen show the forces instead.
     address
-        Address of a real device, as in a scene's hardware.address; default the usual one.
+        Address of a real device, as in the key hardware.address of a scene; default the usual
+        address of the device.
     trials
-        Comparisons of two forces; default 120.
+        Number of comparisons of two forces; default 120.
     numbers
-        Forces that the person rates with a number; default 24.
+        Number of forces that the person rates with a number; default 24.
     seed
-        Seed of the session's order, and of the population's draws.
+        Seed of the order of the trials, and of the random draws for a population.
     overwrite
-        Replace files of an earlier session.
+        Replace the files of an earlier session.
     """
     if sum((observer is not None, ask, population is not None)) != 1:
         raise InputError(
@@ -117,7 +119,7 @@ def calibrate(
 def _session(
     target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool
 ) -> None:
-    """Run a session from the end of its log, and write its files."""
+    """Run or continue a session after the last answer in its log, and write its files."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
     from tissue.evaluation.calibration.population_fit import draw_session
@@ -130,7 +132,7 @@ def _session(
         problems.print(f"continuing at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer, live=live)
     session = log.session
-    # Both files are put in place together: if either exists, the session is complete.
+    # Both files are moved into place together. If one of them exists, the session is complete.
     with whole_file(target.with_suffix(".png")) as drawn:
         draw_session(session, drawn)
         write_observer(session.observer(name), target, overwrite=overwrite)
@@ -142,7 +144,7 @@ def _session(
 
 
 def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
-    """Ask the remaining questions; on a stop, print how to continue."""
+    """Ask the remaining questions; if the user stops, print how to continue."""
     from rich.live import Live
 
     from tissue.evaluation.calibration.answers import StoppedError
@@ -152,7 +154,7 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     session: Session = log.session
     moving = live and problems.is_terminal
     try:
-        # 12 pictures a second look continuous in a terminal.
+        # 12 pictures per second look continuous in a terminal.
         with Live(
             console=problems, refresh_per_second=12, transient=True, auto_refresh=moving
         ) as shown:
@@ -169,6 +171,6 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
             f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the "
             "same command continues there"
         )
-        # 130: 128 plus the number of SIGINT, as shells expect it.
+        # 130 is 128 plus the number of SIGINT, as shells expect.
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     log.close()

@@ -10,9 +10,9 @@ __all__ = ["chart"]
 
 
 TRIALS = 30
-"""Default number of unseen runs of each scene for charts of predictors: ten for each hand."""
+"""Default number of runs that predictors are tested on in each scene: ten runs for each hand."""
 TASKS = ("palpation", "wall", "milling")
-"""Scenes of the tasks T1 to T3."""
+"""Scenes of the tasks T1 to T3 of the study."""
 
 
 def chart(
@@ -23,22 +23,24 @@ def chart(
     observer: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
-    """Measure and draw speed against accuracy of scenes or predictors, or perception.
+    """Measure and draw the speed and accuracy of scenes, the errors of predictors, or perception.
 
     Parameters
     ----------
     what
-        Names of built-in scenes, default all: cost and force error of every setting. `prediction`,
-        and scenes after it (default palpation, wall and milling): errors of all predictors on
-        unseen runs. `perception`: intensity, threshold and mapping.
+        Names of built-in scenes (default all): draw tick time and force error of many settings. Or
+        `prediction`, followed by names of scenes (default palpation, wall and milling): draw the
+        errors of all predictors on runs that were not used for training. Or `perception`: draw
+        intensity, threshold and perceptual maps.
     out
-        Folder to write; default charts, charts/prediction or charts/perception.
+        Output folder; default charts, charts/prediction or charts/perception.
     quick
-        Fewer settings, shorter excerpts and a coarser reference.
+        Use fewer settings, shorter parts of the scenes and a coarser reference.
     trials
-        Unseen runs of each scene, for predictors; default 30.
+        With prediction: number of test runs of each scene; default 30.
     observer
-        Observer file to draw next to the population.
+        With perception: file of a person, written by `tissue calibrate`, to draw next to the
+        population.
     overwrite
         Replace the charts that the folder already holds.
     """

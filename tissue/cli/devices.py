@@ -22,25 +22,26 @@ def devices(
     out: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
-    """List the haptic devices found and their limits, or test one device.
+    """List the haptic devices of this machine with their limits, or test one device.
 
-    The test measures the rate, the regularity and the latency of a device's samples without force.
-    It then pushes the hand by 0.5 N if that is confirmed. Not for clinical use.
+    The test first measures rate, regularity and latency of the samples, without force. After a
+    confirmation, the device then pushes the hand with 0.5 N. Not for clinical use.
 
     Parameters
     ----------
     test
         Name of the device to test, such as haply or network.
     address
-        Address, as in a scene's hardware.address; default the usual one.
+        Address, as in the key hardware.address of a scene; default the usual address of the device.
     seconds
         Duration of the measurement, in seconds; default 2.
     yes
-        Push without asking.
+        Push the hand without asking for confirmation.
     out
-        TOML file for the measured rate and latency, which a scene uses by its key materials.
+        TOML file to write with the measured rate and latency. A scene can use the file with its key
+        materials.
     overwrite
-        Replace the file.
+        Replace an existing file.
     """
     if test is None:
         left_out(
@@ -149,7 +150,7 @@ def _lines(measured: "SelfTest") -> list[str]:
 
 
 def _confirmed(push: str) -> bool:
-    """Return whether the person who holds the device confirms the push."""
+    """Ask the person who holds the device to confirm the push; return the answer."""
     console.print(
         f"Hold the handle loosely; the device will push with at most {push}. Type push and "
         "Enter to feel it:"

@@ -28,32 +28,35 @@ def fit(
     max_memory_GB: MemoryGB = None,
     overwrite: Flag = False,
 ) -> None:
-    """Find the constants of a scene's material from a force log, steady loads or presses.
+    """Fit the constants of a scene's material to a force log, steady loads or presses.
 
     Parameters
     ----------
     scene
-        Name of a scene or a TOML file, with the tissue and the tool of the measurement.
+        Name of a scene, or a TOML file, with the tissue and the tool of the measurement.
     measured
-        Log of poses and forces: text, .parquet, .h5, .mat or .npz, also a run's own trace. Or a
-        table of a drill's thrust_N and torque_Nmm by feed_mm_min and spin_rpm: the fit then reports
-        which cutting laws it rejects. Or presses of a ball on a slab: depth_mm, force_N, probe.
+        Log of poses and forces: text, .parquet, .h5, .mat or .npz file; the trace of a run is such
+        a log. Or a table of steady loads of a drill with the columns thrust_N, torque_Nmm,
+        feed_mm_min and spin_rpm; the fit then also reports which cutting laws the table rejects. Or
+        a table of presses of a ball on a slab with the columns depth_mm, force_N and optionally
+        probe.
     out
-        Folder to write; default fits/NAME.
+        Output folder; default fits/NAME.
     free
-        Constants to find, separated by commas: cutting.trabecular, cutting.edge, or full names;
-        default the usual ones.
+        Constants to fit, separated by commas: cutting.trabecular, cutting.edge, or full names.
+        Default: all constants of the touched tissue that have a range.
     column
-        NAME=COLUMN[:UNIT], if the log has another name or unit, such as force_x_N=-Fx:mN, or
-        NAME=NUMBER for a constant, or time_s=RATE:Hz; may be repeated.
+        NAME=COLUMN[:UNIT] if a column of the log has another name or unit, such as
+        force_x_N=-Fx:mN. NAME=NUMBER for a constant value. time_s=RATE:Hz for a log without times.
+        May be repeated.
     set_
-        KEY=VALUE, replaces an entry of the scene; may be repeated.
+        KEY=VALUE replaces an entry of the scene; may be repeated.
     cores
         Processor cores to use; default all.
     max_memory_GB
         Memory that the log may take, in GB; default half of the free memory.
     overwrite
-        Replace another fit in the folder.
+        Replace the fit that the folder already holds.
     """
     from tissue.fitting.fit_files import FILES
     from tissue.objects.fit import fit as fit_api

@@ -16,27 +16,28 @@ __all__ = ["import_"]
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class ImageOptions:
-    """Options of the CT and its labels; but for crop, the fields are arguments of `import_ct`.
+    """Options of the CT and its labels; all fields except crop are arguments of `import_ct`.
 
     Attributes
     ----------
     labels
-        Label volume, folder of masks, or DICOM SEG or RTSTRUCT, of the same CT.
+        Labels of the same CT: label volume, folder of masks, DICOM SEG or RTSTRUCT.
     label_names
-        totalsegmentator, dentalsegmentator, verse, toothfairy, or a TOML file that names the
-        numbers; default the file's own names.
+        Names of the numbers in the labels: totalsegmentator, dentalsegmentator, verse, toothfairy,
+        or a TOML file; default the names in the label file.
     region
-        Label that is the bone or soft organ, such as scapula_left.
+        Label of the bone or soft organ to import, such as scapula_left.
     crop
         X0,Y0,Z0,X1,Y1,Z1: box to keep, in mm.
     threshold
         Value above which a voxel is bone; default a suggestion from the histogram.
     series
-        Number of the series in a folder that holds several.
+        Number of the series, if the folder contains several series.
     spacing_mm
-        S or X,Y,Z: distance between voxels of files that do not state it, such as TIFF slices.
+        S or X,Y,Z: voxel spacing in mm of files that do not contain it, such as TIFF slices.
     density
-        internal, a named law, or line:SLOPE,OFFSET; default internal where the image allows it.
+        Conversion of CT values to density: internal, a named law, or line:SLOPE,OFFSET; default
+        internal if the image is suitable.
     """
 
     labels: Path | None = None
@@ -52,27 +53,28 @@ class ImageOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """Options of the scene; but for site, normal and part, the fields are arguments of `import_ct`.
+    """Options of the scene; all fields except site, normal and part are arguments of `import_ct`.
 
     Attributes
     ----------
     site
-        glenoid, femoral-head, humeral-head, vertebra[:left], tooth[:lesion], X,Y,Z in mm, or
-        .mrk.json; default by the region's name.
+        Place where the tool works: glenoid, femoral-head, humeral-head, vertebra[:left],
+        tooth[:lesion], X,Y,Z in mm, or a .mrk.json file; default from the name of the region.
     normal
-        X,Y,Z: outward direction at a site that is a point; default the surface normal.
+        X,Y,Z: outward direction, for a site that is a point; default the surface normal.
     coordinates
-        Frame of crop, site, normal and path.
+        Coordinate system of crop, site, normal and path.
     path
-        Toolpath: CSV, .mrk.json curve or G-code, in mm.
+        Toolpath in mm: CSV, .mrk.json curve or G-code.
     feed_mm_s
-        Speed if the path states none; default 2.
+        Feed in mm/s if the path contains no feed; default 2.
     keep_clear
-        Label that the tool must not touch; may be repeated.
+        Label of a structure that the tool must not touch; may be repeated.
     like
-        Scene whose tool and motion are taken; default by the site.
+        Scene from which tool and motion are copied; the default depends on the site.
     part
-        NAME=KPA: label in a soft organ and its Young's modulus; may be repeated.
+        NAME=KPA: label of a structure in a soft organ, and its Young's modulus in kPa; may be
+        repeated.
     """
 
     site: str | None = None
@@ -102,11 +104,11 @@ def import_(
     source
         DICOM folder, .nii.gz, .nrrd, .mha or .vti image, or folder of TIFF or PNG slices.
     out
-        Folder to write, with scene.toml in it.
+        Output folder, in which scene.toml is written.
     max_memory_GB
         Memory that an image may take, in GB; default half of the free memory.
     overwrite
-        Replace another import in the folder.
+        Replace the import that the folder already holds.
     """
     from tissue.ct.importing import import_ct
 
@@ -138,7 +140,7 @@ def _arguments(options: dict[str, Any]) -> dict[str, Any]:
     if crop is not None:
         box = _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
         given["crop_mm"] = box[:3], box[3:]
-    # A site is a point, or the name of one, which has no comma.
+    # A site is a point with commas, or a name without commas.
     if given["site"] and "," in given["site"]:
         given["site"] = _numbers("site", given["site"], 3, "X,Y,Z")
     if given["normal"] is not None:
@@ -153,7 +155,7 @@ def _arguments(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _part(text: str) -> tuple[str, float]:
-    """Parse name and modulus of a part."""
+    """Parse the name and the modulus of a part."""
     name, _, modulus = text.rpartition("=")
     try:
         return name, float(modulus)

@@ -63,18 +63,18 @@ COMMANDS = (
     study,
     schema,
 )
-"""Commands in the order in which help lists them."""
+"""Commands, in the order in which the help lists them."""
 
 
 PIPE_CLOSED = 141
-"""Exit code of a command whose reader has ended: 128 plus the number of SIGPIPE."""
+"""Exit code if the reader of the output has ended: 128 plus the number of SIGPIPE."""
 
 
 def open_streams() -> None:
     """Replace closed standard streams, and escape characters that a stream cannot encode.
 
-    A closed descriptor would be assigned to the next opened file, and libraries that print to it
-    would write into that file.
+    Otherwise the next opened file would get the closed descriptor, and libraries that print to this
+    descriptor would write into the file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -102,20 +102,20 @@ def has_working_folder() -> bool:
 
 
 def leave_pipe() -> NoReturn:
-    """End a command whose output has no reader any more."""
+    """End a command whose output is no longer read."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)  # discards buffered output
     sys.exit(PIPE_CLOSED)
 
 
 def _default(value: object) -> str | None:
-    """Return the default that help shows; None without a default or for a switch that is off."""
-    return None if value is None or value is False or value == () else str(value)
+    """Return the default that the help shows; None if there is no default or a switch is off."""
+    return None if value is None or value is False or value in ((), "") else str(value)
 
 
 app = App(
     name="tissue",
-    version=lambda: tissue.__version__,  # read only when asked for
+    version=lambda: tissue.__version__,  # read only on request
     help="Simulate cutting bone, drilling teeth and pressing soft organs.",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(show_default=_default),
@@ -129,7 +129,7 @@ SHELLS: dict[str, Shell] = {"bash": "bash", "zsh": "zsh", "fish": "fish"}
 
 @app.command(name="--install-completion")
 def install_completion(*, shell: str | None = None) -> None:
-    """Install the completion of commands and options in a shell.
+    """Install completion of commands and options in a shell.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def install_completion(*, shell: str | None = None) -> None:
 
 
 BAD_INPUT = 2
-"""Exit code for errors that the user can fix by other input."""
+"""Exit code for errors that the user can fix by changing the input."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 
@@ -159,7 +159,8 @@ CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 def main() -> NoReturn:
     """Run the command and exit.
 
-    Bad input prints one sentence and exits with code 2. Ctrl-C exits with 130, SIGTERM with 143.
+    If the input is invalid, one sentence is printed and the exit code is 2. The exit code is 130
+    after Ctrl-C and 143 after SIGTERM.
     """
     open_streams()
     if not has_working_folder():
@@ -172,7 +173,8 @@ def main() -> NoReturn:
             try:
                 app(arguments(sys.argv[1:]), exit_on_error=False, print_error=False)
             finally:
-                # Only the help of a command names parts. Asking the packages takes time.
+                # Names of parts appear only in the help of a command. Searching the packages takes
+                # time.
                 if len(sys.argv) > 2 and sys.argv[-1] in ("--help", "-h"):
                     _print_offered()
     except CycloptsError as error:
@@ -185,7 +187,7 @@ def main() -> NoReturn:
         leave_pipe()
     except OSError as error:
         if error.errno not in FULL + CLOSED:
-            # Without a file it is a fault of the program, not of the disk.
+            # An error without a file is a fault of the program, not of the disk.
             if not error.filename or not error.strerror:
                 raise
             changed = f"{error.strerror.lower()} at {error.filename}"
@@ -205,7 +207,7 @@ def main() -> NoReturn:
         kept = f"stopped: the files written so far are kept{seen}"
         if not anything_claimed():
             kept = "stopped before anything was written"
-        # Code that knows more about what was written has put it into the exception.
+        # Code that knows more about the file has added this information to the exception.
         sentence = next(filter(lambda each: isinstance(each, str), stopped.args), "") or kept
         with suppress(OSError):  # such as a terminal that was closed
             problems.print(sentence)
@@ -218,9 +220,10 @@ NEGATIVE_LIST = re.compile(r"-[\d.][\d.e+-]*(,\s*[\d.e+-]+)+", re.IGNORECASE)
 
 
 def arguments(words: list[str]) -> list[str]:
-    """Return the words of a command line, with a list such as -8,-13,0 joined to its option.
+    """Return the words of a command line, in which lists such as -8,-13,0 are joined to their
+    option.
 
-    On its own, a word that begins with a minus would be taken for an option.
+    Otherwise a word that begins with a minus would be read as an option.
     """
     found: list[str] = []
     for word in words:
@@ -233,12 +236,12 @@ def arguments(words: list[str]) -> list[str]:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings of installed packages' parts as one line, without the code location."""
+    """Show warnings about parts of installed packages as one line, without the code location."""
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            """Print a warning of the program; leave others to the interpreter."""
+            """Print a warning of this program; pass other warnings to the interpreter."""
             # compared by name, since help does not import their modules
             if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
                 return others(message, category, *where, **more)
@@ -251,7 +254,7 @@ def _plain_warnings() -> Iterator[None]:
 
 
 def _print_offered() -> None:
-    """Print names that installed packages add to those in a command's help."""
+    """Print the names that installed packages add to the names in the help of a command."""
     from tissue.scene.plugins import offered_names
 
     if offered := offered_names():
@@ -262,7 +265,7 @@ def _print_offered() -> None:
 
 
 def _place(file: object) -> tuple[str, str]:
-    """Return the kind of a file that could not be written, and how to choose another location."""
+    """Return the kind of file that could not be written, and how to choose another location."""
     from meshes.base.cache import cache_folder
 
     warp = sys.modules.get("warp")

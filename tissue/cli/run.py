@@ -44,7 +44,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     band = summary.get("band")
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
         table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
-        # A tool that meets nothing has no band.
+        # If the tool touches nothing, there is no band.
         if band is not None and band[key]["peak"]["p95"] > 0.0:
             table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     if heat := summary.get("bone_heat"):
@@ -83,7 +83,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
 
 
 def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
-    """Yield rows on gaps of the machine, and on scheduling of launches and background work."""
+    """Yield rows on scheduling gaps, kernel launches and background work."""
     if (gaps := summary.get("machine_gaps")) is not None:
         met = (
             f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
@@ -102,7 +102,7 @@ def _pair(figures: dict[str, float], unit: str) -> str:
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Return the ends of the 90 % intervals of the peak and of the mean."""
+    """Return a text with the ends of the 90 % bands of peak and mean."""
     peak, mean = (
         f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}"
         for name in ("peak", "mean_in_contact")
@@ -118,15 +118,15 @@ class SceneOptions:
     Attributes
     ----------
     seed
-        Seed of every random draw, in a run with a device and in the samples of a band.
+        Seed of all random draws of a run with a device, and of the samples of a band.
     duration_s
-        Simulated time in seconds; a run of the whole motion is longer by the hand's reaction time,
-        under 1 s.
+        Simulated time in seconds. Default: the whole motion; with a hand, its reaction time (less
+        than 1 s) is added.
     set_
-        KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
+        KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
-        force_error=0.03 or tick_ms=0.7: use the cheapest settings on this machine that meet it; may
-        be repeated.
+        Requirement: force_error=0.03 (relative error) or tick_ms=0.7. The fastest settings on this
+        machine that meet it are used. May be repeated.
     """
 
     seed: MaybeWhole = None
@@ -143,15 +143,15 @@ class EngineOptions:
     Attributes
     ----------
     compute
-        Device for the kernels: cpu or cuda:0.
+        Device that computes the kernels: cpu or cuda:0.
     cores
-        Processor cores to use; default all. The trace does not depend on it.
+        Processor cores to use; default all. The trace does not depend on their number.
     max_memory_GB
         Memory that a file of the scene may take, in GB; default half of the free memory.
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
-        Run a device even if its coupling is unstable.
+        Run the device even if its coupling is predicted to be unstable.
     """
 
     compute: str = "cpu"
@@ -171,10 +171,10 @@ class FileOptions:
     out
         Output folder (default: runs/NAME).
     format_
-        Additional formats: parquet, npz, mat or h5 for the trace, or recording, HDF5 in
-        volumetric_drilling's layout; may be repeated.
+        Additional format: parquet, npz, mat or h5 for the trace, or recording for an HDF5 file in
+        the layout of volumetric_drilling; may be repeated.
     pictures
-        Format of the pictures: png, svg or pdf. In svg and pdf, lines and text are vectors, and 3D
+        Format of the pictures: png, svg or pdf. In svg and pdf, lines and text are vectors; 3D
         views are images with 400 pixels per inch.
     no_pictures
         Draw no pictures.
@@ -189,21 +189,22 @@ class FileOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class BandOptions:
-    """Options of a band; all fields but the first are arguments of `Run.band`.
+    """Options of an uncertainty band; all fields except the first are arguments of `Run.band`.
 
     Attributes
     ----------
     band
-        Samples of the constants in their ranges, such as 200: forces, torques and figures with 50
-        and 90 % bands.
+        Compute 50 and 90 % uncertainty bands of forces, torques and figures from this number of
+        samples of the constants in their ranges, such as 200.
     workers
-        Processes that run the samples of a band in parallel, if each sample is a separate run.
+        With --band: number of processes that run samples in parallel, if each sample is a separate
+        run.
     scheduler
-        tcp://HOST:PORT or tls://HOST:PORT: run the samples of a band on the workers of that Dask
-        scheduler instead.
+        With --band: run the samples on the workers of the Dask scheduler at tcp://HOST:PORT or
+        tls://HOST:PORT.
     each_run
-        Run every sample of a band instead of reweighting the loads, so that temperature and stress
-        have bands too.
+        With --band: run every sample instead of reweighting the loads of one run. Temperature and
+        stress then have bands too.
     """
 
     band: MaybeWhole = None
@@ -220,19 +221,20 @@ class LiveOptions:
     Attributes
     ----------
     live
-        Run in real time, in a window with mouse and keys as device, or scripted without a display.
+        Run in real time in a window; mouse and keys move the tool. Without a display, the scripted
+        motion moves the tool.
     web
-        With --live: use a browser on this machine instead of a window; the address is printed.
+        With --live: show the run in a browser on this machine instead of a window; the address is
+        printed.
     slicer
-        With --live: publish the run for 3D Slicer and other programs on this machine by
-        OpenIGTLink.
+        With --live: publish the run with OpenIGTLink, for 3D Slicer and other programs on this
+        machine.
     slicer_port
-        With --slicer: port of the link; default 18944.
+        With --slicer: port for OpenIGTLink; default 18944.
     slicer_drives
-        With --slicer: the transform tissue-target of 3D Slicer moves the tool, and no window opens.
+        With --slicer: the transform tissue-target of 3D Slicer moves the tool. No window opens.
     ros2
-        With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so
-        on.
+        With --live: publish pose, velocity and force on ROS 2 topics, such as /tissue/measured_cp.
     """
 
     live: Flag = False
@@ -258,7 +260,7 @@ def run(
     Parameters
     ----------
     scene
-        Name of a built-in scene (see `tissue scenes`) or a TOML file.
+        Name of a built-in scene (see `tissue scenes`), or a TOML file.
     """
     from tissue.simulation.run_folder import RunFolder, picture_format
     from tissue.simulation.trace import check_format
@@ -272,7 +274,7 @@ def run(
     by_hand = live.web or live.slicer_drives
     loaded = _load(scene, overrides, live=live.live, by_hand=by_hand)
     seed = scene_options.seed
-    # otherwise the seed is used for the band only
+    # otherwise the seed is used only for the band
     if seed is not None and (band.band is None or loaded.device is not None):
         loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
     _refuse_unused(loaded, engine)
@@ -281,7 +283,7 @@ def run(
     RunFolder.check(folder, overwrite=engine.overwrite)
     started = perf_counter()
     with _naming_stop(folder):
-        # In a live run a progress bar would take the interpreter from the ticks.
+        # In a live run, a progress bar would delay the ticks, which need the interpreter.
         with nullcontext(silent) if live.live else progress() as report:
             report("starting Warp", 0.0)
             from tissue.objects.simulate import simulate, simulate_live
@@ -317,7 +319,7 @@ def run(
 
 
 def _overrides(options: SceneOptions) -> dict[str, Any]:
-    """Return the entries of the scene that options replace, by key."""
+    """Return the entries of the scene that options replace, keyed by scene key."""
     from tissue.scene.load import parse_override, parse_overrides
 
     overrides = parse_overrides(options.set_)
@@ -332,7 +334,7 @@ def _overrides(options: SceneOptions) -> dict[str, Any]:
 def _load(scene: str, overrides: dict[str, Any], *, live: bool, by_hand: bool) -> "Scene":
     """Load the scene.
 
-    A live run is moved by a page or 3D Slicer, or by a window where there is a display.
+    The tool of a live run is moved by a page, by 3D Slicer, or by a window if there is a display.
     """
     from tissue.scene.load import load_scene
     from tissue.system.offscreen import await_display
@@ -346,7 +348,7 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
     Raises
     ------
     InputError
-        If an option has no effect, or the server of the page is not installed.
+        If an option has no effect, or the package for the server of the page is not installed.
     """
     if not options.live:
         left_out(
@@ -397,7 +399,7 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
 
 
 def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
-    """Check that the band can be made, or that no option of a band is given without one."""
+    """Check that the band can be computed; without --band, refuse the options of a band."""
     if options.band is None:
         left_out("without --band", "give --band 200, or remove it", **asdict(options))
         return
@@ -420,7 +422,7 @@ def _naming_stop(folder: Path) -> Iterator[None]:
 
 
 def _written(folder: Path) -> tuple[int, int] | None:
-    """Return the identity of the summary in a folder; None without one."""
+    """Return the identity of the summary file in a folder; None if there is no summary."""
     try:
         found = (folder / "summary.json").stat()
     except OSError:

@@ -30,18 +30,21 @@ def assess(
     Parameters
     ----------
     folder
-        Folder of the trainee's run, that `tissue run` wrote; or a folder with a folder for each
-        trainee, which is a run or contains the runs of all attempts.
+        Folder of the trainee's run, written by `tissue run`. To rank trainees: a folder that
+        contains one folder for each trainee. A trainee's folder is a run, or contains the runs of
+        all attempts.
     against
         Folder of the reference run.
     force_limit_n
-        Force that should not be exceeded, in newtons; default 1.25 times the reference's peak.
+        Force that should not be exceeded, in newtons; default 1.25 times the peak force of the
+        reference run.
     deviation_limit_mm
-        Distance from the reference's path that should not be exceeded; default 1.
+        Distance from the path of the reference run that should not be exceeded, in mm; default 1.
     overshoot_limit_mm
-        Largest allowed distance of the tip below the reference's deepest point; default 0.5.
+        Largest allowed distance of the tip below the deepest point of the reference run, in mm;
+        default 0.5.
     out
-        Folder for the picture and the figures; without it they are only printed.
+        Output folder for the picture and the figures. Without it, the figures are only printed.
     overwrite
         Replace the assessment or ranking that the folder already holds.
     """
@@ -140,16 +143,17 @@ def report(
     against: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
-    """Write a run as one HTML file to share, which needs no network.
+    """Write a report on a run as one HTML file, which needs no network.
 
     Parameters
     ----------
     folder
-        Folder that `tissue run` wrote.
+        Folder of a run, written by `tissue run`.
     out
-        HTML file to write; default report.html in the folder.
+        HTML file to write; default report.html in the folder of the run.
     against
-        Folder of a reference run: the report then contains an assessment of the run.
+        Folder of a reference run. If it is given, the report contains an assessment against this
+        run.
     overwrite
         Replace an existing file.
     """
@@ -168,16 +172,15 @@ class DrawingOptions:
     Attributes
     ----------
     hide
-        Layer or part that is hidden at first; may be repeated.
+        Layer or part that is hidden at the start; may be repeated.
     field
-        Field that is shown at first, for example von_mises_MPa.
+        Field that is shown at the start, for example von_mises_MPa.
     scale
-        Factor of the drawn displacement at first.
+        Factor by which the drawn displacement is multiplied at the start.
     time_s
-        Moment that is shown at first, in seconds; default the moment of the largest force.
+        Time that is shown at the start, in seconds; default the time of the largest force.
     clean
-        With --screenshot: draw only the tissue on a transparent background, without text, scales,
-        tool and arrows.
+        With --screenshot: draw only the tissue, on a transparent background.
     """
 
     hide: Texts = ()
@@ -197,20 +200,20 @@ def view(
     web: Flag = False,
     overwrite: Flag = False,
 ) -> None:
-    """Show a run in a window, or an imported bone, on which a click sets the site.
+    """Show a run in a window; or show an imported bone, on which a click sets the site.
 
     Parameters
     ----------
     folder
-        Folder that `tissue run` or `tissue import` wrote.
+        Folder of a run or an import, written by `tissue run` or `tissue import`.
     screenshot
         Write a picture to this .png file instead of opening a window.
     movie
         Write a movie to this .mp4 or .gif file instead of opening a window.
     web
-        Use a browser on this machine in place of a window; the address is printed.
+        Show the run in a browser on this machine instead of a window; the address is printed.
     overwrite
-        Replace the file of the screenshot or movie.
+        Replace an existing file of the screenshot or movie.
     """
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show

@@ -10,14 +10,14 @@ __all__ = ["scenes", "schema"]
 
 
 def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Flag = False) -> None:
-    """List the named scenes, or print one as TOML, ready to copy and edit.
+    """List the named scenes, or print one of them as TOML, which can be copied and edited.
 
     Parameters
     ----------
     name
-        Scene to print.
+        Name of the scene to print.
     out
-        File for the scene instead of printing it.
+        File to which the scene is written instead of printing it.
     overwrite
         Replace an existing file.
     """
@@ -39,12 +39,12 @@ def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Fl
 
 
 def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
-    """Print the JSON schema of scenes, which editors use to complete and check keys.
+    """Print the JSON schema of scenes; editors use it to complete and check keys.
 
     Parameters
     ----------
     out
-        File to write instead of printing.
+        File to which the schema is written instead of printing it.
     overwrite
         Replace an existing file.
     """
@@ -54,7 +54,7 @@ def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
 
 
 def _print_or_write(text: str, out: Path | None, *, overwrite: bool) -> None:
-    """Print a text, or write it to a file (UTF-8)."""
+    """Print a text, or write it to a file in UTF-8."""
     from meshes.base.whole_file import require_new_file, whole_file
 
     if out is None:

@@ -15,26 +15,27 @@ def serve(
     step_ms: Whole = 1,
     reach_mm: float | None = None,
 ) -> None:
-    """Answer the poses of another program with the wrench of a scene's tissue.
+    """Receive tool poses from another program and send back the wrench on the tool.
 
-    A robot simulator or a game engine sends the pose of the tool and receives force and torque on
-    it. Each pose is one step of simulated time. The velocity of the tool is its change of pose in
-    that step. Ctrl-C ends the server. Not for clinical use.
+    The other program, such as a robot simulator or a game engine, sends the pose of the tool and
+    receives force and torque from the tissue of a scene. Each pose is one step of simulated time.
+    The velocity of the tool is the change of its pose divided by the duration of the step. Ctrl-C
+    ends the server. Not for clinical use.
 
     Parameters
     ----------
     scene
-        Name of a built-in scene or a TOML file.
+        Name of a built-in scene, or a TOML file.
     set_
-        KEY=VALUE, replaces an entry of the scene; may be repeated.
+        KEY=VALUE replaces an entry of the scene; may be repeated.
     address
         udp://HOST:PORT or ws://HOST:PORT; default udp://127.0.0.1:24930.
     ros2
-        Serve the ROS 2 topic /tissue/servo_cp instead of an address.
+        Receive poses on the ROS 2 topic /tissue/servo_cp instead of an address.
     step_ms
         Simulated time of a step, in whole milliseconds.
     reach_mm
-        Distance to the sides of the scene's path within which the tissue is prepared; default 2.
+        Distance from the path of the scene within which tissue is prepared, in mm; default 2.
     """
     from tissue.links.pose_server import serve_network, serve_ros2
     from tissue.objects.loop import Loop

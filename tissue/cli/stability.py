@@ -18,23 +18,24 @@ def stability(
     only: Texts = (),
     overwrite: Flag = False,
 ) -> None:
-    """Report the stability of a scene's device and operator, or make the stability atlas.
+    """Report the stability of the device in a scene, or make the stability atlas.
 
-    With a scene, the command reports whether its coupling is stable, and a map of stiffness against
-    damping and delay. Without one, it makes the atlas, which has one page for every method and
-    shows where it fails. The atlas takes about three minutes.
+    With a scene, the command reports whether the coupling between device and tool is stable, and
+    computes a map of stable stiffnesses over damping and delay. Without a scene, it makes the
+    atlas. The atlas has one page for each method, which shows a case where the method fails. The
+    atlas takes about three minutes.
 
     Parameters
     ----------
     scene
-        Name of a built-in scene or a TOML file; without it the atlas is made.
+        Name of a built-in scene, or a TOML file. Without it, the atlas is made.
     set_
-        KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
+        KEY=VALUE replaces an entry of the scene, such as device=six-dof; may be repeated.
     out
-        Folder for picture and data of a scene's map, which is otherwise only printed; or folder of
-        the atlas, default atlas.
+        Output folder. With a scene: for the picture and the data of the map; without it, the map is
+        only printed. For the atlas: default atlas.
     only
-        Page of the atlas to make, such as wall_map, and no other; may be repeated.
+        Make only this page of the atlas, such as wall_map; may be repeated.
     overwrite
         Replace the map or the atlas that the folder already holds.
     """
@@ -78,7 +79,7 @@ def stability(
 
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
-    """Make the atlas and report the result of every page."""
+    """Make the atlas and report the result of each page."""
     with progress() as report:
         report("loading methods", 0.0)
         from tissue.evaluation.atlas import PAGES

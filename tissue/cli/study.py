@@ -20,28 +20,30 @@ study = App(
     help="Compare methods of rendering force over many trials, and report what they show.",
 )
 LINES_S = 60.0
-"""Time between two lines of progress without a terminal [s]: a study runs for an hour."""
+"""Time between two lines of progress if the output is not a terminal [s]; a study takes an hour."""
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Options of a study's plan.
+    """Options of the plan of a study.
 
     Attributes
     ----------
     trials
-        Trials for each task and group; an existing study may be extended.
+        Number of trials for each task and group; an existing study can be extended.
     tasks
-        Some of T1 (palpation), T2 (wall), T3 (milling), needle, reaming, drilling; default all.
+        Tasks among T1 (palpation), T2 (wall), T3 (milling), needle, reaming and drilling; default
+        all.
     methods
-        Some of penalty, energy, koopman, koopman-look-ahead, koopman-online, koopman-perception;
-        default all. Any other registered predictor is a method by its name.
+        Methods among penalty, energy, koopman, koopman-look-ahead, koopman-online and
+        koopman-perception; default all. The name of any other registered predictor is also a
+        method.
     groups
-        Some of novice, intermediate, expert; default all.
+        Groups of simulated hands among novice, intermediate and expert; default all.
     sensitivity
-        Also repeat a few trials with one parameter changed, and against the finest model.
+        Also repeat a few trials with one changed parameter, and compare them with the finest model.
     seed
         Seed of all random draws.
     """
@@ -54,7 +56,7 @@ class PlanOptions:
     seed: Whole = 0
 
     def plan(self) -> "Plan":
-        """Return the plan; names may be separated by commas."""
+        """Return the plan; names in an option may be separated by commas."""
         from tissue.evaluation.study.plan import Plan
 
         chosen = {"tasks": self.tasks, "methods": self.methods, "groups": self.groups}
@@ -80,23 +82,23 @@ def run(
     retry: Flag = False,
     only: str | None = None,
 ) -> None:
-    """Run or continue a study; every trial is written to disk as soon as it is done.
+    """Run or continue a study; each trial is written to disk when it is complete.
 
-    The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first
-    trial.
+    Before the first trial, the plan (measures, tests, exclusions, seeds, power) is registered in
+    plan.toml.
 
     Parameters
     ----------
     workers
-        Processes; default one a core.
+        Number of processes; default one per core.
     scheduler
-        tcp://HOST:PORT or tls://HOST:PORT: run on the workers of that Dask scheduler instead.
+        Run the trials on the workers of the Dask scheduler at tcp://HOST:PORT or tls://HOST:PORT.
     out
         Folder of the study; default studies/paper.
     retry
         Run failed trials again.
     only
-        Name of one trial, such as T1-novice-0007: run only this trial and print its result.
+        Run only the trial of this name, such as T1-novice-0007, and print its result.
     """
     from tissue.evaluation.study.folder import StudyFolder, run_study
     from tissue.evaluation.study.plan import TrialKey
@@ -128,7 +130,7 @@ def run(
     with progress(quiet_s=LINES_S) as bar:
 
         def report(doing: str, share: float) -> None:
-            """Move the bar, and print messages from before the first trial."""
+            """Update the progress bar, and print messages that come before the first trial."""
             bar(doing, share)
             if share == 0.0:
                 problems.print(doing)
@@ -152,9 +154,9 @@ def run(
 
 @study.command(name="plan")
 def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = None) -> None:
-    """Register a study without running it: write its plan.toml.
+    """Register a study without running it; this writes plan.toml.
 
-    `tissue study run` with the same options then follows this plan.
+    `tissue study run` with the same options then uses this plan.
 
     Parameters
     ----------
@@ -175,18 +177,18 @@ def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = No
 
 @study.command
 def report(folder: Path, /, *, exploratory: Path | None = None) -> None:
-    """Write tables, figures and their interpretation into a study's folder.
+    """Write tables, figures and their interpretation into the folder of a study.
 
-    The paper's figures are shown for comparison.
+    The report shows the figures of the paper for comparison.
 
     Parameters
     ----------
     folder
-        Folder that `tissue study run` wrote; an unfinished study is reported up to its present
-        state.
+        Folder of the study, written by `tissue study run`. The report on an unfinished study
+        contains the trials so far.
     exploratory
-        Folder of an older study. Its figures are printed next to those of the study and labelled
-        exploratory.
+        Folder of an older study. The report shows its figures next to those of the study, labelled
+        as exploratory.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report

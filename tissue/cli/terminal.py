@@ -1,4 +1,4 @@
-"""Terminal output shared by all commands: consoles, types of options, and whole numbers."""
+"""Consoles, types of options, and checks that all commands share."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -27,11 +27,12 @@ __all__ = [
 class _Terminal(Console):
     """Console that prints text unchanged.
 
-    It uses no markup unless requested, breaks no line, and prints control characters as codes.
+    The console uses no markup unless requested, does not break lines, and prints control characters
+    as codes.
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print objects as `Console.print`."""
+        """Print objects like `Console.print`."""
         if all(isinstance(each, str) for each in objects):
             objects = tuple(map(visible, objects))
             options = {"soft_wrap": True, "highlight": False} | options
@@ -62,12 +63,12 @@ MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 
 def left_out(where: str, remedy: str, **flags: object) -> None:
-    """Refuse given options that have no effect in the situation ``where``.
+    """Refuse options that have no effect in the situation ``where``.
 
     Raises
     ------
     InputError
-        If an option is given; the message names the option and the remedy.
+        If such an option is given. The message contains the option and the remedy.
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():

@@ -19,24 +19,24 @@ def train(
     cores: MaybeWhole = None,
     overwrite: Flag = False,
 ) -> None:
-    """Train a predictor of a scene's force and validate it on held-out runs.
+    """Train a predictor of the force of a scene, and validate it on other runs.
 
-    The training runs are by hands of all groups.
+    Simulated hands of all groups make the training runs.
 
     Parameters
     ----------
     scene
-        Name of a built-in scene or a TOML file.
+        Name of a built-in scene, or a TOML file.
     trials
-        Number of runs, six or more; one in four is used for validation.
+        Number of runs, at least six. One in four is used for validation.
     out
         File to write; default SCENE.npz.
     set_
-        KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
+        KEY=VALUE replaces an entry of the scene, such as device=six-dof; may be repeated.
     cores
         Processor cores to use; default all.
     overwrite
-        Replace the file.
+        Replace an existing file.
     """
     from meshes.base.whole_file import require_new_file
     from tissue.scene.load import load_scene, parse_overrides

@@ -1,4 +1,5 @@
 """Conversion of a user's CT to a scene.
 
-It covers inspection of the image, the bone with its density, a site, a path, and a folder to run.
+The conversion inspects the image, extracts a bone with its density or an organ, finds a site,
+imports a path, and writes a folder that can be simulated.
 """

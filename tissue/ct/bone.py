@@ -1,7 +1,7 @@
 """Conversion of a bone in a CT to a scene.
 
-The bone is cropped and selected by label or threshold. The scene holds its density, its site and
-its surroundings.
+The bone is cropped, and selected by a label or a threshold. The scene contains its density, its
+site (the place where the tool works) and its surroundings.
 """
 
 from collections.abc import Mapping
@@ -53,25 +53,28 @@ from tissue.show.figures.ct_pictures import (
 __all__ = ["bone_draft"]
 
 _SIDE_MM = (1.0, 1000.0)
-"""Range of the longest side of a bone; outside it the spacing in the header has another unit."""
+"""Plausible range of the longest side of a bone.
+
+Outside this range, the unit of the spacing in the header is assumed to be wrong.
+"""
 SHOWN_MM = 15.0
-"""Width of the surroundings of a bone in pictures, so that the next bone of a joint is visible."""
+"""Width of the surroundings shown in pictures, so that the other bone of a joint is visible."""
 USUAL = {
     "glenoid": "glenoid",
     "vertebra": "pedicle",
     "vertebra:left": "pedicle",
     "vertebra:right": "pedicle",
 }
-"""Scene that provides tool and motion by default, by the kind of the site."""
+"""Default scene that provides tool and motion, by kind of the site."""
 PLUNGE: Mapping[str, Mapping[str, object]] = {
     "voxels": {"spacing_mm": 0.2},
     "tool": {"kind": "ball-burr", "diameter_mm": 4.0, "flutes": 6, "spin_rpm": 20000.0},
     "motion": {"kind": "path", "points_mm": [[0, 0, 3], [0, 0, -2]], "feed_mm_s": 1.0},
 }
-"""Default at other sites: a ball burr moves 2 mm into the bone along the normal.
+"""Default motion at other sites: a ball burr moves 2 mm into the bone along the normal.
 
-The feed per tooth of 0.5 um is far below 0.1 mm, up to which the cutting law holds
-(`docs/models.md`). Voxels of 0.2 mm put ten of them on the radius of the burr.
+The feed per tooth of 0.5 um is far below 0.1 mm, the upper limit of the cutting law
+(`docs/models.md`). With voxels of 0.2 mm, the radius of the burr is ten voxels.
 """
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
 HEAD = ("duration_s", "seed")
@@ -87,7 +90,7 @@ REMARKS = {
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Cropped image and labels of a bone, and findings in the whole image."""
+    """Cropped image and labels of a bone, and results of the inspection of the whole image."""
 
     image: Image
     labels: Labels | None
@@ -97,7 +100,7 @@ class _Source:
 
 
 def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Draft the scene of a bone."""
+    """Create the draft of a scene with a bone."""
     source, sentences = _source(request, progress)
     progress("finding the bone", 0.0)
     bone, threshold, found = _bone(request, source)
@@ -117,7 +120,7 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         sentences.append(f"density by {certainty} ({source.law.source})")
         files["density.nrrd"] = partial(write_density, density, law=certainty)
         tables["density_file"] = "density.nrrd"
-    # labels of the user are kept on the voxels of the bone
+    # the user's labels are resampled to the voxels of the bone
     if source.labels is not None:
         blank = replace(bone.image, values=np.zeros(bone.image.values.shape, np.uint8))
         files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(source.labels, blank))
@@ -163,7 +166,8 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
             "shell of even thickness. "
             "Give --density line:SLOPE,OFFSET to use them"
         )
-    # of the whole image: a crop may hold neither the air nor the soft tissue that a threshold needs
+    # inspect the whole image, because a threshold needs air and soft tissue, which a crop may not
+    # contain
     histogram = histogram_of(image.values)
     box = request.box_mm
     if box is not None:
@@ -176,14 +180,14 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
 def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
     """Return the density law that a request names.
 
-    The default is the first law that the image allows. The result is None if the image allows no
-    law.
+    The default is the first density law that the image allows. The result is None if the image does
+    not allow any law.
     """
     is_auto = text == "auto"
     if not found.is_hounsfield:
         if is_auto:
             return None
-        # these laws start from Hounsfield units; a line of the user may start from any values
+        # these laws need Hounsfield units; a line given by the user may use any values
         if text.lower() == "internal" or text.lower() in DENSITY_LAWS:
             raise InputError(
                 "density",
@@ -194,7 +198,8 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
     try:
         return density_law("internal" if is_auto else text, image)
     except InputError as error:
-        # the user asked for this calibration; the default falls back to the line of another scanner
+        # the user has requested this calibration; only the default may use the line of another
+        # scanner instead
         if not is_auto:
             raise
         return replace(
@@ -203,12 +208,15 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
 
 
 def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float | None, list[str]]:
-    """Extract the bone from the image; return it, its threshold if it has one, and sentences."""
+    """Extract the bone from the image.
+
+    Return the bone, its threshold if it has one, and sentences.
+    """
     if source.labels is None or request.region is None:
         threshold, note = suggest_threshold(
             source.histogram, is_hounsfield=source.inspection.is_hounsfield
         )
-        # a threshold of the user replaces the suggested one
+        # a threshold given by the user replaces the suggested threshold
         if request.threshold is not None:
             threshold = request.threshold
             note = f"threshold {threshold:g}, as given"
@@ -229,7 +237,7 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
 
 
 def _surface(bone: BoneOfImage, source: str) -> Surface:
-    """Return the triangles of a bone, closed and turned outward."""
+    """Return the surface of a bone as closed triangles with outward normals."""
     vertices, faces = bone.triangles
     longest = float(np.ptp(vertices, axis=0).max())
     if not _SIDE_MM[0] <= longest <= _SIDE_MM[1]:
@@ -244,8 +252,8 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
 
 
 def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
-    """Describe the law of the density in short, with the band of the bone's median."""
-    held = density.values[bone.field > bone.level]  # the density continues beyond the surface
+    """Describe the density law briefly, with the uncertainty band of the bone's median density."""
+    held = density.values[bone.field > bone.level]  # the density extends beyond the surface
     middle = float(np.median(held))
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
     return (
@@ -256,12 +264,12 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
 
 
 def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:
-    """Return head and tables of the scene that provides tool and motion.
+    """Return the head and the tables of the scene that provides tool and motion.
 
     A guide hole is returned under ``anatomy``.
     """
     wanted = like or USUAL.get((at.kind if at else None) or "")
-    # no scene fits the site: the tool plunges along the site's normal
+    # no scene is available for the site, so the tool moves into the bone along the site's normal
     if wanted is None:
         tables: dict[str, Any] = dict(PLUNGE)
     else:
@@ -274,7 +282,7 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
         tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}
     if replay:
         tables["motion"] = {"kind": "replay", "file": "path.csv"}
-        # a replay lasts as long as its path
+        # a replay has the duration of its path
         tables.pop("duration_s", None)
     return tables
 
@@ -286,16 +294,19 @@ def _scene_text(
     followed: dict[str, Any],
     keep_clear: dict[str, Any],
 ) -> str:
-    """Return the TOML text of the scene, with remarks on settings that users may want to change."""
+    """Return the TOML text of the scene.
+
+    It has comments on settings that users may want to change.
+    """
     head |= {key: followed.pop(key) for key in HEAD if key in followed}
     if at is not None:
         anatomy |= {
-            # to 1 um, and directions to 1e-6: far below the spacing of any CT
+            # positions are rounded to 1 um and directions to 1e-6, far below the spacing of any CT
             "centre_mm": [round(value, 3) for value in (1e3 * at.site.centre_m).tolist()],
             "normal": [round(value, 6) for value in at.site.rotation[:, 2].tolist()],
             "along": [round(value, 6) for value in at.site.rotation[:, 0].tolist()],
         }
-        # the radius marks the joint's surface in a density map and has no effect without one
+        # the radius marks the joint's surface in a density map; it has no effect without this map
         if "density_file" in anatomy and at.articular_radius_mm:
             anatomy["articular_radius_mm"] = at.articular_radius_mm
     anatomy |= followed.pop("anatomy", {})
@@ -314,7 +325,7 @@ def _scene_text(
 
 
 def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
-    """Return the findings in the image as plain numbers."""
+    """Return the results of the inspection as plain numbers."""
     found = source.inspection
     site = None
     if at is not None:
@@ -344,9 +355,9 @@ def _pictures(
     work: tuple[Placed | None, ImportedPath | None],
     found: tuple[float | None, Image | None],
 ) -> dict[str, Writer]:
-    """Return the writers of the pictures of a bone with its site, its path and its surroundings.
+    """Return functions that draw pictures of a bone with its site, path and surroundings.
 
-    `work` holds the site and the path, `found` the threshold and the density of the bone.
+    `work` contains the site and the path, and `found` the threshold and the density of the bone.
     """
     at, path = work
     threshold, density = found
@@ -390,7 +401,7 @@ def _pictures(
         "histogram.png": draw_histogram,
         "bone.png": lambda file: draw_ct_bone(surface, file, marks, density=density, title=title),
     }
-    # the path is seen along the site's normal
+    # the view of the path is along the site's normal
     if path is not None and normal is not None:
         pictures["path.png"] = lambda file: draw_path_depth(
             surface, path.depth, file, normal=normal, title=surface.report.source
@@ -399,7 +410,7 @@ def _pictures(
 
 
 def _depth(surface: Surface, image: Image) -> Image:
-    """Return the depth of an image's voxels within a surface [m], negative outside."""
+    """Return the depth of an image's voxels below a surface [m], negative outside."""
     axes = [
         o + s * np.arange(n)
         for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
@@ -407,7 +418,8 @@ def _depth(surface: Surface, image: Image) -> Image:
     grid = lattice(*axes)
     low = 1e3 * surface.vertices_m.min(axis=0)
     high = 1e3 * surface.vertices_m.max(axis=0)
-    # two voxels around the surface hold the outline; all others only need a negative depth
+    # the outline needs depths within two voxels of the surface; all other voxels get a negative
+    # depth
     around = 2.0 * max(image.spacing_mm)
     near = ((grid > low - around) & (grid < high + around)).all(axis=1)
     depth = np.full(len(grid), -1.0, dtype=np.float32)

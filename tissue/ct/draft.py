@@ -1,4 +1,4 @@
-"""Output of an import: files for other programs, the text of a scene, and a record of findings."""
+"""Output of an import: files for other programs, the text of a scene, and a record of results."""
 
 import json
 import re
@@ -34,14 +34,14 @@ __all__ = [
 SCENE = "scene.toml"
 RECORD = "import.json"
 Writer = Callable[[Path], str | None]
-"""Write a file; return a sentence if it could not be drawn."""
+"""Function that writes a file, and returns a sentence if the file could not be written."""
 ARRAY = re.compile(r"(?<== )\[[^\"]*?\n\]")
-"""An array that is written over several lines."""
+"""Regular expression for an array that is written on several lines."""
 
 
 @dataclass(frozen=True)
 class Draft:
-    """Content of the folder of an import.
+    """Content of the output folder of an import.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Draft:
     record
         Measurements and assumptions as plain numbers.
     files
-        Writers of the other files by name, pictures last.
+        Dictionary from the name of another file to the function that writes it. Pictures are last.
     sentences
         Description for users.
     has_site
@@ -66,7 +66,8 @@ class Draft:
     def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
         """Write the folder and return the sentences, including those on failed pictures.
 
-        Files of another import in the folder are removed first. All other files in the folder stay.
+        Files of an earlier import in the folder are removed first. Other files in the folder are
+        kept.
 
         Raises
         ------
@@ -112,14 +113,17 @@ def write_surface(surface: Surface, path: Path) -> None:
 
 
 def write_density(density: Image, path: Path, *, law: str) -> None:
-    """Write densities as NRRD, whole kg/m3, in LPS; `law` gives their origin and uncertainty."""
+    """Write densities as NRRD in LPS, rounded to 1 kg/m3.
+
+    `law` describes their origin and uncertainty.
+    """
     _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
 
 
 def write_labels(labels: Labels, path: Path) -> None:
-    """Write labels with their names as 3D Slicer reads them (`.seg.nrrd`).
+    """Write labels with their names in the segmentation format of 3D Slicer (`.seg.nrrd`).
 
-    A voxel of several labels takes the smallest of them, which is drawn over the others.
+    A voxel with several labels is written with the label of the smallest structure.
     """
     if labels.overlaps:
         names = dict.fromkeys(labels.names.values())
@@ -138,7 +142,7 @@ def write_labels(labels: Labels, path: Path) -> None:
 
 
 def _write_image(image: Image, path: Path, about: Mapping[str, str]) -> None:
-    """Write an image by ITK, compressed."""
+    """Write a compressed image with ITK."""
     import SimpleITK
 
     stored = SimpleITK.GetImageFromArray(np.ascontiguousarray(image.values.T))
@@ -151,19 +155,19 @@ def _write_image(image: Image, path: Path, about: Mapping[str, str]) -> None:
 
 
 def scene_name(folder: Path) -> str:
-    """Return the name of a scene in a folder."""
+    """Return the name of the scene for an output folder."""
     plain = re.sub(r"[^a-z0-9_-]+", "-", folder.resolve().name.lower()).strip("-_")
     return plain or "imported"
 
 
 def scene_tables(scene: Scene, keys: Iterable[str]) -> dict[str, Any]:
-    """Return the selected keys and tables that a scene sets itself, without defaults."""
+    """Return selected keys and tables of a scene, without values that are defaults."""
     stated = scene.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     return {key: stated[key] for key in keys if key in stated}
 
 
 def toml(table: Mapping[str, object]) -> str:
-    """Return TOML of a scene's table, each of its arrays of numbers on a line."""
+    """Return the TOML text of a table, with each array of numbers on one line."""
     import tomli_w
 
     def on_a_line(array: re.Match[str]) -> str:

@@ -1,4 +1,4 @@
-"""Import of a CT: from an image to a folder with a scene."""
+"""Import of a CT: conversion of an image to a folder with a scene."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -22,13 +22,13 @@ class Imported:
     Attributes
     ----------
     folder
-        Written folder.
+        Output folder.
     scene
         File of the scene.
     has_site
         True if the scene can be run without changes.
     sentences
-        Findings and assumptions.
+        Results and assumptions.
     """
 
     folder: Path
@@ -49,7 +49,8 @@ def import_ct(
 ) -> Imported:
     """Convert a CT to a folder with a scene.
 
-    The folder holds a bone with its density, a site and pictures, or a tooth, or a soft organ.
+    The folder contains a scene and pictures. The scene is a bone with its density and a site, a
+    tooth, or a soft organ.
 
     Parameters
     ----------
@@ -57,62 +58,62 @@ def import_ct(
         DICOM folder or file, image file (``.nii.gz``, ``.nrrd``, ``.mha``, ``.vti``), or folder of
         TIFF, PNG or BMP slices.
     out
-        Folder to write; ``scene.toml`` in it can be loaded and simulated.
+        Output folder. Its file ``scene.toml`` can be loaded and simulated.
     max_memory_GB
-        Memory that an image may take [GB]; default half of the free memory.
+        Memory that an image may use [GB]. Default: half of the free memory.
     overwrite
-        Replace another import in the folder.
+        If true, an earlier import in the folder is replaced.
     pictures
         If true, pictures are drawn.
     progress
         Called with a description of the current step.
     **options
-        The options below. None selects the default.
+        Options listed below. None selects the default.
 
     Other Parameters
     ----------------
     labels : str or Path
-        Labels of the same CT: a label volume, a folder of masks, one per label, TIFF, PNG or BMP
+        Labels of the same CT: a label volume, a folder with one mask per label, TIFF, PNG or BMP
         slices, or a DICOM segmentation (SEG) or structure set (RTSTRUCT).
     label_names : str
-        ``totalsegmentator``, ``dentalsegmentator``, ``verse`` or another of
-        `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` gives each name
-        its number. Default: the names in the file's header.
+        ``totalsegmentator``, ``dentalsegmentator``, ``verse`` or another set of
+        `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` assigns a number
+        to each name. Default: the names in the file's header.
     region : str
-        Label that is the bone or the organ.
+        Name of the label of the bone or organ.
     crop_mm : pair of points
         Lowest and highest corner of the box to keep [mm].
     threshold : float
-        Value above which a voxel is bone, without labels. Default: a value suggested by the
+        Value above which a voxel is bone if there are no labels. Default: a value computed from the
         histogram.
     series : int
         Number of the series in a folder with several series.
     spacing_mm : float or three floats
-        Distance between neighbours [mm], in all directions or along each axis, for files without
-        this information, such as TIFF and PNG slices.
+        Distance between neighbouring voxels [mm], in all directions or along each axis, for files
+        that do not contain it, such as TIFF and PNG slices.
     density : str
-        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
-        `meshes.ct.calibration.density_law`; default: internal if the image allows it.
+        Density law: ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
+        `meshes.ct.calibration.density_law`. Default: internal if the image allows it.
     site : str or point
         ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``),
-        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups. Default: by the
-        region's name.
+        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups. Default: the
+        usual site for the name of the region.
     normal : point
-        Outward direction at a site that is a point. Default: the normal of the surface.
+        Outward direction at a site given as a point. Default: the normal of the surface.
     coordinates : {"LPS", "RAS"}
-        Frame of crop, site, normal and path: LPS as in DICOM, or RAS as in NIfTI and 3D Slicer's
-        views.
+        Frame of crop, site, normal and path: LPS as in DICOM, or RAS as in NIfTI and in the views
+        of 3D Slicer.
     path : str or Path
         Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
         `meshes.paths.toolpath.read_toolpath`.
     feed_mm_s : float
-        Speed where the path gives no speed [mm/s]. Default: 2.
+        Speed in parts of the path without a speed [mm/s]. Default: 2.
     keep_clear : sequence of str
         Labels that the tool must not touch.
     like : str
-        Scene that provides tool and motion. Default: by the site.
+        Scene that provides tool and motion. Default: the usual scene for the site.
     parts : mapping of str to float
-        Labels in a soft organ that become parts of it, with their Young's moduli [kPa].
+        Labels in a soft organ that become parts of the organ, with their Young's moduli [kPa].
 
     Raises
     ------
@@ -120,7 +121,7 @@ def import_ct(
         If the image or an option cannot be used, or the folder holds another import.
     """
     folder = Path(out)
-    # before minutes of reading
+    # check before reading, which may take minutes
     require_folder(folder, "import", (SCENE, RECORD), overwrite=overwrite)
     unknown = sorted(options.keys() - {each.name for each in fields(ImportRequest)})
     if unknown:

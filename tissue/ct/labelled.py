@@ -1,5 +1,7 @@
-"""Teeth and soft organs of a segmentation as scenes: a tooth under a bur, tetrahedra with parts
-under a ball.
+"""Conversion of segmented teeth and soft organs to scenes.
+
+A tooth is cut by a bur. A soft organ consists of tetrahedra, may have parts, and is pressed by a
+ball.
 """
 
 from dataclasses import replace
@@ -30,28 +32,29 @@ LIKE = "caries"
 """Scene that provides tool and motion for a tooth by default."""
 PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
 MARGIN = 3
-"""Voxels kept around the tooth, so that outlines are closed and pictures show its surroundings."""
+"""Margin around the tooth [voxel], for closed outlines and for its surroundings in pictures.
+"""
 FRONT = (0.0, -1.0, 0.0)
-"""Direction to the tool that presses an organ: the front, in LPS, of a patient who lies on the
-back.
+"""Direction from an organ to the tool, in LPS: the front of a patient who lies on the back.
 """
 BALL_MM = 12.0
 DEPTH_MM = 4.0
 FEED_MM_S = 5.0
-"""First press on an organ, which shows an indentation of 0.67 of the ball's radius.
+"""Default press on an organ, with an indentation of 0.67 times the ball's radius.
 
-The linear force is more than 10 % off there (`tissue.models.organ.model.LINEAR_ERROR`), which the
-run reports. Reduce the depth to 2.2 mm for an error of 5 %.
+At this depth, the force of the linear model has an error of more than 10 %
+(`tissue.models.organ.model.LINEAR_ERROR`), which the run reports. At a depth of 2.2 mm the error is
+5 %.
 """
 
 
 def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Draft the scene of a tooth."""
+    """Create the draft of a scene with a tooth."""
     progress("reading the labels", 0.0)
     labels = request.read_labels()
     image = labels.image
     sentences = list(image.notes)
-    # a segmentation alone, without a CT: it is its own image and has no series to choose
+    # without a CT, the segmentation is also the image, and no series can be chosen
     if request.labels is not None and request.source.resolve() == request.labels.resolve():
         if request.series is not None:
             raise InputError(
@@ -95,10 +98,10 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 def _enamel_note(image: Image, labels: Labels) -> list[str]:
     """Return a warning if the enamel does not lie on bright voxels.
 
-    Raise an error for labels of another image.
+    An error is raised if the labels belong to another image.
     """
     placed = on_grid_of(labels, image)
-    # only Hounsfield units have a brightness that enamel must exceed
+    # the lower limit of the brightness of enamel is known only in Hounsfield units
     if "enamel" not in placed.names.values() or not inspect(image).is_hounsfield:
         return []
     note = bone_label_note(image, placed.mask("enamel"), "enamel")
@@ -106,11 +109,11 @@ def _enamel_note(image: Image, labels: Labels) -> list[str]:
 
 
 def _tooth(labels: Labels) -> Labels:
-    """Return the layers of a tooth alone, cropped to them."""
+    """Return the labels of a tooth without other labels, cropped to the tooth."""
     layers = {number: name for number, name in labels.names.items() if name in TOOTH_LAYERS}
     for name in ("enamel", "dentin"):
         if name not in layers.values():
-            # a segmentation may have a hundred labels
+            # name only some labels, because a segmentation may have a hundred
             held = ", ".join(list(labels.names.values())[:12])
             raise InputError(
                 "labels",
@@ -126,7 +129,7 @@ def _tooth(labels: Labels) -> Labels:
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
-    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence."""
+    """Return the centre of the largest lesion or of the tooth [mm, LPS], and a sentence."""
     from scipy.ndimage import label
 
     spacing = np.array(tooth.image.spacing_mm)
@@ -170,7 +173,7 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
 
 
 def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Draft the scene of a soft organ."""
+    """Create the draft of a scene with a soft organ."""
     region = request.region or ""
     progress("reading the image", 0.0)
     image = request.read_image()
@@ -184,7 +187,7 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
                 "parts", "have a modulus above 0", f"{each}={modulus:g}", "give the modulus in kPa"
             )
     mask = labels.mask(region)
-    # the check compares Hounsfield units inside the label with those of soft tissue
+    # the check compares the Hounsfield units inside the label with the range of soft tissue
     note = (
         soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""
     )
@@ -226,9 +229,9 @@ def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, An
         "held": "below",
     }
     if request.point_mm is not None:
-        # to 1 um, far below the spacing of any CT
+        # positions are rounded to 1 um, far below the spacing of any CT
         anatomy["centre_mm"] = [round(value, 3) for value in request.point_mm]
-    # the library has these two materials of organs; any other organ begins as a liver
+    # the library has materials for these two organs; any other organ uses the material of the liver
     organ: dict[str, object] = {"material": "kidney" if "kidney" in region.lower() else "liver"}
     if request.parts:
         organ["parts"] = {each: float(modulus) for each, modulus in request.parts.items()}
@@ -240,7 +243,7 @@ def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, An
         "tool": {"kind": "sphere-probe", "diameter_mm": BALL_MM},
         "motion": {
             "kind": "path",
-            # begins 2 mm above the surface
+            # the motion begins 2 mm above the surface
             "points_mm": [[0, 0, 2], [0, 0, -DEPTH_MM]],
             "feed_mm_s": FEED_MM_S,
         },

@@ -1,5 +1,7 @@
-"""Options of an import, and the places of work that follow from them: the site, the structures to
-keep clear of, and the toolpath.
+"""Options of an import, and the inputs that follow from them.
+
+These inputs are the site (the place where the tool works), the structures to keep clear of, and the
+toolpath.
 """
 
 import re
@@ -57,13 +59,13 @@ NAMED_SITES = (
     "vertebra:right",
     *TEETH,
 )
-"""Sites that are searched for."""
+"""Names of the sites for which a search exists."""
 MARKUPS = (".json", ".fcsv")
 SOFT = (
     "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle"
     "|gluteus|iliopsoas"
 )
-"""Words in the name of a label that is a soft organ."""
+"""Words that mark the name of a label as a soft organ."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class ImportRequest:
     Raises
     ------
     InputError
-        If an option has no effect with the others, or is not of its form.
+        If an option has no effect in combination with the other options, or has an invalid form.
     """
 
     source: Path
@@ -141,7 +143,7 @@ class ImportRequest:
                 )
 
     def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
-        """Raise for an option that is given where it has no effect."""
+        """Raise an error if an option is given in a case in which it has no effect."""
         unset = {each.name: each.default for each in fields(self)} | {"parts": {}}
         for name in names:
             value = getattr(self, name)
@@ -150,9 +152,9 @@ class ImportRequest:
                 raise InputError(name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
-        """Refuse coordinates that are not finite, without a known frame, or in a wrong order.
+        """Raise an error for coordinates that are not finite, lack a frame, or have a wrong order.
 
-        A frame without coordinates in numbers is refused too.
+        A frame is also an error if no coordinates are given as numbers.
         """
         points: dict[str, Sequence[object]] = {
             "site": [self.site],
@@ -168,7 +170,7 @@ class ImportRequest:
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
             )
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
-        # files of markups state their own frame
+        # markups files contain their own frame
         in_numbers = path_in_numbers or self.crop_mm is not None or self.point_mm is not None
         if self.coordinates == "RAS" and not in_numbers:
             raise InputError(
@@ -195,7 +197,7 @@ class ImportRequest:
 
     @property
     def is_soft(self) -> bool:
-        """True if the region is a soft organ, by its name or because parts of it have moduli."""
+        """True if the region is a soft organ, because of its name or because parts have moduli."""
         return bool(self.parts) or (
             self.region is not None and re.search(SOFT, self.region.lower()) is not None
         )
@@ -207,21 +209,21 @@ class ImportRequest:
 
     @property
     def point_mm(self) -> Point | None:
-        """The site where it is a point [mm, LPS]."""
+        """Site, if it is given as a point [mm, LPS]."""
         return None if self.site is None or isinstance(self.site, str) else self._lps(self.site)
 
     @property
     def normal_lps(self) -> Point | None:
-        """The outward direction where it is given, in LPS."""
+        """Outward direction in LPS, if it is given."""
         return None if self.normal is None else self._lps(self.normal)
 
     @property
     def box_mm(self) -> Box | None:
-        """The box to keep [mm, LPS], its lowest corner first."""
+        """Box to keep [mm, LPS], lowest corner first."""
         if self.crop_mm is None:
             return None
         (a, b, c), (d, e, f) = map(self._lps, self.crop_mm)
-        # the reversed signs of RAS exchange the lower and the upper end of x and y
+        # RAS has the opposite signs of x and y, so the lower and upper ends are exchanged
         return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
 
     def _lps(self, point: Point) -> Point:
@@ -235,7 +237,7 @@ class ImportRequest:
             return read_image(self.source, spacing_mm=self.spacing_mm, series=self.series)
 
     def read_labels(self, image: Image | None = None) -> Labels:
-        """Read the labels, on the voxels of an image where it is given."""
+        """Read the labels. If an image is given, resample the labels to its voxels."""
         assert self.labels is not None
         with names_of_caller({"file": "labels", "names": "label_names"}):
             labels = read_labels(
@@ -250,12 +252,12 @@ USUAL = (
     (r"humerus", "humeral-head"),
     (r"vertebra", "vertebra"),
 )
-"""Site that is searched for by default, by a word in the name of the bone's label."""
+"""Site that is searched by default, for a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
-"""Distance from the site across its normal within which the surface belongs to a joint [mm].
+"""Distance from the site, across its normal, within which the surface belongs to a joint [mm].
 
-It is half of the glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27 mm
-(`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
+For the glenoid, it is half of the height of 37 mm. For the heads, whose radii are 21 to 27 mm, the
+distance selects a spherical cap (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
 """
 KEYS = {
     "anatomy.centre_mm": "site",
@@ -263,18 +265,21 @@ KEYS = {
     "anatomy.scale_mm": "spacing in the header",
     "file": "source",
 }
-"""Options of an import by the keys of a scene."""
+"""Option of an import that corresponds to a key of a scene."""
 FEED_MM_S = 2.0
-"""Feed of a path without a feed, between reaming (0.5) and milling (5) of the built-in scenes."""
-CLEARANCE_MM = 5.0
-"""Distance outside the first point of a path at which the tool begins.
+"""Feed [mm/s] of a path without a feed.
 
-A tool that begins in bone removes the bone that it covers without a force.
+It lies between reaming (0.5 mm/s) and milling (5 mm/s) in the built-in scenes.
+"""
+CLEARANCE_MM = 5.0
+"""Distance outside the first point of a path at which the motion of the tool begins.
+
+A tool that begins inside bone would remove the covered bone without a force.
 """
 LONGEST = 60
-"""Letters of a structure's name, which is part of a file's name.
+"""Largest number of letters of a structure's name, which is a part of a file name.
 
-The names of files have at most 255 bytes on common file systems.
+File names have at most 255 bytes on common file systems.
 """
 
 
@@ -287,9 +292,9 @@ class Placed:
     site
         Centre and axes in the frame of the image.
     kind
-        Name of the searched site. None for a point.
+        Name of the site that was searched; None if the site was given as a point.
     articular_radius_mm
-        Distance from the site within which the surface belongs to a joint. 0 without a joint.
+        Distance from the site within which the surface belongs to a joint; 0 without a joint.
     """
 
     site: Site
@@ -298,7 +303,7 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site of a request and a sentence on it.
+    """Return the site of a request, and a sentence that describes it.
 
     The result is None if the request names no site and the usual site is not found.
 
@@ -319,7 +324,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             return Placed(site), f"site: {site.confidence}"
     if isinstance(request.site, str):
         return _searched(request.site, surface)
-    # the label's name suggests a joint, such as a scapula its glenoid
+    # the label's name suggests a joint, such as the glenoid for a scapula
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
     pick = "pick one by `tissue view`, or give --site"
     if usual is None:
@@ -336,7 +341,7 @@ def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
 
 
 def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
-    """Search for a site; report its score and the score of the second best."""
+    """Search for a site, and report its score and the score of the second-best site."""
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
     second = found.second_centre_mm is not None
@@ -352,12 +357,14 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
 def kept_clear(
     request: ImportRequest, labels: Labels | None, report: Progress
 ) -> tuple[dict[str, Surface], list[str]]:
-    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences.
+    """Return the surfaces of the structures that the tool must not touch, and sentences.
+
+    The surfaces have the names from `plain_names`.
 
     Raises
     ------
     InputError
-        If there is no such label, it is named twice, or the image contains no voxel of it.
+        If a label does not exist, is given twice, or has no voxel in the image.
     """
     if labels is None or not request.keep_clear:
         return {}, []
@@ -387,7 +394,7 @@ def kept_clear(
 def plain_names(names: Sequence[str]) -> list[str]:
     """Convert names of labels to names that a scene accepts.
 
-    They consist of plain letters, digits and underscores, and each name is used once.
+    The converted names consist of ASCII letters, digits and underscores, and are unique.
     """
     taken: list[str] = []
     for name in names:
@@ -409,8 +416,10 @@ def plain_names(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class ImportedPath:
-    """A path on a bone: its poses in the frame of the site, its depth under the surface, and a
-    sentence on it.
+    """Path on a bone.
+
+    It contains the poses in the frame of the site, the depth below the surface, and a sentence that
+    describes the path.
     """
 
     table: ReplayTable
@@ -419,14 +428,14 @@ class ImportedPath:
 
 
 def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> ImportedPath | None:
-    """Read the path of a request and move it to its site.
+    """Read the path of a request and convert it to the frame of the site.
 
     The result is None if the request has no path.
 
     Raises
     ------
     InputError
-        If it cannot be read, never enters the bone, or there is no site.
+        If the path cannot be read or never enters the bone, or if there is no site.
     """
     if request.path is None:
         return None

@@ -1,6 +1,7 @@
-"""Whole body of a tool, used to measure distances to structures: outline and medial axis.
+"""Outline and medial axis of a whole tool, from which distances to structures are computed.
 
-The medial axis holds the centres of the largest inscribed balls, whose union is the tool.
+The medial axis consists of the centres of the largest inscribed balls. The union of these balls is
+the tool.
 """
 
 from collections.abc import Callable
@@ -26,17 +27,17 @@ __all__ = [
 
 ON_SURFACE = 3000
 INSIDE = 1000
-"""Approximate largest number of points on the surface and inside; chosen for pictures."""
+"""Approximate largest number of points on the surface, and inside; chosen for pictures."""
 CONVEX = 1e-9
-"""Largest sine of a turn to the right that counts as rounding."""
+"""Largest sine of a turn to the right that counts as a rounding error."""
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
     """Return points of a body of revolution for pictures and bounding boxes [m], shape (n, 3).
 
-    The origin is at the tip. The points cover the cutting and the smooth surface up to the top of
-    the profile, every ring at which the outline bends, and the inside on a lattice. They are
-    `spacing_m` [m] apart on the surface, or farther apart to limit their number.
+    The origin is at the tip. The points lie on the cutting and the smooth surface up to the top of
+    the profile, on every ring at which the outline has a corner, and on a lattice inside. On the
+    surface, the distance between points is `spacing_m` [m], or more to limit the number of points.
     """
     spacing = max(spacing_m, (sum(piece.area_m2 for piece in profile.pieces) / ON_SURFACE) ** 0.5)
     parts = [spiral(piece, spacing_m=spacing)[0] for piece in profile.pieces]
@@ -57,7 +58,10 @@ def _ring(radius: float, height: float, count: int) -> Array:
 
 
 def _inside(profile: Profile, spacing: float) -> Array:
-    """Return points of a cubic lattice inside a profile, deeper than half their spacing."""
+    """Return points of a cubic lattice inside a profile.
+
+    The depth of each point is more than half the spacing.
+    """
     reach = profile.radius_m
     (low, high) = profile.height_range_m
     pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))
@@ -76,12 +80,12 @@ class OutlineTable:
     kind
         0 for a line, 1 for an arc, shape (pieces,).
     shape
-        Geometry of the pieces, shape (pieces, 10), [m]. Line: start, unit direction, length. Arc:
-        centre, radius, direction of its middle, cosine of its half angle, directions of its ends.
+        Geometry of the pieces [m], shape (pieces, 10). Line: start, unit direction, length. Arc:
+        centre, radius, direction of the middle, cosine of the half angle, directions of the ends.
     first
-        First piece of each part, and the number of pieces, shape (parts + 1,).
+        First piece of each part, followed by the number of pieces, shape (parts + 1,).
     convex
-        1 where a part is convex, shape (parts,).
+        1 if a part is convex, shape (parts,).
     """
 
     kind: Int32s
@@ -122,7 +126,7 @@ def _row(piece: Piece) -> list[float]:
 def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
     """Split a tool into convex outlines whose union is the tool.
 
-    A peg extends through the tool to its top.
+    A peg is a separate part that extends through the tool to its top.
     """
     pieces = profile.pieces
     first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
@@ -137,7 +141,7 @@ def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
 
 
 def _is_convex(pieces: tuple[Piece, ...]) -> bool:
-    """Return whether an outline turns only to its left."""
+    """Return whether an outline only turns to the left."""
     ends = np.array([0.0, 1.0])
     normals = [piece.at(ends)[1] for piece in pieces]
     for before, after in pairwise(normals):
@@ -151,26 +155,29 @@ def _is_convex(pieces: tuple[Piece, ...]) -> bool:
 
 
 MEDIAL_TOLERANCE_M = 4e-6
-"""Largest distance from a ball of the true axis to the balls of the polylines [m].
+"""Largest error of the union of balls due to the approximation of the axis by polylines [m].
 
-It is the distance by which the ball extends beyond their union.
+The error is the distance by which a ball of the true axis extends beyond this union.
 """
 STRAIGHT_M = 1e-6
 """Largest deviation of the polylines in the space of radius, height and ball radius [m].
 
-It is a fourth of the tolerance. A ball extends by at most twice the deviation, and the two steps,
-sampling and merging, each add one deviation.
+The value is a fourth of the tolerance. A ball extends beyond the union by at most twice the
+deviation, and the two steps of sampling and merging each add one deviation.
 """
 FIRST_SAMPLES = 9
 HALVINGS = 26
-"""Initial samples of each piece, and largest number of halvings of the intervals between them.
+"""Number of initial samples of each piece, and of halvings of the intervals between samples.
 
-The last intervals are 2e-9 of a piece.
+The smallest intervals are 2e-9 of a piece.
 """
 BISECTIONS = 44
-"""Number of halvings of a ball's radius: to 2e-14 m in the largest tool, far below `TOUCH_M`."""
+"""Number of halvings of the interval of a ball's radius.
+
+The interval is then 2e-14 m in the largest tool, far less than `TOUCH_M`.
+"""
 TOUCH_M = 1e-10
-"""Allowance for rounding, by which a ball may extend beyond the outline [m]."""
+"""Distance by which a ball may extend beyond the outline because of rounding errors [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +187,10 @@ class MedialAxis:
     Attributes
     ----------
     starts_m, ends_m
-        Radius, height and ball radius at both ends of each segment [m], shape (segments, 3). The
-        ball radius is linear in between.
+        Radius, height and ball radius at the two ends of each segment [m], shape (segments, 3). The
+        ball radius is linear along a segment.
     across
-        1 where no single convex part of the tool contains the ball, as at the foot of a peg,
+        1 if no single convex part of the tool contains the balls, such as at the foot of a peg,
         shape (segments,).
     """
 
@@ -195,8 +202,8 @@ class MedialAxis:
 def medial_axis(profile: Profile) -> MedialAxis:
     """Compute the medial axis of a half section.
 
-    Each largest ball touches the outline. The outline is sampled, and at each sample the largest
-    ball that touches it from inside is found by bisection.
+    Each largest inscribed ball touches the outline. The outline is sampled. At each sample, a
+    bisection finds the largest ball that touches the outline from inside.
     """
     chains = [_chain(profile, touch) for touch in _touches(profile.pieces)]
     starts = np.concatenate([chain[:-1] for chain in chains])
@@ -213,11 +220,11 @@ def medial_axis(profile: Profile) -> MedialAxis:
 
 
 Touch = Callable[[Array], tuple[Array, Array]]
-"""Map from shares in [0, 1] to outline points [m] and outward normals, each of shape (n, 2)."""
+"""Map from numbers in [0, 1] to outline points [m] and outward normals, each of shape (n, 2)."""
 
 
 def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
-    """Return the contacts of an inscribed ball: each piece, and each reentrant corner.
+    """Return what an inscribed ball can touch: each piece, and each reentrant corner.
 
     A reentrant corner points into the tool.
     """
@@ -235,7 +242,7 @@ def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
 
 
 def _fan(corner: Array, first: float, turn: float) -> Touch:
-    """Return the contact at a corner, with normals between the normals of its two pieces."""
+    """Return the contact at a corner, with normals between the normals of the adjacent pieces."""
 
     def touch(share: Array) -> tuple[Array, Array]:
         angle = first + share * turn
@@ -272,19 +279,19 @@ def _balls(profile: Profile, points: Array, normals: Array) -> Array:
     """
     low, high = profile.height_range_m
     least = np.zeros(len(points))
-    # No ball inside is larger.
+    # Upper bound: no ball inside the tool is larger.
     most = np.full(len(points), 0.5 * (high - low) + profile.radius_m)
     for _ in range(BISECTIONS):
         size = 0.5 * (least + most)
         centres = points - size[:, None] * normals
-        # A centre outside the tool is closer to the crossing point, so that no sign is needed.
-        # Beyond the axis, a ball is closer to the other side of the outline.
+        # A centre outside the tool is closer to the point where the normal crosses the outline, so
+        # no sign is needed. Beyond the axis, a ball is closer to the other side of the outline.
         nearest = np.min([piece.seen_from(centres)[0] for piece in profile.pieces], axis=0)
         fits = (centres[:, 0] >= -TOUCH_M) & (nearest >= size - TOUCH_M)
         least = np.where(fits, size, least)
         most = np.where(fits, most, size)
     centres = points - least[:, None] * normals
-    # A ball on the axis may lie beyond it by TOUCH_M.
+    # The centre of a ball on the axis may lie beyond the axis by TOUCH_M.
     centres[:, 0] = np.maximum(centres[:, 0], 0.0)
     return np.column_stack([centres, least])
 
@@ -295,7 +302,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
     Distances are in the space of radius, height and ball radius.
     """
     along = ends - starts
-    # 1e-30: both ends of a segment may coincide.
+    # 1e-30: the two ends of a segment may coincide.
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     share = np.clip(np.einsum("ij,ij->i", balls - starts, along) / squared, 0.0, 1.0)
     return np.asarray(np.linalg.norm(balls - starts - share[:, None] * along, axis=1))

@@ -1,4 +1,7 @@
-"""Cutter: a profile with flutes, as a distance table for carving and a point shell for forces."""
+"""Cutter: a profile with flutes.
+
+A cutter provides a distance table for carving and a point shell for forces.
+"""
 
 from dataclasses import dataclass
 from math import ceil, pi, sqrt
@@ -16,31 +19,34 @@ __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table [voxel], curvature x cell^2 / 8.
 
-It is less than one step of the stored distances, 1/4096 voxel. The limits of the resolution take
-precedence.
+The error is less than one step of the stored distances, 1/4096 voxel. The limits of the resolution
+take precedence over this error.
 """
 CELLS_PER_VOXEL = 2.0, 6.0
-"""Smallest and largest resolution of the distance table.
+"""Smallest and largest number of table cells per voxel.
 
-Two cells meet the error from a radius of 156 voxels. Six cells exceed it below a radius of 17
-voxels: 7e-4 at 5 voxels.
+From a tool radius of 156 voxels, two cells are enough for `TABLE_ERROR_VOXELS`. Below a radius of
+17 voxels, six cells are not enough. At a radius of 5 voxels the error is 7e-4 voxels.
 """
 EDGE_REACH_VOXELS = 3.0
 """Distance from an edge of the profile within which voxels are cut one by one.
 
-It is larger than the half diagonal of a block.
+The distance is larger than the half diagonal of a block.
 """
 PATCH = 128
 SMALL_PATCH = 8
-"""Numbers of neighbouring surface elements in a patch, and in a small patch within it.
+"""Number of neighbouring surface elements in a patch, and in a small patch within a patch.
 
-They face similar directions and touch the same voxels. They are the elements that the kernels
-process together, see `kernels.elements.CHUNK` and `kernels.elements.LANES`.
+The elements of a patch have similar normals and touch the same voxels. The kernels process these
+elements together, see `kernels.elements.CHUNK` and `kernels.elements.LANES`.
 """
 GOLDEN = 0.6180339887498949
-"""Turn from one element to the next in a Fibonacci lattice: inverse of the golden ratio."""
+"""Fraction of a turn between consecutive elements of a Fibonacci lattice: 1 / golden ratio."""
 MARGIN_VOXELS = 10.0
-"""Margin of the table around the tool; larger than the half diagonal of a brick."""
+"""Margin of the table around the tool.
+
+It is larger than the half diagonal of a brick, a block of 8 x 8 x 8 voxels.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,7 @@ class PointShell:
 
 @dataclass(frozen=True)
 class DistanceTable:
-    """Signed distance over (radius, height) [voxel]; see :class:`kernels.revolution.Revolution`."""
+    """Signed distance by radius and height [voxel], see :class:`kernels.revolution.Revolution`."""
 
     distance: Singles
     slope: Singles
@@ -97,9 +103,9 @@ class Cutter:
     flute_count
         Number N of cutting edges around the axis.
     spin_rad_s
-        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to
-        shank. A common right-hand drill or mill turns clockwise as seen from its shank, which is
-        negative. A cutting tool has a non-zero spin.
+        Angular velocity about the axis [rad/s], positive by the right-hand rule for the axis from
+        tip to shank. A common right-hand drill or mill turns clockwise as seen from its shank, so
+        its spin is negative. A cutting tool has a non-zero spin.
     """
 
     profile: Profile
@@ -116,7 +122,7 @@ class Cutter:
 
     @property
     def chip_per_speed_s(self) -> float:
-        """Chip thickness over normal feed speed, 2 pi / (N omega) [s]."""
+        """Ratio of chip thickness to normal feed speed, 2 pi / (N omega) [s]."""
         return 2.0 * pi / (self.flute_count * abs(self.spin_rad_s))
 
     @property
@@ -130,25 +136,26 @@ class Cutter:
         return sum(piece.area_m2 for piece in self.profile.pieces if piece.cutting)
 
     def shell(self, *, spacing_m: float) -> PointShell:
-        """Return a point shell with elements about ``spacing_m`` apart, denser toward the axis.
+        """Return a point shell of the cutting surface, see `PointShell`.
 
-        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece. No two elements
-        share a height, so that the rim of a cut never reaches many elements at once. Sums over part
-        of the surface converge almost as fast as sums over the whole surface.
+        The distance between elements is about ``spacing_m``, and less toward the axis. Elements lie
+        on golden-angle spirals, a Fibonacci lattice on each piece. No two elements have the same
+        height, so the rim of a cut never reaches many elements at once. Sums over part of the
+        surface converge almost as fast as sums over the whole surface.
         """
         return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
 
     def load_factors(self, radii_m: Array) -> Array:
         """Return factors of tangential and radial loads at distances from the axis, shape (n, 2).
 
-        They are ones unless the cutter is a drill with a chisel edge.
+        The factors are 1 unless the cutter is a drill with a chisel edge.
         """
         point = self.profile.point
         return np.ones((len(radii_m), 2)) if point is None else point.load_factors(radii_m)
 
     @property
     def has_smooth_surface(self) -> bool:
-        """True if some of the surface, such as a peg or a flat top, does not cut."""
+        """True if a part of the surface, such as a peg or a flat top, does not cut."""
         return not all(piece.cutting for piece in self.profile.pieces)
 
     def smooth_shell(self, *, spacing_m: float) -> PointShell:
@@ -211,7 +218,7 @@ class Cutter:
 
 _tables: Kept[DistanceTable] = Kept(8)
 _shells: Kept[PointShell] = Kept(8)
-"""Caches by profile and spacing of voxels or elements."""
+"""Caches of shells and tables, by profile and by spacing of elements or voxels."""
 
 
 def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
@@ -220,8 +227,8 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)
     radius = piece.at(share)[0][:, 0]
-    # Half of the elements follow the area, half the length of the profile: edge forces weigh a
-    # ring by its width alone.
+    # Half of the elements are distributed by area, and half by length of the profile, because the
+    # edge force on a ring depends only on its width.
     density = radius / radius.mean() + 1.0
     below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
     at = np.interp((np.arange(count) + 0.5) / count, below / below[-1], share)
@@ -236,9 +243,10 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
 
 
 def _patches(points: Array, chosen: Ints) -> list[Ints]:
-    """Return indices of points in patches of `SMALL_PATCH`, by halving along the longest side.
+    """Return indices of points, ordered in patches of `SMALL_PATCH` neighbours.
 
-    Consecutive small patches form patches of `PATCH`. The last patch may be smaller.
+    The points are repeatedly halved along the longest side. Consecutive small patches form patches
+    of `PATCH` points. The last patch may be smaller.
     """
     if len(chosen) <= SMALL_PATCH:
         return [chosen]

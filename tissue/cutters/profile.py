@@ -1,4 +1,4 @@
-"""Profiles of cutters: the half section that is revolved around the tool's axis.
+"""Profiles of cutters: half sections that are rotated around the tool's axis.
 
 A profile runs in the (radius, height) half plane from the axis at the tip to the axis at the top,
 with the material to its left. Heights are measured from the tip, the reference point of a tool
@@ -63,7 +63,7 @@ class Line:
     def at(self, share: Array) -> tuple[Array, Array]:
         """Return points [m] and outward normals, each of shape (n, 2).
 
-        ``share`` is the share of the length, in [0, 1].
+        ``share`` is the position along the piece, as a fraction of its length.
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -117,7 +117,7 @@ class Arc:
     def at(self, share: Array) -> tuple[Array, Array]:
         """Return points [m] and outward normals, each of shape (n, 2).
 
-        ``share`` is the share of the length, in [0, 1].
+        ``share`` is the position along the piece, as a fraction of its length.
         """
         angle = self.first + share * (self.last - self.first)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -132,7 +132,7 @@ class Arc:
         reach = np.linalg.norm(from_centre, axis=1)
         middle = 0.5 * (self.first + self.last)
         angle = np.arctan2(from_centre[:, 1], from_centre[:, 0])
-        # Wrapped to half a turn.
+        # The angle is wrapped to half a turn.
         off = np.abs(np.angle(np.exp(1j * (angle - middle))))
         within = off <= 0.5 * (self.last - self.first)
         ends = self.at(np.array([0.0, 1.0]))[0]
@@ -142,8 +142,11 @@ class Arc:
         return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Return the points that outline the piece to 1e-5 of its radius, without its end."""
-        # The chord of 0.009 rad leaves the arc by 1e-5 of its radius.
+        """Return points that outline the piece, without its end.
+
+        The error of the outline is 1e-5 of the radius.
+        """
+        # The largest distance between a chord of 0.009 rad and the arc is 1e-5 of its radius.
         share = np.linspace(0.0, 1.0, max(int((self.last - self.first) / 0.009), 2), endpoint=False)
         return [(float(r), float(z)) for r, z in self.at(share)[0]]
 
@@ -170,7 +173,7 @@ class Profile:
         points = [corner for piece in self.pieces for corner in piece.corners()]
         return np.array([*points, (0.0, float(self.pieces[-1].at(np.array([1.0]))[0][0, 1]))])
 
-    @cached_property  # read on every tick of a cut
+    @cached_property  # read in every tick of a cut
     def radius_m(self) -> float:
         """Largest radius [m]."""
         return float(self.outline[:, 0].max())
@@ -184,7 +187,7 @@ class Profile:
     def edges(self) -> Array:
         """Points where the outline is not smooth, shape (n, 2): radius and height [m].
 
-        At the axis, the outline is continued by its mirror image.
+        At the axis, the outline continues as its mirror image.
         """
         ends = np.array([0.0, 1.0])
         starts = [piece.at(ends) for piece in self.pieces]
@@ -203,7 +206,7 @@ class Profile:
     def distance(self, points: Array) -> tuple[Array, Array]:
         """Return the signed distance [m], negative inside, and the meridional curvature [1/m].
 
-        Both are evaluated at (radius, height) points.
+        The distance and the curvature are evaluated at (radius, height) points.
         """
         seen = [piece.seen_from(points) for piece in self.pieces]
         distances = np.stack([distance for distance, _ in seen])
@@ -217,11 +220,11 @@ class Profile:
 def _inside(outline: Array, points: Array) -> Flags:
     """Return whether (radius, height) points are inside a closed outline.
 
-    The method counts crossings along +radius.
+    The method counts the crossings of a ray in the direction of +radius.
     """
     inside = np.zeros(len(points), bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        # A horizontal edge is parallel to the ray, and no ray crosses the axis.
+        # A horizontal edge is parallel to the ray and is skipped. No ray crosses the axis.
         if z0 == z1 or max(r0, r1) < AXIS_M:
             continue
         spans = (z0 > points[:, 1]) != (z1 > points[:, 1])
@@ -231,13 +234,13 @@ def _inside(outline: Array, points: Array) -> Flags:
 
 
 def ball_burr(*, diameter_m: float) -> Profile:
-    """Return a full ball with the tip at its lowest point."""
+    """Return a ball with the tip at its lowest point."""
     r = 0.5 * diameter_m
     return Profile((Arc((0.0, r), r, -0.5 * pi, 0.5 * pi),), convex=True)
 
 
 def cylinder(*, diameter_m: float, length_m: float) -> Profile:
-    """Return a flat-ended cylinder (end mill) that cuts with end and side."""
+    """Return a flat-ended cylinder (end mill) that cuts with its end and side."""
     r = 0.5 * diameter_m
     return Profile(
         (
@@ -261,7 +264,7 @@ def twist_drill(
 
     ``point_angle_rad`` is the included angle of the lips. With a web, the drill has a chisel edge
     and its rake varies along the lips. A web of None is `WEB` times the diameter. Without a web,
-    the lips reach the axis and have one rake.
+    the lips reach the axis and have a constant rake.
     """
     r = 0.5 * diameter_m
     web_m = WEB * diameter_m if web_m is None else web_m
@@ -290,11 +293,11 @@ def hemispherical_reamer(
 ) -> Profile:
     """Return a hemisphere that cuts with its face.
 
-    It has a central guide peg if the diameter of the peg is not 0.
+    The reamer has a central guide peg if the diameter of the peg is not 0.
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
-    # With a peg, the face begins where the ball is as wide as the peg.
+    # With a peg, the cutting face begins where the ball is as wide as the peg.
     first = -0.5 * pi if q == 0.0 else -float(np.arccos(q / r))
     pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, r + r * sin(first))
     face = Arc((0.0, r), r, first, 0.0)
@@ -304,9 +307,9 @@ def hemispherical_reamer(
 def flat_reamer(
     *, diameter_m: float, length_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
-    """Return a disc ``length_m`` thick that cuts with face and rim.
+    """Return a disc with the thickness ``length_m`` that cuts with its face and rim.
 
-    It has a central guide peg if the diameter of the peg is not 0.
+    The reamer has a central guide peg if the diameter of the peg is not 0.
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m

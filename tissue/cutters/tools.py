@@ -1,4 +1,4 @@
-"""Rotating cutters in the units of catalogues: millimetres, flutes and turns per minute."""
+"""Rotating cutters defined in millimetres, flutes and turns per minute, as in catalogues."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,11 +20,11 @@ __all__ = [
 ]
 
 FASTEST_RPM = 1e6
-"""Highest spin [turns per minute]; an air turbine has 400,000."""
+"""Highest allowed spin [turns per minute]; an air turbine has 400,000."""
 
 
 def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a ball that cuts all around.
+    """Return a ball burr, which cuts with its whole surface.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def pear_bur(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: flo
 
 
 def cylinder(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a flat end mill that cuts with face and side, `length_mm` [mm] long.
+    """Return a flat end mill with the length `length_mm` [mm] that cuts with its face and side.
 
     For the other parameters see `ball_burr`.
     """
@@ -71,12 +71,12 @@ def twist_drill(
     flutes: int = 2,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a twist drill `length_mm` [mm] long with a point angle of 60 to 170 degrees.
+    """Return a twist drill with the length `length_mm` [mm] and a point angle of 60 to 170 degrees.
 
-    `web_mm` is the thickness of the web [mm], up to half the diameter, which makes a chisel edge;
-    by default 18 % of the diameter. `helix_deg` is the helix angle of the flutes, 0 to 60 degrees.
-    Without a web (0) the lips reach the axis and have one rake. For the other parameters see
-    `ball_burr`.
+    `web_mm` is the thickness of the web [mm], at most half the diameter. The web forms a chisel
+    edge. Default: 18 % of the diameter. With a web of 0, the lips reach the axis and have a
+    constant rake. `helix_deg` is the helix angle of the flutes, 0 to 60 degrees. For the other
+    parameters see `ball_burr`.
     """
     angle = radians(require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use 118"))
     helix = radians(require_range("helix_deg", helix_deg, 0.0, 60.0, "use 30"))
@@ -102,7 +102,7 @@ def hemispherical_reamer(
 ) -> Cutter:
     """Return a reamer shaped as half a ball.
 
-    It has a smooth peg at its front if the sizes of the peg are given [mm].
+    The reamer has a smooth peg at its front if the diameter and length of the peg [mm] are given.
     """
     peg = _peg(peg_diameter_mm, peg_length_mm, diameter_mm)
     return _cutter(
@@ -119,9 +119,9 @@ def flat_reamer(
     flutes: int,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a disc `length_mm` [mm] high that cuts with its face and rim.
+    """Return a disc with the height `length_mm` [mm] that cuts with its face and rim.
 
-    It has a smooth peg if the sizes of the peg are given [mm].
+    The disc has a smooth peg if the diameter and length of the peg [mm] are given.
     """
     make = partial(profile.flat_reamer, **_peg(peg_diameter_mm, peg_length_mm, diameter_mm))
     return _cutter(make, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
@@ -130,7 +130,7 @@ def flat_reamer(
 def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
     """Return a cutter with any half section, see `tissue.cutters.profile.Profile`.
 
-    For flutes and spin see `ball_burr`.
+    For the parameters `flutes` and `spin_rpm` see `ball_burr`.
     """
     if isinstance(flutes, bool) or not isinstance(flutes, int) or not 1 <= flutes <= 200:
         raise InputError(
@@ -146,14 +146,14 @@ def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
             "0",
             "use 500 for a reamer, 20000 for a burr",
         )
-    # Clockwise as seen from the shank is a negative turn about the axis.
+    # A clockwise spin as seen from the shank is negative about the axis.
     return Cutter(shape, flutes, -rpm * 2.0 * pi / 60.0)
 
 
 def _cutter(
     make: Callable[..., Profile], flutes: int, spin_rpm: float, **lengths_mm: float
 ) -> Cutter:
-    """Return the cutter of a profile, with lengths in millimetres."""
+    """Make a cutter from a function that returns its profile, with lengths in millimetres."""
     lengths_m = {
         name.removesuffix("_mm") + "_m": 1e-3
         * require_range(name, length, 0.1, 200.0, "give it in millimetres")
@@ -173,7 +173,7 @@ def _require_longer(length_mm: float, least_mm: float, what: str) -> None:
 
 
 def _peg(diameter_mm: float, length_mm: float, tool_mm: float) -> dict[str, float]:
-    """Return the arguments for a profile with a peg, in metres; empty without a peg."""
+    """Return the arguments of a profile for a peg, in metres; empty without a peg."""
     if diameter_mm == 0.0 and length_mm == 0.0:
         return {}
     require_positive("peg_diameter_mm", diameter_mm, "give both sizes of the peg, or neither")

@@ -1,10 +1,11 @@
-"""Gymnasium environments in which contact force matters: milling, drilling and palpation.
+"""Gymnasium environments for tasks with contact force: milling, drilling and palpation.
 
-The tasks are milling a pocket, drilling a tooth, and palpating for a nodule.
+The tasks are to mill a pocket, to drill a tooth, and to find a nodule by palpation.
 
-Once this module is imported, `gymnasium.make` accepts ``tissue/Milling-v0``, ``tissue/Drilling-v0``
-and ``tissue/Palpation-v0``; ``gymnasium.make("tissue.environments:tissue/Milling-v0")`` also
-imports it. Gymnasium reads no entry points since version 1.0.
+After `import tissue.environments`, `gymnasium.make` accepts ``tissue/Milling-v0``,
+``tissue/Drilling-v0`` and ``tissue/Palpation-v0``. Without this import, use
+``gymnasium.make("tissue.environments:tissue/Milling-v0")``. Gymnasium has not read entry points
+since version 1.0, so it cannot find the environments by itself.
 """
 
 from importlib import import_module
@@ -22,7 +23,7 @@ __all__ = ["IDS", "Drilling", "Milling", "Palpation", "register_environments"]
 
 NAMES = ("Drilling", "Milling", "Palpation")
 IDS = {f"tissue/{name}-v0": f"tissue.environments.{name.lower()}:{name}" for name in NAMES}
-"""Class of each environment by its name in gymnasium; it is imported at first use."""
+"""Class of each environment, keyed by its name in gymnasium; it is imported at its first use."""
 
 
 def register_environments() -> None:

@@ -22,74 +22,79 @@ if TYPE_CHECKING:
 __all__ = ["Drilling"]
 
 REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
-"""Part of the crown that can be cut [m].
+"""Corners of the part of the crown that can be cut [m].
 
-It holds the drawn positions, 1 mm to each side, with the bur's radius, and the largest depth.
+The part contains all start positions (1 mm to each side) with the radius of the bur, down to the
+largest depth.
 """
 SPACING_M = 5e-5
-"""Edge of a voxel [m]: a twentieth of the bur."""
+"""Edge of a voxel [m]: a twentieth of the diameter of the bur."""
 BUR_MM = 1.0
 FLUTES = 6
 SPIN_RPM = 400_000.0
 COLOURS = ("#CFE3F2", "#E8D3A2", "#D55E00", "#8C6D46", "#B0A0C0", "#D8D2C4")
 """Colours of the layers in pictures."""
 HAND_KG = 0.1
-"""Mass that moves with the bur [kg]: a handpiece and part of the hand.
+"""Mass that moves with the bur [kg]: handpiece and part of the hand.
 
-A handpiece has 0.06 to 0.1 kg (from memory of makers' data).
+A handpiece has 0.06 to 0.1 kg (manufacturers' data, from memory).
 """
 TOP_SPEED_M_S = 1e-2
-"""Largest speed of the bur [m/s]: 0.01 mm a tick, a fifth of a voxel."""
+"""Largest speed of the bur [m/s]: 0.01 mm per tick, a fifth of a voxel."""
 START_M = 5e-4
 CEILING_M = 8e-4
-"""Gap between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
+"""Distance between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
 INTO_DENTIN_M = 5e-4
-"""Wanted depth beyond the junction of enamel and dentin [m].
+"""Target depth below the junction of enamel and dentin [m].
 
-It is about the depth of a cavity's base, 0.2 to 0.5 mm (from memory).
+The base of a cavity lies 0.2 to 0.5 mm below the junction (from memory).
 """
 TOO_DEEP_M = 1e-3
-"""Distance beyond the wanted depth at which the episode is lost [m].
+"""Distance below the target depth at which an episode ends without success [m].
 
-The pulp lies 3 mm below the junction.
+The pulp lies 3 mm below the junction of enamel and dentin.
 """
 
 
 class Drilling(ContactEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
-    A round bur of 1 mm at 400,000 revolutions a minute moves straight down. No observation shows
-    where the enamel ends; only the resistance decreases. An episode draws the position on the
-    occlusal surface and the densities of enamel and dentin, which change the cutting forces.
+    A round bur of 1 mm at 400,000 revolutions per minute moves straight down. Where the enamel
+    ends, the resistance decreases; no observation shows the depth of this junction directly. Each
+    episode draws a position on the occlusal surface, and the densities of enamel and dentin. The
+    densities change the cutting forces.
 
-    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, scaled by 3 N, positive
-    downwards. The motion of the bur follows from the balance of thrust, cutting force, inertia of
-    0.1 kg and damping. In air the damping limits the bur to 10 mm/s under 3 N.
+    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, multiplied by 3 N, positive
+    downwards. The motion of the bur is computed from the balance of thrust, cutting force, inertia
+    of 0.1 kg and damping. In air, the damping limits the speed of the bur to 10 mm/s at 3 N.
 
-    **Observation**, see `entries`: depth of the tip below the surface at that position, largest
-    depth so far, velocity downwards, force and torque on the bur, volume removed, time left.
+    **Observation**, see `entries`: depth of the tip below the surface at the drawn position,
+    largest depth so far, downward velocity, force and torque on the bur, removed volume, and
+    remaining time.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
         P = min(deepest, d) / d - max(0, deepest - d) / 1 mm
 
-    Here ``deepest`` is the largest depth so far, and d is the wanted depth, from the surface to 0.5
-    mm below the junction on the bur's axis. ``reward_terms`` holds its parts as ``progress`` and
-    ``overdepth``. No policy scores above 1; doing nothing scores -0.1. An episode ends when the bur
-    has cut and is 0.8 mm above the surface again, or when it is 1 mm too deep. It is truncated
-    after 5 s. Force above 2 N reduces the reward. Heat is not modelled.
+    Here ``deepest`` is the largest depth so far. The target depth d is measured on the axis of the
+    bur, from the surface to 0.5 mm below the junction. ``reward_terms`` contains the two parts of
+    the potential as ``progress`` and ``overdepth``. No policy scores above 1; without any action
+    the score is -0.1. An episode ends when the bur has cut and is again 0.8 mm above the surface,
+    or when it is 1 mm below the target depth. An episode is truncated after 5 s. Force above 2 N
+    reduces the reward. Heat is not modelled.
 
     Parameters
     ----------
     materials
-        File of constants in place of the cited ones, as `tissue fit` writes it.
+        File of constants that replace the built-in constants, in the format that `tissue fit`
+        writes.
     options
         As for `ContactEnvironment`.
     """
 
     entries = (
-        # Scales: depth of `REGION_M`, largest speed, and twice the force limit. In an episode at
-        # full thrust, force, torque and volume reach 2.0 N, 1.2 N mm and 2.2 mm3.
+        # The scales are the depth of `REGION_M`, the largest speed, and twice the force limit. In
+        # an episode with full thrust, force, torque and volume reach 2.0 N, 1.2 N mm and 2.2 mm3.
         Entry("depth", 4.0, "mm"),
         Entry("deepest", 4.0, "mm"),
         Entry("velocity", 10.0, "mm/s"),
@@ -100,14 +105,14 @@ class Drilling(ContactEnvironment):
     )
     action_count = 1
     ranges = {  # noqa: RUF012
-        # around the middle of the fossa; densities around those of cutting.toml
+        # Positions around the middle of the fossa, and densities around those of cutting.toml.
         "x_mm": (-1.0, 1.0),
         "y_mm": (-1.0, 1.0),
         "enamel_density_kg_m3": (2700.0, 3000.0),
         "dentin_density_kg_m3": (2000.0, 2200.0),
     }
-    # The scripted expert takes 1.8 s at forces up to 1.4 N, and the full thrust reaches the limit.
-    # Dentists prepare teeth with 0.1 to 5 N (perception.toml).
+    # The scripted expert takes 1.8 s, with forces up to 1.4 N. With full thrust the force reaches
+    # the limit. Dentists prepare teeth with 0.1 to 5 N (perception.toml).
     usual_duration_s = 5.0
     usual_force_limit_N = 2.0
     thrust_N = 3.0
@@ -129,7 +134,7 @@ class Drilling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """Restorable bone of the volume under the bur; made at the first reset."""
+        """Tooth under the bur that can be restored; made at the first reset."""
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         return RestorableBone(
             self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials
@@ -150,7 +155,7 @@ class Drilling(ContactEnvironment):
         self._speed = self._deepest_m = 0.0
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tip above its drawn position."""
+        """Put the tip above the drawn position."""
         motion.tip_m[:2] = self._place_m
         motion.tip_m[2] = self.surface_m + START_M
         motion.heading[0] = (0.0, 0.0, -1.0)
@@ -158,13 +163,13 @@ class Drilling(ContactEnvironment):
         motion.pressed = 0.0
 
     def _heights(self, place_m: Array) -> tuple[float, float]:
-        """Return heights of the surface and the enamel's end at a position [m].
+        """Return the heights of the surface and of the end of the enamel at a position [m].
 
-        They are in whole voxels.
+        The heights are multiples of the voxel spacing.
         """
         volume = self.volume
         i, j = np.floor((place_m - volume.origin_m[:2]) / volume.spacing_m).astype(int)
-        # at least half full, of 255
+        # at least half full (255 = full)
         held = volume.fraction[i, j] > 127
         enamel = held & (volume.layer[i, j] == volume.layer_names.index("enamel"))
         heights = volume.origin_m[2] + volume.spacing_m * np.array(
@@ -173,11 +178,12 @@ class Drilling(ContactEnvironment):
         return float(heights[0]), float(heights[1])
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the bur to the tick's first guess, from the force at the end of the last tick."""
+        """Move the bur to a first estimate, computed with the force at the end of the last tick."""
         self._thrust = self.thrust_N * float(self._command[0])
         self._before = self._speed
         self._top_m = float(motion.tip_m[2])
-        # The bone resists only a bur that moves or is pushed down; its cut is open above it.
+        # The tooth resists only a bur that moves or is pushed down, because the cut is open above
+        # the bur.
         down = self._before > 0.0 or self._thrust > 0.0
         self._speed = self._balanced(response, motion, down=down)
         self._searches = down and self._speed > 0.0
@@ -191,7 +197,7 @@ class Drilling(ContactEnvironment):
         self._set_speed(response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Search downwards for the pose at which the bone's force balances the thrust."""
+        """Search downwards for the pose at which the force of the tooth balances the thrust."""
         if not self._searches:
             return False
         balanced = max(self._balanced(response, motion, down=True), 0.0)
@@ -204,7 +210,9 @@ class Drilling(ContactEnvironment):
         return False
 
     def _set_speed(self, response: Response, motion: ToolMotion) -> None:
-        """Set the cutting speed, and the share of the thrust that the bone bears at rest."""
+        """Set the cutting speed, and the share of the thrust that the tooth bears when the bur is
+        at rest.
+        """
         edge = max(float(response.edge[2]), 0.0)
         motion.speed_m_s = abs(self._speed)
         rests = self._speed == 0.0 and self._thrust > 0.0 and edge > 0.0
@@ -212,9 +220,9 @@ class Drilling(ContactEnvironment):
         motion.heading[0, 2] = 1.0 if self._speed < 0.0 else -1.0
 
     def _felt(self, response: Response) -> Array:
-        """Return the loads in the cut bone on a bur that moves down.
+        """Return the loads of the cut tooth on a bur that moves down.
 
-        The next tick starts from these loads.
+        The next tick starts with these loads.
         """
         motion = self.tool
         motion.heading[0, 2] = -1.0
@@ -225,7 +233,7 @@ class Drilling(ContactEnvironment):
         return self.stepper.response.wrench
 
     def _balanced(self, response: Response, motion: ToolMotion, *, down: bool) -> float:
-        """Return the speed that balances thrust, inertia, damping and the bone's force [m/s]."""
+        """Return the speed that balances thrust, inertia, damping and force of the tooth [m/s]."""
         edge = max(float(response.edge[2]), 0.0)
         drag = max(float(response.resistance[2]), 0.0)
         before = self._before
@@ -257,7 +265,7 @@ class Drilling(ContactEnvironment):
         }
 
     def _is_over(self) -> bool:
-        # 1e-9 m: rounding of the height at which the ceiling stops the bur.
+        # 1e-9 m allows for rounding of the height at which the ceiling stops the bur.
         withdrawn = self._deepest_m > 0.0 and self.depth_m <= -CEILING_M + 1e-9
         return withdrawn or self._deepest_m - self.wanted_m >= TOO_DEEP_M
 
@@ -275,11 +283,11 @@ class Drilling(ContactEnvironment):
         }
 
     def _draw(self, figure: "Figure") -> None:
-        """Draw a section along x under the bur, with the wanted depth."""
+        """Draw a section along x under the bur, and the target depth."""
         side = figure.subplots()
         self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
         wanted = 1e3 * (self.surface_m - self.wanted_m)
         side.axhline(wanted, color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
-        # from the bottom of the region to above the bur at its start
+        # from the bottom of the region to a height above the bur at its start
         side.set_ylim(-4.0, 2.5)
         side.legend(loc="lower right", fontsize=8)

@@ -1,4 +1,4 @@
-"""Base of the environments: bone that is restored for every episode, ticks, observation, reward."""
+"""Base of the environments: restorable bone, ticks, observation and reward."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -34,29 +34,31 @@ if TYPE_CHECKING:
 __all__ = ["PATCH_POINTS", "ContactEnvironment", "Entry", "RestorableBone"]
 
 PATCH_POINTS = 9
-"""Number of points along each side of a patch. An odd number has a point at its centre."""
+"""Number of points along each side of a patch. With an odd number, one point is at the centre."""
 LAYER_BITS = 255
-"""Mask of the layer in a material word of a voxel, whose upper half is the density [kg/m3]."""
+"""Mask of the layer in the material word of a voxel; the upper half of the word is the density
+[kg/m3].
+"""
 
 
 class RestorableBone:
-    """Voxels under one cutter that `restore` resets to the uncut state.
+    """Voxels under one cutter; `restore` resets them to the uncut state.
 
     Parameters
     ----------
     volume
         Voxels with layers.
     cutter
-        The tool.
+        Cutter of the environment.
     shell_spacing_m
-        Distance between the cutter's elements [m].
+        Distance between the cutting elements of the cutter [m].
     materials
-        File of constants in place of the cited ones; None for the cited ones.
+        File of constants that replace the built-in constants; None for the built-in constants.
 
     Attributes
     ----------
     model
-        The bone under the cutter.
+        Model of the bone under the cutter.
     """
 
     def __init__(
@@ -72,8 +74,8 @@ class RestorableBone:
         layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
         given_note(given, used, layers=layers, by="environment")
-        # The material applies to layers without their own coefficients. Environments run in
-        # parallel, so each uses one core.
+        # The material applies to layers that have no coefficients of their own. Environments run in
+        # parallel, so each one uses one core.
         bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
         self._uncut = self.model.state()
@@ -82,7 +84,7 @@ class RestorableBone:
         self._layer = self._material & LAYER_BITS
 
     def restore(self, density_kg_m3: Mapping[str, float]) -> None:
-        """Restore the uncut bone, and set another density of some layers [kg/m3]."""
+        """Restore the uncut bone, and set the densities of some layers [kg/m3]."""
         store = self.model.store
         self.model.restore(self._uncut)
         density = self._material >> 16
@@ -97,22 +99,23 @@ class RestorableBone:
     def voxels(self, layer: str) -> tuple[Ints, Array]:
         """Return full voxels of a layer before any cut.
 
-        They are indices into the flat array of stored voxels, and centres [m].
+        The result is the indices into the flat array of stored voxels, and the centres of the
+        voxels [m].
         """
         store = self.model.store
-        # Remaining bone is stored in 16 bits, 65,535 for a full voxel.
+        # The content of a voxel is stored in 16 bits; a full voxel has 65,535.
         full = self._filled == np.iinfo(np.uint16).max
         chosen = full & (self._layer == store.grid.layer_names.index(layer))
         places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def left(self, at: Ints) -> Flags:
-        """Return whether voxels are at least half full, by their indices in the flat array."""
+        """Return whether voxels, given by indices into the flat array, are at least half full."""
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
     def patch(self, centre_m: Array, spacing_m: float) -> Singles:
-        """Return the share of bone at points around a centre, shape (9, 9, 9), from 0 to 1.
+        """Return the content of voxels (0 to 1) at points around a centre, shape (9, 9, 9).
 
         The axes are along x, y and z.
         """
@@ -124,13 +127,13 @@ class RestorableBone:
     def draw_section(
         self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
     ) -> None:
-        """Draw the layers of the remaining bone in the plane across an axis [m]."""
+        """Draw the layers of the remaining bone in a plane perpendicular to an axis [m]."""
         from matplotlib.colors import ListedColormap
 
         volume = self.volume
         place = int((at_m - volume.origin_m[across]) / volume.spacing_m)
         place = min(max(place, 0), volume.shape[across] - 1)
-        # at least half full, of 255
+        # at least half full (255 = full)
         left = np.take(self.model.remaining(), place, axis=across) > 127
         shown = np.where(left, np.take(volume.layer, place, axis=across).astype(np.int64), -1)
         first, second = (axis for axis in range(3) if axis != across)
@@ -160,9 +163,12 @@ class RestorableBone:
 
 
 FORCE_WEIGHT = 1.0
-"""Penalty for a whole episode at twice the force limit."""
+"""Penalty for a force of twice the limit during a whole episode."""
 TIME_WEIGHT = 0.1
-"""Penalty for the time of a whole episode; doing nothing scores its negative."""
+"""Penalty for the time of a whole episode.
+
+Without any action, the score is the negative of this value.
+"""
 
 
 @dataclass(frozen=True)
@@ -174,11 +180,11 @@ class Entry:
     name
         Name of the quantity.
     scale
-        Value that becomes 1 in the observation, in `unit`; larger values are clipped.
+        Value, in `unit`, that becomes 1 in the observation; larger values are clipped.
     unit
         Unit of the scale.
     count
-        Count of the numbers.
+        Number of values in the group.
     """
 
     name: str
@@ -188,31 +194,33 @@ class Entry:
 
 
 class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
-    """Environment in which a policy moves a tool against tissue; it is the tool's motion.
+    """Environment in which a policy moves a tool against tissue.
 
-    A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation
-    consists of the numbers of `entries`, each divided by its scale and clipped to [-1, 1]. Loads
-    are means over the step. The reward of a step is::
+    The environment object is also the motion of the tool.
+
+    In a step, one action, whose entries lie in [-1, 1], is applied for `ticks` ticks of 1 ms. The
+    observation consists of the values of `entries`, each divided by its scale and clipped to [-1,
+    1]. Loads are means over the step. The reward of a step is::
 
         P(after) - P(before)
             - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
             - 0.1 * ticks / M
 
-    with the potential P of the task, the size F of the contact force and the M ticks of a whole
-    episode. ``info`` holds its parts in ``reward_terms``, the episode's random draws in ``drawn``,
-    the largest force of the step in ``peak_force_N``, and the score so far, which is the sum of
-    rewards, in ``score``.
+    Here P is the potential of the task, F is the magnitude of the contact force, and M is the
+    number of ticks of a whole episode. ``info`` contains the parts of the reward in
+    ``reward_terms``, the random draws of the episode in ``drawn``, the largest force of the step in
+    ``peak_force_N``, and the sum of rewards so far in ``score``.
 
     Parameters
     ----------
     ticks
-        Ticks of 1 ms in a step, 1 to 200.
+        Number of ticks of 1 ms in a step, 1 to 200.
     duration_s
-        Time after which an episode is truncated [s]; None for the task's default.
+        Time after which an episode is truncated [s]; None for the default of the task.
     force_limit_N
-        Contact force above which force reduces the reward [N]; None for the task's default.
+        Contact force above which the reward is reduced [N]; None for the default of the task.
     render_mode
-        None, or ``rgb_array``, for which `render` returns a picture.
+        None or ``rgb_array``. With ``rgb_array``, `render` returns a picture.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
@@ -221,14 +229,14 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
     """Limits of the quantities that an episode draws uniformly.
 
-    `reset(options={...})` fixes any of them.
+    `reset(options={...})` sets any of these quantities to a fixed value.
     """
     usual_duration_s: ClassVar[float]
     usual_force_limit_N: ClassVar[float]
     episode: ClassVar[tuple[str, ...]] = ()
-    """Names of further attributes that `reset` or a step writes."""
+    """Names of additional attributes that `reset` or a step changes."""
     solve_ticks: ClassVar[int] = 1
-    """Ticks of motion between two solves of the tissue within a step."""
+    """Number of ticks of motion between two solutions of the tissue within a step."""
 
     def __init__(
         self,
@@ -238,7 +246,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         force_limit_N: float | None = None,
         render_mode: str | None = None,
     ) -> None:
-        # from one action a tick to five actions a second
+        # from one action per tick to five actions per second
         self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
         self.force_limit_N = require_positive(
             "force_limit_N",
@@ -248,7 +256,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self.duration_s = require_range(
             "duration_s",
             self.usual_duration_s if duration_s is None else duration_s,
-            # At least as long as some steps; ten minutes bound a mistyped value.
+            # An episode must last several steps. The limit of ten minutes detects typing errors.
             0.1,
             600.0,
             f"use {self.usual_duration_s:g}",
@@ -271,7 +279,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self._wrench = np.zeros(6)
         self._command = np.zeros(self.action_count)
         self.drawn: dict[str, float] = {}
-        """Random draws of the present episode."""
+        """Random draws of the current episode."""
 
     @cached_property
     def stepper(self) -> Stepper:
@@ -280,18 +288,18 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @property
     def tool(self) -> ToolMotion:
-        """Pose of the tool at the tissue."""
+        """Current pose of the tool."""
         return self.stepper.tool
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `options` fixes quantities by the names of `ranges`.
+        """Begin an episode; `options` sets fixed values for quantities in `ranges`.
 
         Raises
         ------
         InputError
-            If an option is unknown or out of its range.
+            If an option is unknown or out of range.
         """
         super().reset(seed=seed)
         self.drawn = {
@@ -317,7 +325,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         return self._observe(), {"drawn": dict(self.drawn), "score": 0.0, **self._facts()}
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advance by `ticks` ticks."""
+        """Advance by `ticks` ticks under one action."""
         self._require_episode("step")
         command = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         start = self._potential()
@@ -328,7 +336,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             count = min(self.solve_ticks, self.ticks - done)
             before = self._wrench
             self._wrench = wrench = self._tick(command, count).copy()
-            # Sum over the ticks in between, with loads that change linearly from solve to solve.
+            # Sum over the ticks between two solutions; the loads are interpolated linearly.
             mean = (0.5 - 0.5 / count) * before + (0.5 + 0.5 / count) * wrench
             self._loads += count * mean
             first = before + (wrench - before) / count
@@ -353,9 +361,10 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         return self._observe(), reward, terminated, truncated, info | self._facts()
 
     def snapshot(self) -> State:
-        """Return a copy of the state, which can be pickled and restored in an equal environment.
+        """Return a copy of the state, which can be pickled.
 
-        It holds the tissue, the tool, the episode and the random generator.
+        The state contains the tissue, the tool, the episode and the random generator. It can be
+        restored in an environment that was made with equal arguments.
         """
         self._require_episode("snapshot")
         return {
@@ -365,7 +374,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         }
 
     def restore(self, snapshot: State) -> None:
-        """Return to a snapshot of this environment, or of one with equal arguments."""
+        """Return to a snapshot of this environment, or of an environment with equal arguments."""
         self.drawn = dict(snapshot["own"]["drawn"])
         self._prepare()
         put_back(self, snapshot["own"])
@@ -374,12 +383,12 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @property
     def _kept(self) -> tuple[str, ...]:
-        """Attributes of an episode: those that `reset` or a step writes."""
+        """Names of the attributes that `reset` or a step changes."""
         return ("drawn", "score", "_done_steps", "_loads", "_wrench", "_command", *self.episode)
 
     @property
     def time_left(self) -> float:
-        """Remaining share of the episode's time."""
+        """Remaining share of the time of the episode."""
         return 1.0 - self._done_steps / self._steps
 
     @property
@@ -393,7 +402,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         return self._loads[:3], 1e3 * self._loads[3:]
 
     def named(self, observation: Any) -> dict[str, Array]:
-        """Return the numbers of an observation by name, in the units of `entries`."""
+        """Return the values of an observation, keyed by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
         values = np.asarray(state, np.float64) * self._scales
         places = np.cumsum([e.count for e in self.entries])
@@ -403,12 +412,12 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         }
 
     def _scaled(self, *values: ArrayLike) -> Singles:
-        """Return the numbers of `entries` as an observation."""
+        """Return the scaled values of `entries` as an observation."""
         whole = np.concatenate([np.atleast_1d(each) for each in values])
         return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
 
     def render(self) -> Bytes | None:
-        """Return a picture, shape (height, width, 3); None without a render mode."""
+        """Return a picture, shape (height, width, 3); None if there is no render mode."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
@@ -436,22 +445,22 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @abstractmethod
     def _prepare(self) -> None:
-        """Restore the tissue and apply the values drawn for the episode."""
+        """Restore the tissue, and apply the random draws of the episode."""
 
     def _tick(self, command: Array, count: int) -> Array:
         """Advance by ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
         self._command = command
-        # No motion of an environment depends on the time.
+        # The motions of environments do not depend on the time.
         self.stepper.step(0, step_s=count * TICK_S)
         return self._felt(self.stepper.response)
 
     def _felt(self, response: Response) -> Array:
-        """Return the loads on the tool in a tick, from the tissue's response."""
+        """Return the loads on the tool in a tick, from the response of the tissue."""
         return response.wrench
 
     @abstractmethod
     def _potential(self) -> dict[str, float]:
-        """Return the summands of the potential, which is 0 at the start of an episode."""
+        """Return the terms of the potential, whose sum is 0 at the start of an episode."""
 
     @abstractmethod
     def _is_over(self) -> bool:
@@ -467,9 +476,9 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @abstractmethod
     def _draw(self, figure: "Figure") -> None:
-        """Draw the present state."""
+        """Draw the current state."""
 
 
 def _force(wrench: Array) -> float:
-    """Return the size of the force of a wrench [N]."""
+    """Return the magnitude of the force of a wrench [N]."""
     return sqrt(wrench[:3].dot(wrench[:3]))

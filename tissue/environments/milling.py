@@ -1,4 +1,4 @@
-"""Environment for milling a pocket out of cortical bone with a ball burr."""
+"""Environment for milling a pocket into cortical bone with a ball burr."""
 
 from functools import cached_property
 from os import PathLike
@@ -21,79 +21,81 @@ __all__ = ["Milling"]
 
 LAYERS = ("target", "tolerance", "spared")
 COLOURS = ("#D55E00", "#F0C090", "#D8D2C4")
-"""Layers, and their colours in pictures."""
+"""Layers, and the colours of the layers in pictures."""
 BLOCK_MM = (13.2, 10.8, 3.6)
 """Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels.
 
-At its largest reach the burr stays 1.6 mm from the sides and 2.5 mm from the bottom.
+The burr always stays at least 1.6 mm from the sides of the block and 2.5 mm from its bottom.
 """
 SPACING_MM = 0.2
-"""Edge of a voxel [mm]: a twentieth of the burr.
+"""Edge of a voxel [mm]: a twentieth of the diameter of the burr.
 
-On the tested paths, forces differ by at most 2 % from the forces with 0.1 mm.
+On the tested paths, the forces differ by at most 2 % from those with voxels of 0.1 mm.
 """
 BURR_MM = 4.0
 FLUTES = 6
 SPIN_RPM = 20_000.0
 TOLERANCE_MM = 0.25
-"""Distance from the pocket's wall that counts neither as target nor as overcut [mm].
+"""Distance from the wall of the pocket within which bone is neither target nor overcut [mm].
 
-It applies to both sides. It is more than half a voxel and the scallops between tracks 0.7 mm apart.
+The distance applies to both sides of the wall. It is larger than half a voxel, and larger than the
+scallops between tracks 0.7 mm apart.
 """
 PATCH_MM = 0.6
 """Distance between the points of the patch [mm].
 
-Nine points span a fifth more than the burr.
+Nine points cover 1.2 times the diameter of the burr.
 """
 DONE = 0.99
-"""Share of the target at which the pocket is complete.
+"""Removed share of the target at which the pocket is complete.
 
-The scripted expert reaches 0.9 after 4 s, 0.99 after 5.5 s and 0.999 after 5.9 s.
+The scripted expert removes 0.9 of the target in 4 s, 0.99 in 5.5 s and 0.999 in 5.9 s.
 """
 
 
 class Milling(ContactEnvironment):
-    """Mill a complete pocket out of cortical bone with low force and without overcut.
+    """Mill a complete pocket into cortical bone, with low force and without overcut.
 
-    A ball burr of 4 mm turns at 20,000 revolutions a minute above a block whose top lies at z = 0.
-    The pocket is the volume swept by the burr while its tip covers a rectangle of 4 x 2 mm, 0.8 mm
-    deep. A margin of 0.25 mm on both sides of its wall counts neither as target nor as overcut. The
-    hand is stiff: the tool follows its command exactly. An episode draws the bone's density and the
-    start of the tool.
+    A ball burr of 4 mm rotates at 20,000 revolutions per minute above a block whose top is at z =
+    0. The pocket is the volume that the burr sweeps if its tip covers a rectangle of 4 x 2 mm at a
+    depth of 0.8 mm. A margin of 0.25 mm on both sides of the wall of the pocket counts neither as
+    target nor as overcut. The tool follows the commanded velocity exactly. Each episode draws the
+    density of the bone and the start position of the tool.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, scaled by 10 mm/s. A
-    virtual fixture keeps the tip within 2.75 mm of the middle along x and 1.75 mm along y. It also
-    keeps the tip between 2 mm above the bone and 1.1 mm deep.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, multiplied by 10 mm/s. A
+    virtual fixture keeps the tip within 2.75 mm of the middle along x and 1.75 mm along y, and
+    between 2 mm above the bone and 1.1 mm deep.
 
-    **Observation**, see `entries`: position of the tip from the middle of the pocket's mouth, its
-    velocity, force and torque on the tool, vector from the tip to the nearest remaining voxel of
-    the target, removed share of the target, overcut as a share of the target, time left. With
-    ``patch=True`` the observation is a dictionary. Its entry ``state`` holds these numbers. Its
-    entry ``patch`` holds the share of bone at 9 x 9 x 9 points 0.6 mm apart around the burr's
-    centre.
+    **Observation**, see `entries`: position of the tip relative to the middle of the pocket's
+    opening, velocity of the tip, force and torque on the tool, vector from the tip to the nearest
+    remaining voxel of the target, removed share of the target, ratio of overcut to target volume,
+    and remaining time. With ``patch=True`` the observation is a dictionary. The entry ``state``
+    contains these numbers. The entry ``patch`` contains the share of bone at 9 x 9 x 9 points
+    around the centre of the burr, 0.6 mm apart.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
         P = (volume removed of the target - volume removed beyond the tolerance)
             / volume of the target
 
-    in ``reward_terms`` as ``progress`` and ``overcut``. No policy scores above 1; doing nothing
-    scores -0.1. An episode ends when 99 % of the target are removed, and is truncated after 12 s.
-    Force above 20 N reduces the reward.
+    ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. No
+    policy scores above 1; without any action the score is -0.1. An episode ends when 99 % of the
+    target are removed, and is truncated after 12 s. Force above 20 N reduces the reward.
 
     Parameters
     ----------
     patch
-        Whether observations include the bone left around the burr.
+        Whether observations include the remaining bone around the burr.
     materials
-        File of constants in place of the cited ones, as `tissue fit` writes it.
+        File of constants that replace the built-in constants, in the format that `tissue fit`
+        writes.
     options
         As for `ContactEnvironment`.
     """
 
     entries = (
-        # Scales: twice the reach, largest speed, and the load of a full plunge into the densest
-        # bone: 49 N, which at the burr's radius of 2 mm has a torque of 100 N mm.
+        # The scales are twice the reach, the largest speed, and the loads of a full plunge into the
+        # densest bone. Its force is 49 N, and its torque at the burr's radius of 2 mm is 100 N mm.
         Entry("tip", 6.0, "mm", 3),
         Entry("velocity", 10.0, "mm/s", 3),
         Entry("force", 50.0, "N", 3),
@@ -105,20 +107,22 @@ class Milling(ContactEnvironment):
     )
     action_count = 3
     ranges = {  # noqa: RUF012
-        # Cortical bone, porous to dense. The start lies above the pocket, within reach.
+        # The densities are those of porous to dense cortical bone. The start lies above the pocket,
+        # within reach.
         "density_kg_m3": (1200.0, 1900.0),
         "start_x_mm": (-2.5, 2.5),
         "start_y_mm": (-1.5, 1.5),
         "start_z_mm": (0.3, 1.0),
     }
-    # Twice the time of the scripted expert, and under half of the force of a full plunge.
+    # The time is twice that of the scripted expert. The force limit is less than half of the force
+    # of a full plunge.
     usual_duration_s = 12.0
     usual_force_limit_N = 20.0
     pocket_mm = (4.0, 2.0, 0.8)
-    """Sides of the rectangle that the tip covers, and its depth [mm]."""
+    """Sides of the rectangle that the tip covers, and depth of the rectangle [mm]."""
     top_speed_mm_s = 10.0
-    # 0.75 mm beyond the pocket at each side and 0.3 mm below it, more than the tolerance, so that
-    # overcut is possible.
+    # The reach extends 0.75 mm beyond the pocket at each side and 0.3 mm below it. This is more
+    # than the tolerance, so overcut is possible.
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
     def __init__(
@@ -133,7 +137,7 @@ class Milling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """Restorable bone of the block; made at the first reset."""
+        """Bone of the block that can be restored; made at the first reset."""
         burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         block = _block(self.pocket_mm)
         return RestorableBone(
@@ -150,7 +154,7 @@ class Milling(ContactEnvironment):
 
     @property
     def tip_mm(self) -> Array:
-        """Position of the burr's tip [mm], shape (3,)."""
+        """Position of the tip of the burr [mm], shape (3,)."""
         return 1e3 * self.tool.tip_m
 
     @property
@@ -162,13 +166,13 @@ class Milling(ContactEnvironment):
         self.bone.restore(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tip at its drawn position."""
+        """Put the tip at the drawn position."""
         motion.tip_m[:] = [1e-3 * self.drawn[f"start_{axis}_mm"] for axis in "xyz"]
         motion.heading[0] = (0.0, 0.0, -1.0)
         motion.speed_m_s = 0.0
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tip by the commanded velocity, within reach."""
+        """Move the tip with the commanded velocity, within its limits."""
         wanted = motion.tip_m + 1e-3 * self.top_speed_mm_s * step_s * self._command
         moved = np.clip(wanted, *(1e-3 * self.reach_mm)) - motion.tip_m
         length = float(np.sqrt(moved.dot(moved)))
@@ -178,9 +182,9 @@ class Milling(ContactEnvironment):
             motion.heading[0] = moved / length
 
     def _shares(self) -> tuple[float, float]:
-        """Return shares removed from the target and beyond the tolerance.
+        """Return the volumes removed from the target and beyond the tolerance.
 
-        Both are relative to the target's volume.
+        Both are relative to the volume of the target.
         """
         target, _, spared = (1e9 * self.bone.model.removed_m3 / self._target_mm3).tolist()
         return target, spared
@@ -217,14 +221,16 @@ class Milling(ContactEnvironment):
         """Draw sections under the burr along x, and through the pocket at half its depth."""
         side, top = figure.subplots(1, 2)
         self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
-        # from the bottom of the block to the top of a burr at its surface
+        # from the bottom of the block to the top of a burr at the surface
         side.set_ylim(-3.6, 4.5)
         self.bone.draw_section(top, 2, -0.5e-3 * self.pocket_mm[2], COLOURS)
         top.plot(*self.tip_mm[:2], "+", color="0.2")
 
 
 def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
-    """Return the block with its layers: the pocket, the margin at its wall, and the rest."""
+    """Return the block with its layers: pocket, margin at the wall of the pocket, and remaining
+    bone.
+    """
     counts = np.round(np.array(BLOCK_MM) / SPACING_MM).astype(int)
     origin = np.array([-0.5, -0.5, -1.0]) * SPACING_MM * counts
     x, y, z = (
@@ -235,7 +241,8 @@ def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
         np.maximum(np.abs(x)[:, None, None] - 0.5 * length, 0.0),
         np.maximum(np.abs(y)[:, None] - 0.5 * width, 0.0),
     )
-    # Pockets are shallower than the ball's radius: its sphere bounds them below and at the sides.
+    # Pockets are shallower than the radius of the ball, so its surface limits them below and at the
+    # sides.
     wall = np.sqrt(aside[0] ** 2 + aside[1] ** 2 + (z - 0.5 * BURR_MM + depth) ** 2) - 0.5 * BURR_MM
     layer = 1 + (wall > TOLERANCE_MM).astype(np.uint8) - (wall < -TOLERANCE_MM).astype(np.uint8)
     density = np.full(layer.shape, 1800.0)  # replaced at every reset by the drawn density

@@ -1,4 +1,4 @@
-"""Environment for palpating a slab of soft tissue for a stiff nodule under its surface."""
+"""Environment for finding a stiff nodule in a slab of soft tissue by palpation."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -22,61 +22,65 @@ __all__ = ["Palpation"]
 SIZE_M = (0.1, 0.1, 0.028)
 """Size of the slab [m].
 
-The fingertip comes within 40 mm of the nodule in the middle, so that its ball ends 2 mm before the
-edge.
+The nodule is in the middle of the slab. The fingertip stays within 40 mm of the nodule, so its ball
+stays at least 2 mm inside the edge.
 """
 EDGE_M = 4e-3
-"""Edge length of the tetrahedra [m]: half the radius of ball and nodule."""
+"""Edge length of the tetrahedra [m]: half the radius of the ball and of the nodule."""
 NODULE_RADIUS_M = 8e-3
 NODULE_DEPTH_M = 13e-3
-"""Radius of the nodule, and depth of its centre [m]: 5 mm of tissue cover it."""
+"""Radius of the nodule, and depth of its centre [m]; the nodule lies 5 mm below the surface."""
 MODULUS_KPA = 5.0
 NODULE_TIMES = 20.0
-"""Young's modulus used in the solution [kPa], and stiffness ratio of the nodule to the tissue.
+"""Young's modulus used in the solution [kPa], and ratio of the nodule's modulus to it.
 
-Forces are scaled to the episode's modulus.
+Forces are scaled to the modulus of the episode.
 """
 POISSON_RATIO = 0.45
-"""Poisson's ratio, lower than soft tissue's 0.49, at which linear tetrahedra lock."""
+"""Poisson's ratio; linear tetrahedra would lock at the ratio of soft tissue, 0.49."""
 BALL_RADIUS_M = 8e-3
 REACH_M = 22e-3
 """Largest lateral distance of the fingertip from its start [m]."""
 LOWEST_M = -3e-3
 START_M = 1e-3
 CEILING_M = 3e-3
-"""Heights of the tip: deepest, at the start, and at which it counts as lifted [m].
+"""Lowest height of the tip, height at the start, and height at which the tip counts as lifted [m].
 
-At the deepest height linear elasticity is within 5 % of a hyperelastic force.
+At the lowest height, the force of linear elasticity differs by less than 5 % from a hyperelastic
+force.
 """
 NEAR_M = 10e-3
-"""Distance to the nodule from which the potential rises [m]: the smallest one at the start."""
+"""Smallest distance to the nodule at the start [m]; nearer to it, the potential increases."""
 TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
-"""Largest speed along x, y and z [m/s]: 1.2 and 0.6 mm in a step of 20 ticks."""
+"""Largest speed along x, y and z [m/s]: 1.2 mm (x, y) and 0.6 mm (z) in a step of 20 ticks."""
 
 
 class Palpation(ContactEnvironment):
-    """Find a stiff nodule under soft tissue: press, slide, and lift above the nodule.
+    """Find a stiff nodule in soft tissue: press, slide, and lift the finger above the nodule.
 
-    A fingertip, a ball of 16 mm, moves over a slab of linear-elastic tissue with friction 0.1. A
-    nodule of 16 mm, 20 times as stiff, lies 5 mm under the surface, 10 to 18 mm from the start of
-    the tip. An episode draws the tissue's modulus, distance and bearing of the nodule, and the
-    rotation of the slab. All forces are proportional to the modulus. The frame's origin lies at the
-    start, on the surface.
+    A fingertip, modelled as a ball of 16 mm, moves over a slab of linear elastic tissue with a
+    friction coefficient of 0.1. A nodule of 16 mm, 20 times as stiff as the tissue, lies 5 mm below
+    the surface, at a lateral distance of 10 to 18 mm from the start of the tip. Each episode draws
+    the modulus of the tissue, the distance and direction of the nodule, and the rotation of the
+    slab. All forces are proportional to the modulus. The origin of the frame is on the surface, at
+    the lateral position of the start.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip, scaled by 60 mm/s along x and y, and by
-    30 mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between 3
-    mm above the surface and 3 mm deep.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip, multiplied by 60 mm/s along x and y, and
+    by 30 mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between
+    3 mm above and 3 mm below the surface.
 
-    **Observation**, see `entries`: tip and its velocity, force and torque on the tip, time left.
+    **Observation**, see `entries`: position and velocity of the tip, force and torque on the
+    tip, and remaining time.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
         P = max(0, 1 - d / 10 mm)
 
-    Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and
-    ``progress`` in ``reward_terms``. No policy scores above 1; doing nothing scores -0.1. An
-    episode ends when the tip has touched and is 3 mm above the surface, and is truncated after 6 s.
-    The position of the tip at the end is the guess. Force above 0.4 N reduces the reward.
+    Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and is
+    the entry ``progress`` of ``reward_terms``. No policy scores above 1; without any action the
+    score is -0.1. An episode ends when the tip has touched the tissue and is again 3 mm above the
+    surface, and is truncated after 6 s. The position of the tip at the end is the estimate of the
+    nodule's position. Force above 0.4 N reduces the reward.
 
     Parameters
     ----------
@@ -85,8 +89,9 @@ class Palpation(ContactEnvironment):
     """
 
     entries = (
-        # Scales: reach, largest speed, and above the loads at the deepest point over the nodule,
-        # 0.5 N at 8 kPa; 1 N at the ball's radius of 8 mm has a torque of 8 N mm.
+        # The scales are the reach, the largest speed, and 1 N with 8 N mm. The force at the lowest
+        # point above the nodule is 0.5 N at 8 kPa. The torque of 1 N at the ball's radius of 8 mm
+        # is 8 N mm.
         Entry("tip", 22.0, "mm", 3),
         Entry("velocity", 60.0, "mm/s", 3),
         Entry("force", 1.0, "N", 3),
@@ -95,19 +100,21 @@ class Palpation(ContactEnvironment):
     )
     action_count = 3
     ranges = {  # noqa: RUF012
-        # The slab and its nodule are turned as well, because a mesh is not symmetric.
+        # The slab is also rotated with its nodule, because the mesh is not symmetric.
         "modulus_kPa": (3.0, 8.0),
         "distance_mm": (10.0, 18.0),
         "bearing_deg": (0.0, 360.0),
         "turn_deg": (0.0, 360.0),
     }
-    # The scripted expert takes 2.9 s. Over the nodule the deepest point gives 0.2 N at 3 kPa and
-    # 0.53 N at 8 kPa: a policy must not press stiff tissue as deep as soft tissue.
+    # The scripted expert takes 2.9 s. The force at the lowest point above the nodule is 0.2 N at 3
+    # kPa and 0.53 N at 8 kPa. A policy must therefore press stiff tissue less deep than soft
+    # tissue.
     usual_duration_s = 6.0
     usual_force_limit_N = 0.4
-    # The linear organ remembers nothing but friction, so that a path of 5 ms is solved at once.
-    # The mean force of a step is then off by 0.2 % (expert) and 0.4 % (random actions), RMS over
-    # four episodes, against a solve in every tick (tests/bench/bench_session.py --part solves).
+    # Of its past, the linear organ keeps only friction, so a path of 5 ms is solved in one step.
+    # The error of the mean force of a step is then 0.2 % for the expert and 0.4 % for random
+    # actions. It is the RMS over four episodes, against a solution in every tick
+    # (tests/bench/bench_session.py --part solves).
     solve_ticks = 5
     episode = ("tip_m", "nodule_m", "_turn", "_velocity_m_s", "_touched", "_path")
 
@@ -119,13 +126,13 @@ class Palpation(ContactEnvironment):
         self._velocity_m_s = np.zeros(3)
         self._touched = False
         self._path: list[tuple[float, ...]] = []
-        """Tip [mm] and upward force [N] at the end of every step, for pictures."""
+        """Tip [mm] and upward force [N] at the end of each step, for pictures."""
 
     @cached_property
     def model(self) -> LiverModel:
         """Model of the slab under the fingertip; made at the first reset.
 
-        Its compliance is kept on disk.
+        The compliance of the slab is kept in a cache on disk.
         """
         mesh = slab(
             size_m=SIZE_M,
@@ -147,7 +154,7 @@ class Palpation(ContactEnvironment):
         turns = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
         organ = material.organ(mesh, slab_base(mesh))
         path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
-        # One core, because environments run in parallel.
+        # One core is used, because environments run in parallel.
         return LiverModel(organ, path, ContactSolution("condensed", cores=1))
 
     def _prepare(self) -> None:
@@ -164,12 +171,12 @@ class Palpation(ContactEnvironment):
         self._path = []
 
     def begin(self, motion: ToolMotion) -> None:
-        """Bring the tool to the tip, in the frame of the slab, with the nodule in its middle."""
+        """Put the tool at the tip, in the frame of the slab, whose middle is the nodule."""
         away = np.array([*(self.tip_m[:2] - self.nodule_m), self.tip_m[2]])
         np.dot(self._turn, away, out=motion.tip_m)
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tip by the commanded velocity, within reach."""
+        """Move the tip with the commanded velocity, within its limits."""
         wanted = self.tip_m + TOP_SPEED_M_S * step_s * self._command
         aside = float(np.hypot(wanted[0], wanted[1]))
         if aside > REACH_M:
@@ -209,7 +216,7 @@ class Palpation(ContactEnvironment):
         }
 
     def _draw(self, figure: "Figure") -> None:
-        """Draw the fingertip's path, coloured by its force, and the position of the nodule."""
+        """Draw the path of the fingertip, coloured by its force, and the position of the nodule."""
         from matplotlib.patches import Circle
 
         top = figure.subplots()

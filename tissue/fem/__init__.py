@@ -1,1 +1,1 @@
-"""Finite elements on tetrahedra: spaces, assembly, loads, constraints, stress."""
+"""Finite elements on tetrahedra: spaces, assembly, loads, constraints and stress."""

@@ -1,20 +1,22 @@
-"""Assembled stiffness and loads of tetrahedra and of a capsule on their surface.
+"""Assembled stiffness and loads of tetrahedra, and of a capsule on their surface.
 
-Assembled stiffness of tetrahedra: 3x3 blocks, each pair of nodes summed once and mirrored.
+The stiffness of tetrahedra is stored in 3x3 blocks. The block of a pair of nodes is summed once and
+mirrored.
 
-Stiffness of a capsule: a thin elastic membrane on the surface, in plane stress.
+A capsule is a thin elastic membrane on the surface, in plane stress.
 
 The membrane resists stretch but not bending. Bending of a capsule, for example around a needle, is
 not modelled.
 
-With P = I - n n^T the projection on a face and g_c its gradients, the strain is ``P sym(grad u)
-P``. The block of a pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)`` with lambda' = E nu /
-(1 - nu^2). It is the membrane's counterpart of the formula for cells in `kernels.tetrahedra`.
+Let P = I - n n^T be the projection onto a face. The strain is ``P sym(grad u) P``. The block of a
+pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)``, with the thickness t and lambda' = E nu /
+(1 - nu^2). S is the sum of products of shape gradients, as in the formula for cells in
+`kernels.tetrahedra`.
 
 Prefer linear cells under a stiff capsule on a curved body. Quadratic cells with straight edges have
-nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners are
-pulled in too far: by 8 % where capsule and body are equally stiff, at 7 cells a quadrant. The mean
-displacement is off by 2 %.
+nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so that the corners
+are displaced inwards too far. The error of their displacement is 8 % if capsule and body are
+equally stiff, with 7 cells a quadrant. The error of the mean displacement is 2 %.
 """
 
 from functools import cache
@@ -50,34 +52,38 @@ __all__ = [
 
 
 SOFTENED_RATIO = 1.0
-"""Part of the first Lame constant that acts everywhere in softened cells, over the shear modulus.
+"""Part of the first Lame constant that is not softened, divided by the shear modulus.
 
-Errors over the nodule of `palpation` with edges of 4 mm: excess 2.5 % with 1, 3.5 % with 2; force
--0.1 and +0.4 %. Not softened, 5 mm: 10 and 3.6 % (`python tests/bench/bench_nodule.py --parts
-meshes`). With 0 the displacement under Hertz's pressure is up to 5 % too large at 5 mm.
+The errors are measured above the nodule of `palpation`, for the force and for the excess, the
+additional force caused by the nodule. With edges of 4 mm, the error of the excess is 2.5 % with 1
+and 3.5 % with 2, and the error of the force is -0.1 % and +0.4 %. Without softening and with edges
+of 5 mm, these errors are 10 % (excess) and 3.6 % (force): `python tests/bench/bench_nodule.py
+--parts meshes`. With 0 and edges of 5 mm, the displacement under Hertz's pressure is up to 5 % too
+large.
 """
 
 
 def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> bsr_array:
     """Return the stiffness matrix [N/m] of linear elastic cells, in blocks of 3x3.
 
-    Its shape is (unknowns, unknowns). Both triangles are stored and are bitwise equal, on any
-    number of cores. Integrals are exact.
+    The shape is (unknowns, unknowns). The upper and the lower triangle are stored and are bitwise
+    equal, on any number of cores. Integrals are exact.
 
-    Quadratic cells with straight edges lock as Poisson's ratio nears 0.5. Softened cells do not:
-    the part of the first Lame constant beyond `SOFTENED_RATIO` times the shear modulus resists the
-    mean change of the volume of a cell (mean dilatation: Nagtegaal, Parks and Rice 1974, Comput.
-    Methods Appl. Mech. Eng. 4:153). Cells are not changed up to a Poisson's ratio of 1/4.
+    Quadratic cells with straight edges lock if Poisson's ratio is near 0.5. Softened cells do not
+    lock. In these cells, the part of the first Lame constant above `SOFTENED_RATIO` times the shear
+    modulus resists only the mean change of the volume of a cell (mean dilatation: Nagtegaal, Parks
+    and Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153). Cells with a Poisson's ratio of up to
+    1/4 are not softened.
 
     Parameters
     ----------
     space
-        Nodes and cells; it stores the positions of the blocks after the first call.
+        Nodes and cells. After the first call the space stores the positions of the blocks.
     elasticity
         Lame constants [Pa], shape (2,) or (m, 2), or stiffness matrices [Pa], shape (6, 6) or (m,
-        6, 6), as `tissue.materials.elasticity` makes them.
+        6, 6), as returned by `tissue.materials.elasticity`.
     softened
-        Whether quadratic cells of nearly incompressible tissue are softened.
+        True to soften quadratic cells of nearly incompressible tissue.
 
     Raises
     ------
@@ -117,8 +123,9 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
 def _softening(rows: Array) -> Array:
     """Return the part of the first Lame constant that resists a mean change of volume [Pa].
 
-    The shape is (rows,). Stiffness matrices have the bulk modulus of a uniform stress, 1 / (1 C^-1
-    1), and their largest shear modulus in place of the constants. They stay positive definite.
+    The shape is (rows,). For stiffness matrices C, the bulk modulus under a uniform stress, 1 / (1
+    C^-1 1), and the largest shear modulus are used in place of the Lame constants. The softened
+    matrices are still positive definite.
     """
     if rows.ndim == 2:
         return np.maximum(rows[:, 0] - SOFTENED_RATIO * rows[:, 1], 0.0)
@@ -130,18 +137,20 @@ def _softening(rows: Array) -> Array:
 
 @cache
 def pair_tables(order: int) -> tuple[Int32s, Array, Array]:
-    """Return the corners of the shape functions of each pair in a cell, and weights, (p, 4) each.
+    """Return corners and weights for each pair of shape functions in a cell, each of shape (p, 4).
 
-    The corners of A are i, j and those of B k, n; weights belong to the products ik, in, jk, jn of
-    the gradients. The first weights give the mean of the product, the second the product of means.
+    Shape function A has the corners i and j, shape function B the corners k and n. The weights
+    belong to the products ik, in, jk and jn of the gradients. The first array of weights gives the
+    mean of the products, the second array the product of the means.
     """
     products = gradient_products(4, order)
-    # Four functions of corners; those of quadratic cells on edges follow.
+    # The four functions of the corners come first, then the functions of the edges of a quadratic
+    # cell.
     ends = np.concatenate([np.stack([np.arange(4)] * 2, axis=1), EDGES[: len(products) - 4]])
     a, b = local_pairs(len(products)).T
     corners = np.concatenate([ends[a], ends[b]], axis=1)
     i, j, k, n = corners.T
-    # A corner has one gradient: counted once.
+    # The function of a corner has only one gradient, which is counted once.
     once = np.stack([np.ones(len(i)), k != n, i != j, (i != j) & (k != n)], axis=1)
 
     def weights(of: Array) -> Array:
@@ -167,8 +176,8 @@ def capsule_stiffness(
 
     Add it to the stiffness matrix of the cells.
 
-    Shape (unknowns, unknowns), in blocks of 3x3. It equals its transpose bitwise, and so does its
-    sum with the matrix of the cells.
+    The shape is (unknowns, unknowns), in blocks of 3x3. The matrix is bitwise equal to its
+    transpose. This also holds for its sum with the matrix of the cells.
 
     Parameters
     ----------
@@ -179,7 +188,7 @@ def capsule_stiffness(
     young_Pa, poisson_ratio
         Young's modulus [Pa] and Poisson's ratio of the membrane.
     faces
-        Nodes of the faces that carry it, shape (f, 3) or (f, 6); default all of `Space.faces`.
+        Nodes of the faces with a membrane, shape (f, 3) or (f, 6); default all of `Space.faces`.
 
     Raises
     ------
@@ -208,7 +217,7 @@ def capsule_stiffness(
 
 
 def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:
-    """Return the blocks summed over faces in their order, then mirrored."""
+    """Return the blocks, summed over faces in the order of the faces and then mirrored."""
     turned = pattern.contribution < 0
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]
     ordered[turned] = ordered[turned].swapaxes(1, 2)
@@ -228,7 +237,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
     """Return the weight of the cells on the nodes [N], shape (n, 3), along -z.
 
-    The density [kg/m3] is one for all cells or one a cell, shape (m,).
+    The density [kg/m3] is one number, or one number for each cell, shape (m,).
     """
     mass = np.asarray(density_kg_m3, np.float64) * space.volumes_m3
     force = mass[:, None] * np.array([0.0, 0.0, -STANDARD_GRAVITY_M_S2])
@@ -236,14 +245,14 @@ def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
 
 
 def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None) -> Array:
-    """Return traction on faces of the surface as forces on nodes [N], shape (n, 3).
+    """Return the nodal forces of a traction on faces of the surface [N], shape (n, 3).
 
     Parameters
     ----------
     space
         Nodes and cells.
     traction_Pa
-        Force per area [Pa], shape (3,) or one a face, shape (f, 3).
+        Force per area [Pa], shape (3,), or one for each face, shape (f, 3).
     faces
         Nodes of the faces, shape (f, 3) or (f, 6); default all of `Space.faces`.
     """
@@ -255,7 +264,7 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None)
 
 
 def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
-    """Sum each row's force, shape (r, 3), times the share of each of its nodes, shape (k,)."""
+    """Distribute forces, (r, 3), to the nodes of each row with shares, (k,), and sum them."""
     each = (force[:, None, :] * share[:, None]).reshape(-1, 3)
     rows = nodes.ravel()
     return np.stack(

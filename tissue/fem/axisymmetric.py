@@ -1,16 +1,17 @@
-"""Equilibrium of an axisymmetric layer on a rigid base, pressed by a rigid ball without friction.
+"""Equilibrium of an axisymmetric layer on a rigid base under a rigid ball without friction.
 
 The layer is bonded to its base. Its cells are quadrilaterals of nine nodes with nine Gauss points.
-At a radius r the deformation gradient has the in-plane part ``I + grad u`` and the hoop stretch
-``1 + u_r / r``. Energy, force and tangent follow from the derivatives of the law by the logarithms
-of the principal stretches. A Newton step solves with the tangent and is halved until the energy
-decreases.
+At a radius r the deformation gradient has the in-plane part ``I + grad u`` and the hoop stretch ``1
++ u_r / r``. Energy, force and tangent are computed from the derivatives of the law with respect to
+the logarithms of the principal stretches. A Newton step is solved with the tangent and is halved
+until the energy decreases.
 
-The ball touches at Gauss points of the top face. With g their depth in the ball, an augmented
-Lagrangian adds ``(max(0, p + k g)^2 - p^2) / 2 k`` for each unit of area (Simo and Laursen 1992,
-Comput. Struct. 42:97).
+Contact is evaluated at Gauss points of the top face. Let g be their depth inside the ball, p a
+multiplier and k a penalty. An augmented Lagrangian adds the energy ``(max(0, p + k g)^2 - p^2) / 2
+k`` per area (Simo and Laursen 1992, Comput. Struct. 42:97).
 
-The solver has about 3,000 unknowns where tetrahedra need 30,000, so a fit can afford many laws.
+The solver has about 3,000 unknowns, compared with 30,000 for tetrahedra. A fit can therefore
+compute many laws.
 """
 
 from dataclasses import dataclass
@@ -27,47 +28,48 @@ __all__ = ["LayerMesh", "LinearLaw", "layer_grid", "layer_mesh", "press_forces"]
 
 
 WIDTH = 4.0
-"""Smallest radius of the layer, over the sum of its thickness and the ball's radius.
+"""Smallest radius of the layer, divided by the sum of its thickness and the ball's radius.
 
-At 3 the force at a depth of 0.75 radii changes by less than 0.1 % (thickness of 1 to 5 radii).
+With 3, the force at a depth of 0.75 radii changes by less than 0.1 % (for a thickness of 1 to 5
+radii).
 """
 FIRST = 0.12
-"""Edge of a cell on the axis at the surface, over the ball's radius.
+"""Edge of a cell on the axis at the surface, divided by the ball's radius.
 
-With 0.045 the forces at 0.1 to 0.75 radii change by at most 0.3 %, with 0.18 by 1.3 %:
-`tests/verification/test_axisymmetric.py`.
+With 0.045 the forces at depths of 0.1 to 0.75 radii change by at most 0.3 %, and with 0.18 by 1.3
+%: `tests/verification/test_axisymmetric.py`.
 """
 GROWTH = 1.22
 """Ratio of the lengths of neighbouring cells outside the contact."""
 CONTACT = 0.9
-"""Radius over the ball's radius within which the cells of the surface have equal length."""
+"""Radius within which the surface cells have equal length, divided by the ball's radius."""
 PENALTY = 100.0
-"""Contact stiffness for each area, over shear modulus and cell length at the surface."""
+"""Contact stiffness per area, divided by shear modulus / cell length at the surface."""
 CORRECTIONS = 30
 """Largest number of corrections of the contact pressures."""
 TOLERANCE = 1e-4
-"""Largest depth of a pressed point in the ball, over the ball's radius."""
+"""Largest depth of a point in contact inside the ball, divided by the ball's radius."""
 TRUSTED = 1.5
-"""Ratio of pressure to multiplier up to which the pressure counts in the tangent of the contact."""
+"""Ratio of pressure to multiplier to which the pressure is limited in the contact's tangent."""
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
-"""Components rr, rz, zr, zz and hoop of the identity."""
+"""Components rr, rz, zr, zz and hoop of the identity, the undeformed state."""
 NEWTON_STEPS = 40
 """Largest number of Newton steps of a solve."""
 HALVINGS = 12
-"""Halvings of a step before the solve is given up: 1/4096 of it is left."""
+"""Number of halvings of a step, down to 1/4096, before the solve is stopped."""
 ARMIJO = 1e-4
-"""Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
+"""Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-16
-"""Rounding error of the energy, over the volume times the stiffest modulus."""
+"""Rounding error of the energy, divided by the volume times the largest modulus."""
 SETTLED = 1e-5
-"""Unbalanced force at the end of a solve, over the largest nodal force."""
+"""Allowed unbalanced force at the end of a solve, divided by the largest nodal force."""
 SHORTEST = 1.0 / 64.0
-"""Share of a step of the ball below which the press counts as failed."""
+"""Smallest share of a step of the ball that is tried before the press has failed."""
 
 
 @dataclass(frozen=True)
 class LinearLaw:
-    """Linear elasticity at small strains, by Lame constants [Pa]."""
+    """Linear elasticity at small strains with Lame constants [Pa]."""
 
     first_Pa: float
     shear_Pa: float
@@ -75,7 +77,7 @@ class LinearLaw:
 
 @dataclass(frozen=True, eq=False)
 class LayerMesh:
-    """Quadrilaterals of a meridian section.
+    """Mesh of quadrilaterals in a meridian section.
 
     Attributes
     ----------
@@ -86,7 +88,7 @@ class LayerMesh:
     top
         Nodes of the top face in rising radius, shape (t,).
     held
-        Components without displacement, shape (n, 2).
+        True for components without displacement, shape (n, 2).
     radius_m
         Radius of the ball for which the mesh was made [m].
     """
@@ -106,7 +108,7 @@ def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> 
     radius_m, thickness_m
         Radius of the ball and thickness of the layer [m].
     first
-        Edge of the cells under the ball, over its radius.
+        Edge of the cells under the ball, divided by the ball's radius.
 
     Raises
     ------
@@ -126,9 +128,9 @@ def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> 
 
 
 def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
-    """Return cells between rising edges [m], held at the base and across the axis.
+    """Return the mesh between rising edges r and z [m], held at the base and across the axis.
 
-    ``radius_m`` is that of the ball.
+    ``radius_m`` is the radius of the ball.
     """
     columns = 2 * len(r) - 1
     rows = 2 * len(z) - 1
@@ -145,12 +147,12 @@ def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
 
 
 def _graded(count: int, edge: float, end: float) -> Array:
-    """Return rising places from zero to the end: some equal steps, then growing ones."""
+    """Return rising positions from zero to the end: equal steps, then growing steps."""
     steps = [edge] * count
     while sum(steps) < end:
         steps.append(GROWTH * steps[-1])
     places = np.concatenate([[0.0], np.cumsum(steps)])
-    # Scale the growing steps so that the last place is the end.
+    # Scale the growing steps so that the last position is the end.
     equal = places[: count + 1]
     if end <= equal[-1]:
         return np.linspace(0.0, end, max(2, round(end / edge)) + 1)
@@ -162,7 +164,7 @@ def _graded(count: int, edge: float, end: float) -> Array:
 def press_forces(mesh: LayerMesh, law: Hyperelastic | LinearLaw, depths_m: Array) -> Array:
     """Compute the force of a ball on a layer at rising depths [N], shape of the depths.
 
-    Forces are NaN from the depth on at which no equilibrium was found.
+    From the first depth without an equilibrium on, the forces are NaN.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ class _Layer:
         by_r = np.einsum("qj,qi->qji", value_z, slope_r).reshape(-1, 9)
         by_z = np.einsum("qj,qi->qji", slope_z, value_r).reshape(-1, 9)
         radius = corners[..., 0] @ shape.T
-        # Derivatives of both coordinates by both places in the cell.
+        # Derivatives of the two coordinates with respect to the two positions in the cell.
         jacobian = np.einsum("aqk,mkc->mqac", np.stack([by_r, by_z]), corners)
         gradient = np.einsum(
             "mqca,aqk->mqkc", np.linalg.inv(jacobian), np.stack([by_r, by_z]), optimize=True
@@ -216,7 +218,8 @@ class _Layer:
         gradient_r = gradient[..., 0]
         gradient_z = gradient[..., 1]
         self._volume = 2.0 * np.pi * radius * np.linalg.det(jacobian) * weight
-        # Rows rr, rz, zr, zz and hoop of the gradient, by the 18 components of a cell.
+        # Derivatives of the gradient rr, rz, zr, zz and hoop with respect to the 18 components of a
+        # cell.
         slots = np.zeros((*radius.shape, 5, 9, 2))
         slots[..., 0, :, 0] = gradient_r
         slots[..., 1, :, 0] = gradient_z
@@ -246,7 +249,7 @@ class _Layer:
         self.force_N = 0.0
 
     def advance(self, depth_m: float) -> bool:
-        """Move the ball to a depth [m]; without an equilibrium the state stays, return False."""
+        """Move the ball to a depth [m]; return False and keep the state without an equilibrium."""
         before = self._u.copy(), self._pressure.copy(), self._centre
         self._centre = self._mesh.radius_m - depth_m
         for _ in range(CORRECTIONS):
@@ -287,7 +290,7 @@ class _Layer:
         return _stretched(self._law, moved + REST, order)
 
     def _balance(self) -> bool:
-        """Minimise the energy with the contact pressures kept as multipliers."""
+        """Minimise the energy for constant multipliers of the contact."""
         energy = self._energy(self._u)
         size = self._u.size
         for _ in range(NEWTON_STEPS):
@@ -308,8 +311,8 @@ class _Layer:
             along = normal[..., :, None] * normal[..., None, :]
             distance = self._mesh.radius_m + gap
             stiff = np.where(pressed > 0.0, self._stiff, 0.0)[..., None, None] * along
-            # A pressure far above the multiplier is a first guess. It would make the matrix
-            # indefinite.
+            # A pressure far above the multiplier is only a first guess. It would make the matrix
+            # indefinite, so that it is limited.
             turning = np.minimum(pressed, TRUSTED * self._pressure) / distance
             stiff = stiff - turning[..., None, None] * (np.eye(2) - along)
             blocks = np.einsum(
@@ -324,7 +327,7 @@ class _Layer:
             )
             downhill = float(left @ step)
             if downhill > 0.0:
-                # Negative curvature: the other direction lowers the energy.
+                # In a direction of negative curvature the opposite step lowers the energy.
                 step = -step
                 downhill = -downhill
             share = 1.0
@@ -342,7 +345,7 @@ class _Layer:
 
 
 def _lagrange(at: Array) -> tuple[Array, Array]:
-    """Return the quadratic shape functions of -1, 0, 1 and their derivatives, shape (q, 3)."""
+    """Return the quadratic shape functions of nodes -1, 0, 1 and their derivatives, (q, 3)."""
     value = np.stack([0.5 * at * (at - 1.0), 1.0 - at**2, 0.5 * at * (at + 1.0)], axis=-1)
     slope = np.stack([at - 0.5, -2.0 * at, at + 0.5], axis=-1)
     return value, slope
@@ -357,7 +360,7 @@ def _assembled(places: Ints, blocks: Array, size: int) -> csc_array:
 
 
 def _linear(law: LinearLaw, moved: Array) -> tuple[Array, Array, Array]:
-    """Return energy, stress and tangent of small strains by rr, rz, zr, zz and hoop."""
+    """Return energy, stress and tangent at small strains, in components rr, rz, zr, zz, hoop."""
     tangent = law.first_Pa * np.outer(REST, REST) + 2.0 * law.shear_Pa * np.diag(REST)
     tangent[1:3, 1:3] += law.shear_Pa
     stress = moved @ tangent
@@ -369,9 +372,9 @@ def _linear(law: LinearLaw, moved: Array) -> tuple[Array, Array, Array]:
 
 
 def _stretched(law: Hyperelastic, gradient: Array, order: int) -> tuple[Array, Array, Array]:
-    """Return energy, stress and tangent of a law by rr, rz, zr, zz and hoop.
+    """Return energy, stress and tangent of a law, in components rr, rz, zr, zz, hoop.
 
-    The energy is infinite where a cell is turned over.
+    The energy is infinite if a cell is inverted.
     """
     plane = gradient[..., :4].reshape(*gradient.shape[:-1], 2, 2)
     hoop = gradient[..., 4]

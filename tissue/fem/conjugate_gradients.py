@@ -19,7 +19,7 @@ __all__ = [
 
 
 class SolverOutcome(Enum):
-    """Outcome of a solve. The value holds the cause and the remedy."""
+    """Outcome of a solve. The value describes the cause and the remedy."""
 
     CONVERGED = "the displacement has converged within the tolerance"
     NOT_CONVERGED = (
@@ -46,16 +46,17 @@ class Solution:
     Attributes
     ----------
     displacement_m
-        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
+        Nodal displacements [m], shape (n, 3). If the outcome is not CONVERGED, this is the last
+        iterate.
     outcome
         Outcome of the solve.
     iterations
-        Iterations; 0 for a solver that does not iterate.
+        Number of iterations; 0 for a direct solver.
     residual
-        Norm of ``f - K u`` over the free components, relative to the norm of f.
+        Norm of ``f - K u`` over the free components, divided by the norm of f.
     error
-        Estimated error in the energy norm, relative to the energy norm of the displacement, of an
-        iterative solve.
+        Estimated error of an iterative solve in the energy norm, divided by the energy norm of the
+        displacement.
     """
 
     displacement_m: Array
@@ -71,7 +72,7 @@ class Solution:
 
 
 LEAST_SHARE = 1e-13
-"""Residuals below this share of the load are rounding errors."""
+"""Ratio of residual to load below which the residual is a rounding error."""
 
 
 @dataclass(eq=False)
@@ -81,13 +82,13 @@ class Iterate:
     Attributes
     ----------
     found
-        Displacement.
+        Present displacement.
     residual
         Load minus the stiffness times the displacement.
     slopes
-        ``r . B r`` of the present residual and of all residuals before.
+        ``r . B r`` of the present residual and of all earlier residuals.
     factors
-        Share of the last direction in the next direction, for each step so far.
+        Factor of the last direction in the next direction, for each step so far.
     lengths
         Step lengths along the directions so far.
     """
@@ -113,29 +114,31 @@ def conjugate_gradients(
 ) -> Solution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The factor of the direction is Polak and Ribiere's. It tolerates a preconditioner that is not
-    quite symmetric, or is in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    The factor of the last direction is that of Polak and Ribiere. It allows a preconditioner that
+    is slightly unsymmetric, or in single precision (Golub and Ye 1999, SIAM J. Sci. Comput.
+    21:1305).
 
     Parameters
     ----------
     product
-        K times displacements.
+        Function that multiplies displacements by K.
     load
-        Forces, zero where nodes are held.
+        Forces; zero at held components.
     precondition
-        B times forces, close to K's inverse.
+        Function that multiplies forces by B, an approximate inverse of K.
     error
-        Estimated relative error of an iterate; at most ``tolerance`` ends the iterations.
+        Function that estimates the relative error of an iterate. The iterations end when it is at
+        most ``tolerance``.
     limit
-        Iterations allowed.
+        Largest number of iterations.
     start
         First guess; default: zero.
     least_curvature
         Below this value ``p . K p`` of a direction p is a rounding error, and K is not positive
         definite.
     correct_last
-        Add the correction for the last residual, which is already computed, to the converged
-        solution. It reduces the error where no eigenvalue of ``B K`` is above 2.
+        True to add the correction for the last residual, which is already computed, to the
+        converged solution. The correction reduces the error if no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:

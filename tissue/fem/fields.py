@@ -1,4 +1,4 @@
-"""Stress of a displacement, and time series of fields for display and export."""
+"""Stress computed from a displacement, and time series of fields for display and export."""
 
 from dataclasses import dataclass, field
 
@@ -25,10 +25,10 @@ class Frame:
     time_s
         Time of the state that the fields belong to [s].
     points
-        Values at the nodes by name with unit, shape (nodes,) or (nodes, 3).
+        Values at the nodes, as a dictionary by name with unit, shape (nodes,) or (nodes, 3).
     cells
-        Values of the cells by name with unit, shape (cells,) or (cells, 3); NaN where a cell is
-        gone.
+        Values in the cells, as a dictionary by name with unit, shape (cells,) or (cells, 3). NaN in
+        removed cells.
     """
 
     time_s: float
@@ -38,7 +38,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class FieldSeries:
-    """Mesh and the frames computed on it so far.
+    """Mesh, and frames computed on this mesh so far.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class FieldSeries:
     frames
         Frames in the order of time.
     node_sets
-        Nodes by role: ``held``, ``touchable``.
+        Nodes by role, ``held`` or ``touchable``.
     """
 
     nodes_m: Array
@@ -97,15 +97,15 @@ def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> S
     displacement_m
         Displacement of each node [m], shape (n, 3).
     elasticity
-        As for `tissue.fem.assembly.assemble`.
+        Elasticity of the cells, see `tissue.fem.assembly.assemble`.
 
     Raises
     ------
     InputError
-        If the elasticity is refused.
+        If the elasticity is not valid.
     """
     start = np.arange(space.cell_count + 1, dtype=np.int32)
-    # four equal barycentric coordinates: the centre
+    # at the centre all four barycentric coordinates are equal
     return group_stress(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
 
 
@@ -117,12 +117,13 @@ def group_stress(
     member: Int32s,
     places: Array,
 ) -> StressState:
-    """Return the mean stress of groups of cells at points in them, weighted by the cells' volumes.
+    """Return the mean stress of groups of cells at points in the cells, weighted by cell volume.
 
-    Parameters as of `kernels.tetrahedra.group_stress`, errors as of `cell_stress`.
+    The parameters are those of `kernels.tetrahedra.group_stress`, the errors those of
+    `cell_stress`.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
-    # Two columns are Lamé's constants of an isotropic cell, otherwise rows are whole matrices.
+    # Rows of two numbers are the Lamé constants of isotropic cells; other rows are whole matrices.
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
     count = len(start) - 1
     device = space.device

@@ -1,8 +1,8 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-The nonlinear laws show where the linear law is no longer enough. They do not run in a 1 kHz tick.
-Linear tetrahedra lock as Poisson's ratio nears 0.5. Quadratic tetrahedra with four Gauss points do
-not.
+The nonlinear laws show where the linear law is not accurate enough. They are too slow for a tick of
+1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with four Gauss
+points do not lock.
 """
 
 from enum import Enum
@@ -26,7 +26,7 @@ __all__ = ["Law", "NonlinearBody"]
 
 
 class Law(Enum):
-    """Elastic laws with one small-strain limit; the value states the range of validity."""
+    """Elastic laws with the same small-strain limit; the value describes the range of validity."""
 
     LINEAR = "small strain and small rotation"
     COROTATIONAL = (
@@ -43,16 +43,16 @@ class NonlinearBody:
     space
         Nodes and cells, linear or quadratic.
     lame_Pa
-        Lame constants lambda, mu of small strains [Pa], shape (2,) or (m, 2), as
-        `tissue.materials.elasticity.lame` makes them; None for a hyperelastic law, which has its
-        own constants.
+        Lame constants lambda, mu at small strains [Pa], shape (2,) or (m, 2), as returned by
+        `tissue.materials.elasticity.lame`. None for a hyperelastic law, which has its own
+        constants.
     law
         Elastic law.
     cell_factors
-        Factor on the moduli of a hyperelastic law in each cell, shape (m,); None for 1.
+        Factor of the moduli of a hyperelastic law in each cell, shape (m,); None for 1.
     membrane
-        Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as
-        `tissue.fem.assembly.capsule_stiffness` makes it; None for no membrane.
+        Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as returned by
+        `tissue.fem.assembly.capsule_stiffness`; None for no membrane.
 
     Raises
     ------
@@ -138,7 +138,7 @@ class NonlinearBody:
             [*places, squares.flatten()],
             [self._blocks],
         )
-        # Only a hyperelastic law has a definite tangent.
+        # A tangent that is made positive definite exists only for a hyperelastic law.
         variants: list[list[object]] = [[0], [1]] if isinstance(law, Hyperelastic) else [[]]
         self._stiffness_launches = [
             (launch(stiffness, count, [*ends, *variant, *model], [squares]), gather)
@@ -148,7 +148,7 @@ class NonlinearBody:
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
         """Return the elastic energy [J] and its derivative, shape (n, 3) [N].
 
-        The energy is infinite where a cell is turned over.
+        The energy is infinite if a cell is inverted.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._force_launches:
@@ -165,15 +165,15 @@ class NonlinearBody:
     def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
         """Return the tangent stiffness [N/m] at a displacement, shape (3n, 3n).
 
-        The matrix is bitwise symmetric. The displacement must not turn a cell over.
+        The matrix is bitwise symmetric. The displacement must not invert a cell.
 
         Parameters
         ----------
         displacement_m
             Displacement of the nodes [m], shape (n, 3).
         definite
-            Whether the eigenvalues of a hyperelastic law are made positive at each quadrature
-            point. The matrix is then positive definite for any support without free motions.
+            True to make the eigenvalues of a hyperelastic law positive at each quadrature point.
+            The matrix is then positive definite for any supports that prevent rigid motions.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches[int(definite)]:
@@ -187,7 +187,7 @@ class NonlinearBody:
 
 
 def _places_of(membrane: bsr_array, space: Space) -> Ints:
-    """Return the places of a membrane's blocks among those of the space's stiffness."""
+    """Return the positions of a membrane's blocks among the blocks of the space's stiffness."""
     pattern = space.pattern
     count = space.node_count
     numbered = csr_array(
@@ -202,8 +202,8 @@ def _constants(
 ) -> tuple[int | Array, ...]:
     """Return the arguments of the law's kernels.
 
-    They are the law's number and Lame constants, or for a hyperelastic law moduli, terms,
-    powers and exponentials.
+    The arguments are the law's number and the Lame constants. For a hyperelastic law they are
+    moduli, terms, powers and exponentials.
     """
     if isinstance(law, Hyperelastic):
         each = np.ones(count) if factors is None else factors

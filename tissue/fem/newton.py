@@ -1,16 +1,17 @@
 """Static equilibrium of a nonlinear body by Newton's method, with an optional rigid sphere.
 
-Each Newton step solves with the tangent by conjugate gradients, preconditioned by one factorisation
-of the stiffness at rest. The iterations stop at a direction of negative curvature (Steihaug 1983,
-SIAM J. Numer. Anal. 20:626), so the direction always lowers the energy. The step is halved until
-energy and slope decrease. A step that turns a cell over has infinite energy and is never taken. The
-multipliers of a sphere are corrected between such solves.
+The direction of a Newton step is solved with the tangent by conjugate gradients. The preconditioner
+is one factorisation of the stiffness at rest. The iterations stop at a direction of negative
+curvature (Steihaug 1983, SIAM J. Numer. Anal. 20:626), so that the resulting direction always
+lowers the energy. The step is halved until energy and slope decrease. A step that inverts a cell
+has infinite energy and is never used. The multipliers of a sphere are corrected between Newton
+solves.
 
-The sphere is rigid and without friction. It enters as an augmented Lagrangian on the surface nodes
-(Simo and Laursen 1992, Comput. Struct. 42:97). With g the depth of a node in the sphere, k a
-penalty and p a multiplier [N], the energy is ``sum (max(0, p + k g)^2 - p^2) / 2 k``. After each
-equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 where p > 0, for any
-penalty.
+The sphere is rigid and without friction. Its contact is an augmented Lagrangian on the surface
+nodes (Simo and Laursen 1992, Comput. Struct. 42:97). Let g be the depth of a node inside the
+sphere, k a penalty and p a multiplier [N]. The energy is ``sum (max(0, p + k g)^2 - p^2) / 2 k``.
+After each equilibrium ``p <- max(0, p + k g)``. In the end g <= 0 at nodes with p = 0, and g = 0 at
+nodes with p > 0, for any penalty.
 """
 
 from dataclasses import dataclass
@@ -42,15 +43,17 @@ class RigidSphere:
     Parameters
     ----------
     nodes
-        Nodes that may touch it, shape (s,).
+        Nodes that may touch the sphere, shape (s,).
     penalty_N_m
-        Penalty of each node [N/m], shape (s,); ten times the node's own stiffness works well.
+        Penalty of each node [N/m], shape (s,). Ten times the node's own stiffness is a suitable
+        value.
     radius_m
         Radius [m].
     centre_m
         Centre [m], shape (3,).
     tolerance
-        Allowed final depth of a node, or gap of a pressed node, over the radius.
+        Allowed final depth of a node in the sphere, or distance of a node with force, divided by
+        the radius.
     """
 
     def __init__(
@@ -68,10 +71,10 @@ class RigidSphere:
         self._tolerance_m = self.radius_m * tolerance
         self._multiplier = np.zeros(len(nodes))
         self.centre_m = centre_m
-        """Centre [m], shape (3,); multipliers stay as it moves, as a first guess."""
+        """Centre [m], shape (3,). If it moves, the multipliers are kept as a first guess."""
 
     def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
-        """Return the energy [J] and its derivative by the positions of ``nodes`` [N].
+        """Return the energy [J] and its derivative with respect to the positions of ``nodes`` [N].
 
         The derivative has shape (s, 3).
         """
@@ -80,7 +83,7 @@ class RigidSphere:
         return float(energy), -pressed[:, None] * outward
 
     def blocks(self, positions_m: Array) -> Array:
-        """Return the second derivative of the energy by ``nodes`` [N/m], shape (s, 3, 3)."""
+        """Return the second derivative of the energy by the positions [N/m], shape (s, 3, 3)."""
         pressed, outward, distance = self._pressed(positions_m)
         along = outward[:, :, None] * outward[:, None]
         stiff = np.where(pressed > 0.0, self._penalty, 0.0)
@@ -89,7 +92,7 @@ class RigidSphere:
         )
 
     def settled(self, positions_m: Array) -> bool:
-        """Return True if the nodes satisfy the contact conditions, else correct the multipliers."""
+        """Return True if the nodes satisfy the contact conditions; else correct the multipliers."""
         pressed, _, distance = self._pressed(positions_m)
         violation = np.maximum(self.radius_m - distance, -self._multiplier / self._penalty)
         if np.abs(violation).max() <= self._tolerance_m:
@@ -98,36 +101,36 @@ class RigidSphere:
         return False
 
     def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
-        """Return force on each node [N], direction from the centre, and distance to it [m]."""
+        """Return each node's force [N], direction from the centre, and distance to it [m]."""
         from_centre = positions_m[self.nodes] - self.centre_m
-        # A node at the centre has no direction; this bounds the division.
+        # A node at the centre has no direction; the lower bound avoids a division by zero.
         distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)
         pressed = np.maximum(0.0, self._multiplier + self._penalty * (self.radius_m - distance))
         return pressed, from_centre / distance[:, None], distance
 
 
 HALVINGS = 30
-"""Halvings of a step before the solve counts as stalled: 1e-9 of it is left."""
+"""Number of halvings of a step, down to 1e-9 of it, before the solve has stalled."""
 ARMIJO = 1e-4
-"""Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
+"""Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-12
-"""Rounding error of an energy, relative: sums over 1e5 cells of 1e-16 each, and reserve."""
+"""Relative rounding error of an energy: a sum over 1e5 cells of 1e-16 each, with a margin."""
 POSITIONS = 4e-13
-"""Rounding error of nodal forces, over stiffness times size of the body."""
+"""Rounding error of nodal forces, divided by stiffness times size of the body."""
 CORRECTIONS = 60
 """Largest number of corrections of a sphere's multipliers.
 
-Each correction leaves a tenth of the penetration or less.
+Each correction reduces the penetration to a tenth or less.
 """
 LINEAR_LIMIT = 500
-"""Iterations allowed for a direction; the last iterate lowers the energy, too."""
+"""Largest number of iterations for a direction; the last iterate also lowers the energy."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NewtonSolution(Solution):
     """Displacement, outcome and forces of a solve by Newton's method.
 
-    The residual is the largest unbalanced force over the largest balanced force.
+    The residual is the largest unbalanced force divided by the largest balanced force.
 
     Attributes
     ----------
@@ -150,16 +153,16 @@ class NewtonSolver:
     body
         The body.
     held
-        Components with a prescribed displacement, shape (n, 3).
+        True for components with a prescribed displacement, shape (n, 3).
     tolerance
-        Residual force allowed, over the largest force in the body.
+        Allowed residual force, divided by the largest force in the body.
     step_limit
-        Newton steps allowed in a solve.
+        Largest number of Newton steps in a solve.
 
     Raises
     ------
     InputError
-        If the held components leave a part free to move.
+        If the held components do not prevent every rigid motion of every part.
     """
 
     def __init__(
@@ -173,11 +176,11 @@ class NewtonSolver:
         rest = body.stiffness(np.zeros(held.shape))
         self.rest_diagonal = rest.diagonal()
         """Diagonal of the stiffness at rest [N/m], shape (3n,)."""
-        # A rotated body without stress has only rounding errors as forces, and no others to compare
-        # with.
+        # In a rotated body without stress, all forces are rounding errors. There is no larger force
+        # to compare them with.
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
-        # A hundredth: displacements of a tenth of the body, which enter squared.
+        # 1e-2 is the square of a displacement of a tenth of the body's size.
         self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
         at_rest = HeldBody(rest, body.nodes_m, held)
         solver = DirectSolver(at_rest)
@@ -194,8 +197,8 @@ class NewtonSolver:
     ) -> NewtonSolution:
         """Solve for the equilibrium with held components at ``held_m`` [m], shape (n, 3).
 
-        The solve starts from ``start_m`` [m]; the default of both is zero. With a sphere, its
-        multipliers are corrected until the contact conditions are satisfied.
+        The solve starts from ``start_m`` [m]. ``held_m`` and ``start_m`` are zero by default. The
+        multipliers of a sphere are corrected until the contact conditions are satisfied.
         """
         now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
@@ -220,19 +223,19 @@ class NewtonSolver:
         return NewtonSolution(now, outcome, steps, residual, force_N=force, tool_force_N=push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
-        """Return the start with held components moved and free components following to first order.
+        """Return the start with moved held components; free components follow to first order.
 
-        If that turns a cell over, only the held components move.
+        If this motion inverts a cell, only the held components move.
         """
         tangent = self.body.stiffness(start)
-        # A first guess: 1e-3 is far below its own error of first order.
+        # The tolerance of 1e-3 is far below the error of this first-order guess.
         following = start + move + self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
         return following if np.isfinite(self.body.energy_and_force(following)[0]) else start + move
 
     def _minimum(
         self, now: Array, sphere: RigidSphere | None
     ) -> tuple[Array, SolverOutcome, float, int]:
-        """Minimise the energy by Newton's method, with the sphere's multipliers kept.
+        """Minimise the energy by Newton's method, for constant multipliers of the sphere.
 
         Return displacement, outcome, residual and number of steps.
         """
@@ -246,8 +249,9 @@ class NewtonSolver:
                 return now, SolverOutcome.CONVERGED, residual, step_count
             if step_count == self._step_limit:
                 break
-            # A direction as accurate as the residual is small keeps the convergence quadratic
-            # (Eisenstat and Walker 1996). More than a tenth of the tolerance is not needed.
+            # If the relative accuracy of the direction equals the residual, convergence is
+            # quadratic (Eisenstat and Walker 1996). An accuracy better than a tenth of the
+            # tolerance is not needed.
             accuracy = max(min(0.1, residual), 0.1 * self._tolerance / residual)
             step = self._direction(self._whole(now, sphere), -slope.ravel(), accuracy)
             downhill = float(np.sum(slope * step))
@@ -258,9 +262,9 @@ class NewtonSolver:
                 lower = there[0] <= energy + ARMIJO * share * downhill
                 rounding = (
                     there[0] <= energy + ROUNDING * abs(energy) + self._rounding_J
-                )  # near the end the slope alone is exact
-                # Near the end, differences of the energy are rounding, so half of the slope must go
-                # instead.
+                )  # near the end only the slope is accurate
+                # Near the end, differences of the energy are rounding errors. Then the slope must
+                # fall to half instead.
                 if lower or (
                     rounding and abs(float(np.sum(there[2] * step))) <= 0.5 * abs(downhill)
                 ):
@@ -273,7 +277,7 @@ class NewtonSolver:
         return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
-        """Return energy [J], largest force in the body [N] and the energy's derivative [N].
+        """Return energy [J], largest force in the body [N] and derivative of the energy [N].
 
         The derivative is zero at held components.
         """
@@ -293,14 +297,14 @@ class NewtonSolver:
         tangent = self.body.stiffness(displacement)
         if sphere is not None:
             row = np.repeat(np.arange(self.body.space.node_count), np.diff(tangent.indptr))
-            diagonal = np.flatnonzero(row == tangent.indices)  # one block a node, in rising order
+            diagonal = np.flatnonzero(row == tangent.indices)  # one block per node, in rising order
             tangent.data[diagonal[sphere.nodes]] += sphere.blocks(self.body.nodes_m + displacement)
         return tangent
 
     def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> Array:
         """Solve for the free components by conjugate gradients.
 
-        The iterations end early at negative curvature.
+        The iterations end early at a direction of negative curvature.
         """
         free = self._free
         full = np.zeros(self.held.size)
@@ -317,18 +321,19 @@ class NewtonSolver:
             limit=LINEAR_LIMIT,
             error=lambda now: float(np.sqrt(now.slopes[-1] / now.slopes[0])),
         )
-        # Negative curvature in the first direction: the preconditioned force still leads downhill.
+        # The first direction has negative curvature, but the preconditioned force still lowers the
+        # energy.
         bent = found.outcome is SolverOutcome.INDEFINITE and found.iterations == 0
         full[free] = self._precondition(load[free]) if bent else found.displacement_m
         return full.reshape(self.held.shape)
 
 
 STIFFER = 10.0
-"""Penalty of a surface node over its own stiffness."""
+"""Ratio of the penalty of a surface node to the node's own stiffness."""
 NODES = 1e-5
-"""Largest distance allowed between a node and the sphere, over the radius of the sphere."""
+"""Largest allowed distance between a node in contact and the sphere, divided by the radius."""
 LONGEST = 0.3
-"""Longest step of the sphere over its radius."""
+"""Longest step of the sphere, divided by its radius."""
 
 
 def press_at(
@@ -339,7 +344,7 @@ def press_at(
     radius_m: float,
     tolerance: float = NODES,
 ) -> tuple[NewtonSolution, RigidSphere, float]:
-    """Solve for the equilibrium with a rigid sphere that moves in a straight line to its place.
+    """Solve for the equilibrium with a rigid sphere that moves in a straight line.
 
     The body is at rest before.
 
@@ -348,27 +353,27 @@ def press_at(
     solver
         Solver of the body.
     tip_m, direction
-        Foremost point of the sphere at its final place [m], and the unit direction of its motion,
-        shapes (3,).
+        Foremost point of the sphere at its final position [m], and unit direction of its motion,
+        each of shape (3,).
     radius_m
         Radius of the sphere [m].
     tolerance
-        Allowed depth of a node in the sphere, over the radius.
+        Allowed depth of a node in the sphere, divided by the radius.
 
     Returns
     -------
-    The equilibrium, or the first solution that did not converge; the sphere; its path from the
-    first touch [m], not positive where it does not reach the body.
+    The equilibrium, or the first solution that did not converge; the sphere; and the length of its
+    path from the first touch [m]. The length is not positive if the sphere does not reach the body.
 
     Raises
     ------
     InputError
-        If the radius is not positive or no node of the surface lies in the sphere's path.
+        If the radius is not positive, or if no node of the surface lies in the sphere's path.
     """
     sphere, touching = resting_sphere(solver, tip_m, direction, radius_m, tolerance)
     depth = -radius_m - touching
     now = None
-    # At least one step; a step of more than LONGEST radii can turn cells over.
+    # There is at least one step. A step of more than LONGEST radii could invert cells.
     for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
         sphere.centre_m = tip_m + stop * direction
         solution = solver.solve(sphere=sphere, start_m=now)
@@ -381,9 +386,10 @@ def press_at(
 def resting_sphere(
     solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
 ) -> tuple[RigidSphere, float]:
-    """Return a sphere aimed at a point [m], placed where it first touches a node.
+    """Return a sphere that moves towards a point [m], at its first touch of a node.
 
-    The second value is the distance of its centre beyond the point [m].
+    The second value is the distance from the point to the sphere's centre, measured along the
+    direction of motion [m]; negative in front of the point.
     """
     body = solver.body
     surface = np.unique(body.space.faces)

@@ -1,13 +1,13 @@
-"""Equilibrium of a nonlinear body under slowly changing nodal forces, by L-BFGS.
+"""Equilibrium of a nonlinear body under slowly changing nodal forces, solved by L-BFGS.
 
-Each step needs one evaluation of the internal forces and one solve with a factor, at first the
-factor of the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
-Program. 45:503) depend on the body alone, not on the forces, so they stay valid from one load to
-the next. When a solve needs many steps, the stiffness at the present displacement is factorised.
+Each step needs one evaluation of the internal forces and one solve with a factor. The first factor
+is that of the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
+Program. 45:503) depend on the body and not on the forces. They therefore stay valid when the load
+changes. When a solve needs many steps, the stiffness at the present displacement is factorised.
 
-Springs may hold some nodes near prescribed displacements. Tissue under a deep press of a tool can
-be stable only because the tool is rigid. Under equal forces without the tool its tangent is
-indefinite and no equilibrium is near.
+Springs may hold some nodes near prescribed displacements. Tissue that a tool presses deeply may be
+stable only because the tool is rigid. Under the same forces without the tool, its tangent is
+indefinite and there is no equilibrium nearby.
 """
 
 from collections import deque
@@ -29,23 +29,24 @@ __all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
 MEMORY = 12
 """Number of steps whose curvature pairs are kept."""
 HALVINGS = 12
-"""Halvings of a step before its direction is given up: 1/4096 of it is left."""
+"""Number of halvings of a step, down to 1/4096, before its direction is discarded."""
 ARMIJO = 1e-4
-"""Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
+"""Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-12
-"""Rounding error of the energy, relative."""
+"""Relative rounding error of the energy."""
 SMALL = 1e-3
-"""Share of the largest load so far. A smaller load counts as this share, so it need not be
-balanced.
+"""Smallest reference force of the residual, as a share of the largest load so far.
+
+The residual of a smaller load is relative to this share, so that such a load need not be balanced.
 """
 MANY = 8
-"""Steps of a solve after which the stiffness at the present displacement is factorised anew."""
+"""Number of steps after which the stiffness at the present displacement is factorised anew."""
 SMALLEST_PART = 1.0 / 16.0
-"""Smallest part of a change of load that is tried before the last equilibrium reached is kept."""
+"""Smallest part of a change of load that is tried before the solve keeps its last equilibrium."""
 
 
 class Body(Protocol):
-    """Body with an energy, its derivative and its tangent; see `NonlinearBody`."""
+    """Body with an elastic energy, its derivative and its tangent; see `NonlinearBody`."""
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
         """Return the energy [J] and its derivative [N], shape (n, 3)."""
@@ -58,7 +59,7 @@ class Body(Protocol):
 class Springs:
     """Coupled springs that hold nodes of a body near given positions.
 
-    With u all components of the displacement, the energy is ``|root u - rest|^2 / 2``.
+    The energy is ``|root u - rest|^2 / 2``, with u all components of the displacement.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ class Springs:
 
     @classmethod
     def none(cls, unknowns: int) -> "Springs":
-        """Return no springs, for a body of some unknowns."""
+        """Return an empty set of springs for a body with a number of unknowns."""
         return cls(csr_array((0, unknowns)), np.zeros(0))
 
     @classmethod
@@ -83,8 +84,7 @@ class Springs:
     ) -> "Springs":
         """Return springs that hold nodes near given positions, with a given compliance.
 
-        The springs couple the nodes as the body does. Their root is the inverse of the Cholesky
-        factor of the compliance.
+        The root of the springs' stiffness is the inverse of the Cholesky factor of the compliance.
 
         Parameters
         ----------
@@ -107,12 +107,12 @@ class Springs:
         return cls(root, solve_triangular(lower, target_m.ravel(), lower=True))
 
     def at(self, share: float, start_m: Array) -> "Springs":
-        """Return the springs with targets moved from a displacement by a share of the distance.
+        """Return springs whose targets are moved from a displacement towards these targets.
 
         Parameters
         ----------
         share
-            Share of the distance (0 to 1). With 0 the springs have no force at the start.
+            Share of the distance, 0 to 1. With 0 the springs have no force at the start.
         start_m
             Displacement of the nodes at the start [m], shape (n, 3).
         """
@@ -127,28 +127,29 @@ class Springs:
         return 0.5 * float(stretch @ stretch), -(self.root.T @ stretch).reshape(-1, 3)
 
     def product(self, change_m: Array) -> Array:
-        """Compute the change of the forces against a change of displacement [N], shape (n, 3)."""
+        """Compute the change of the restoring forces for a change of displacement [N], (n, 3)."""
         force: Array = self.root.T @ (self.root @ change_m.ravel())
         return force.reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """An equilibrium, or the closest approach to one.
+    """Equilibrium, or the closest approach to an equilibrium.
 
     Attributes
     ----------
     displacement_m, internal_N
-        Displacement [m] and the internal forces there [N], shape (n, 3).
+        Displacement [m], and internal forces at it [N], each of shape (n, 3).
     load_N
-        Load and forces of the springs [N], shape (n, 3).
+        Sum of the load and the forces of the springs [N], shape (n, 3).
     residual
-        Largest unbalanced force, over the largest force of the load and of the loads before.
+        Largest unbalanced force, divided by the reference force: the largest force of the load, or
+        a share of the largest force of earlier loads if that is larger.
     steps
-        Steps taken.
+        Number of steps.
     reached
-        Share of the change of load and springs that was followed (0 to 1). Where it is less than
-        1, the displacement is the equilibrium of this share.
+        Share of the change of load and springs that was applied, 0 to 1. If it is less than 1, the
+        displacement is the equilibrium for this share.
     """
 
     displacement_m: Array
@@ -176,18 +177,18 @@ class QuasiNewton:
     body
         The body.
     fixed
-        Components with zero displacement, shape (n, 3).
+        True for components with zero displacement, shape (n, 3).
     at_rest
-        Factor of the stiffness at rest. Nodes with springs must have been eliminated last, here and
-        in later factors.
+        Factor of the stiffness at rest. In this factor and in later factors, nodes with springs
+        must be eliminated last.
     factorise
-        Function that factorises another stiffness [N/m]; raises `NotPositiveDefiniteError` where
-        it has no Cholesky factor.
+        Function that factorises another stiffness [N/m]. It raises `NotPositiveDefiniteError` if
+        the stiffness has no Cholesky factor.
 
     Attributes
     ----------
     factor
-        Factor in use, of the stiffness at rest or at a later displacement.
+        Factor in use. It belongs to the stiffness at rest or at a later displacement.
     indefinite
         Number of tangents so far that were not positive definite.
     """
@@ -223,9 +224,9 @@ class QuasiNewton:
         load_N
             Load [N], shape (n, 3).
         tolerance, step_limit
-            Residual allowed, and most steps.
+            Allowed residual, and largest number of steps.
         springs
-            Springs that act in addition; default: none.
+            Springs that act in addition to the load; default: no springs.
         """
         wanted = springs or Springs.none(self._fixed.size)
         start = self._state()
@@ -241,7 +242,8 @@ class QuasiNewton:
             goal = min(reached + part, 1.0)
             self._spring_up(wanted.at(goal, start.displacement_m))
             load = load_N if goal == 1.0 else carried + goal * (load_N - carried)
-            # The first try has half of the steps, so that some are left for a smaller part.
+            # The first attempt may use half of the steps. The others are for smaller parts of the
+            # change.
             limit = step_limit if reached or part < 1.0 else (step_limit + 1) // 2
             steps += self._reach(load, allowed_N, min(limit, step_limit - steps))
             if self._unbalanced_N(load) <= allowed_N:
@@ -258,9 +260,9 @@ class QuasiNewton:
         return Followed(self._displacement, self._internal, acting, residual, steps, reached)
 
     def restart(self, displacement_m: Array) -> None:
-        """Start the next solve from a displacement [m], shape (n, 3), or from rest.
+        """Start the next solve from a displacement [m], shape (n, 3).
 
-        The body is at rest if the displacement turns a cell over.
+        If the displacement inverts a cell, the next solve starts from zero displacement.
         """
         energy, internal = self._body.energy_and_force(displacement_m)
         if not np.isfinite(energy):
@@ -281,7 +283,7 @@ class QuasiNewton:
         while float(np.abs(left).max()) > allowed_N and steps < limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
-                # Nothing is left to fall back on.
+                # Without curvature pairs, there is no other direction to try.
                 if not self._memory:
                     break
                 self._take_factor(self.factor)
@@ -304,14 +306,14 @@ class QuasiNewton:
         return float(np.abs(self._left(load_N)[1]).max())
 
     def _left(self, load_N: Array) -> tuple[Array, Array]:
-        """Return the load with springs and its unbalanced part [N], shape (n, 3) both."""
+        """Return load plus spring forces, and their unbalanced part [N], each of shape (n, 3)."""
         acting = load_N + self._springs.energy_and_force(self._displacement)[1]
         return acting, np.where(self._fixed, 0.0, acting - self._internal)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
         """Take a step, shortened until the energy decreases.
 
-        Return False if no length decreases the energy.
+        Return False if the step decreases the energy at no length.
         """
         if slope <= 0.0:
             return False
@@ -379,7 +381,7 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _hold_back(self) -> None:
-        """Discard the factor with springs, which is made when it is next needed."""
+        """Discard the factor with springs; it is made again when it is needed."""
         self._held = None
 
     def _solve(self, forces_N: Array) -> Array:

@@ -1,18 +1,18 @@
-"""Nonlinear region of a body whose remainder is linear.
+"""Body with a nonlinear region; all other cells are linear.
 
 Cells of the region follow a hyperelastic law. The other cells are linear, so that they can be
-eliminated once (static condensation, Guyan 1965, AIAA J. 3:380). The border between them moves in a
-few modes, ``u_b = P q`` (reduced interface coordinates, Craig and Chang 1976, NASA CP-2001, 2:393).
-With u the displacement of the region's inner nodes::
+eliminated once (static condensation, Guyan 1965, AIAA J. 3:380). The border between region and
+other cells is restricted to a few displacement modes, ``u_b = P q`` (reduced interface coordinates,
+Craig and Chang 1976, NASA CP-2001, 2:393). With the displacement u of the region's inner nodes::
 
     energy(u, q) = hyperelastic energy of the region's cells + q^T P^T S P q / 2
 
 S is the stiffness of the other cells and of the supports, condensed onto the border. The modes are
 the principal displacements of the border under random forces on inner nodes of the linear body
-(randomised range, Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217). The border of a linear body
-moves in their span. The energy is exact where the other cells are linear and the modes span the
-displacement. A membrane on the surface is linear everywhere. Its faces on the region's cells belong
-to the first term, and its other faces to S.
+(randomised range, Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217). These modes span the
+displacements of the border of a linear body. The energy is exact if the other cells are linear and
+the modes span the displacement of the border. A membrane on the surface is linear everywhere. Its
+faces on the region's cells belong to the first term, and its other faces belong to S.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,22 +33,22 @@ __all__ = ["RegionBody"]
 MODES = 48
 """Largest number of modes of a border, a multiple of three.
 
-With 24 to 96 modes the force of `liver-press` is the same within 0.2 %
-(`python tests/bench/bench_law_region.py --modes 24 48 96`).
+With 24 to 96 modes the forces of `liver-press` differ by at most 0.2 % (`python
+tests/bench/bench_law_region.py --modes 24 48 96`).
 """
 LOADS = 80
-"""Number of random loads that the modes are found from; 32 more than the modes."""
+"""Number of random loads from which the modes are computed: 32 more than modes."""
 SMALLEST = 1e-6
-"""Singular value of the smallest mode, over the largest; below it there is rounding."""
+"""Ratio to the largest singular value below which a mode is a rounding error."""
 SEED = 0
 """Seed of the random loads."""
 
 
 class RegionBody:
-    """Body with a hyperelastic region in a linear remainder.
+    """Body with a hyperelastic region whose other cells are linear.
 
-    Its unknowns are the displacements of inner nodes, and the modes of the border in threes, as if
-    they were displacements of further nodes.
+    The unknowns are the displacements of the inner nodes, and the amplitudes of the border modes.
+    Three amplitudes are stored like the displacement of one further node.
 
     Parameters
     ----------
@@ -59,9 +59,10 @@ class RegionBody:
     cells
         Numbers of the cells of the region.
     loaded
-        Sets of nodes of the body near a contact, shape (l,) each: those on which forces may act,
-        and those where the law may differ from the linear one. Random forces act on each set for
-        an equal number of modes. Forces on nodes at the border would need many modes.
+        Sets of nodes of the body near a contact, each of shape (l,): the nodes on which forces may
+        act, and the nodes where the law may differ from the linear law. The random forces for the
+        modes act on each set in an equal number of loads. Forces on nodes at the border would need
+        many modes.
     law, cell_factors
         Law, and factors of its moduli in each cell of the body, shape (m,).
     membrane
@@ -76,8 +77,8 @@ class RegionBody:
     body, cells
         Nonlinear body of the region alone, and numbers of its cells in the whole body.
     nodes_m, fixed
-        Positions [m] and components with zero displacement, shape (n + p, 3) both. The last p rows
-        belong to the modes. Their positions are not used.
+        Positions [m], and mask of components with zero displacement, each of shape (n + p, 3). The
+        last p rows belong to the modes; their positions are not used.
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class RegionBody:
         part = Space(mesh, space.order, device=space.device)
         numbers = np.zeros(part.node_count, np.int64)
         numbers[part.cell_nodes.ravel()] = space.cell_nodes[cells].ravel()
-        # The faces between the region and the other cells carry no membrane.
+        # There is no membrane on the faces between the region and the other cells.
         skin = part.faces[_are_among(numbers[part.faces[:, :3]], space.faces[:, :3])]
         self.cells = cells
         self.body = NonlinearBody(
@@ -121,7 +122,7 @@ class RegionBody:
         self._assembly = _Assembly(part.pattern, self._inner, self._border, extra)
 
     def _reduced(self, rest: DirectSolver, loaded: Sequence[Ints]) -> tuple[Array, Array]:
-        """Return the modes, shape (3b, 3p), and the stiffness outside on them, shape (3p, 3p)."""
+        """Return the modes, (3b, 3p), and the stiffness of the other cells in them, (3p, 3p)."""
         if not len(self._border):
             return np.zeros((0, 0)), np.zeros((0, 0))
         random = np.random.default_rng(SEED)
@@ -136,7 +137,8 @@ class RegionBody:
         moved = moved[components_of(self.all_nodes)]
         stiffness = self.body.stiffness(np.zeros((len(self.all_nodes), 3)))
         border = components_of(self._border)
-        # No load acts on the border, so that the outside balances the region there.
+        # No load acts on the border. The forces of the other cells therefore balance those of the
+        # region there.
         pulls = -(stiffness @ moved)[border]
         pulls[rest.body.fixed[self.all_nodes[self._border]].ravel()] = 0.0
         left, sizes, right = np.linalg.svd(moved[border], full_matrices=False)
@@ -146,7 +148,7 @@ class RegionBody:
         return np.ascontiguousarray(modes), 0.5 * (outside + outside.T)
 
     def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns nearest to displacements of the body [m], shape (n + p, 3)."""
+        """Return the unknowns that best fit displacements of the body [m], shape (n + p, 3)."""
         border = nodal_m[self.all_nodes[self._border]].ravel()
         return np.vstack([nodal_m[self.nodes], (self._modes.T @ border).reshape(-1, 3)])
 
@@ -159,9 +161,9 @@ class RegionBody:
         return moved
 
     def linear_difference_N(self, unknowns_m: Array) -> Array:
-        """Return the linear forces on `all_nodes` minus those of the law [N], shape (r, 3).
+        """Return the linear forces on `all_nodes` minus the forces of the law [N], (r, 3).
 
-        With this load in addition, a linear body moves as this one.
+        Under this additional load, a linear body has the displacement of this body.
         """
         moved = self.nodal_m(unknowns_m)
         linear = self.body.stiffness(np.zeros_like(moved)) @ moved.ravel()
@@ -179,22 +181,22 @@ class RegionBody:
         return energy + 0.5 * float(shares @ pull), force
 
     def stiffness(self, unknowns_m: Array, *, definite: bool = False) -> bsr_array:
-        """Return the tangent stiffness [N/m], shape (3n + 3p, 3n + 3p), as for `NonlinearBody`."""
+        """Return the tangent stiffness [N/m], (3n + 3p, 3n + 3p), see `NonlinearBody`."""
         tangent = self.body.stiffness(self.nodal_m(unknowns_m), definite=definite)
         return self._assembly.assembled(tangent, self._modes, self._outside)
 
 
 class _Assembly:
-    """Positions of the blocks of a tangent whose border is replaced by modes.
+    """Positions of the blocks of a tangent in which modes replace the border.
 
     Parameters
     ----------
     pattern
-        Blocks of the tangent of all nodes of the region.
+        Block pattern of the tangent for all nodes of the region.
     inner, border
         Inner nodes and nodes on the border, rising.
     extra
-        Number of modes, over three.
+        Number of modes divided by three.
     """
 
     def __init__(self, pattern: Pattern, inner: Ints, border: Ints, extra: int) -> None:
@@ -254,7 +256,7 @@ class _Assembly:
 
 
 def _are_among(faces: Ints, others: Ints) -> Flags:
-    """Return which triangles, by their three nodes, are among other triangles, shape (f,)."""
+    """Return a mask of the triangles that are among other triangles, shape (f,)."""
     rows = np.vstack([np.sort(faces, axis=1), np.sort(others, axis=1)])
     places = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
     found: Flags = np.isin(places[: len(faces)], places[len(faces) :])

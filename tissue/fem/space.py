@@ -1,22 +1,22 @@
-"""Displacement spaces on tetrahedra: shape functions, nodes, and the pattern of their matrices.
+"""Displacement spaces on tetrahedra: shape functions, nodes and block pattern of matrices.
 
-Displacement spaces on tetrahedra: linear (P1) and quadratic (P2).
+Linear spaces (P1) have nodes at the corners. Quadratic spaces (P2) also have nodes in the middles
+of edges.
 
-Linear spaces have nodes at corners, quadratic spaces also in the middles of edges.
+The shape functions of straight-sided simplices are written in barycentric coordinates l_c.
 
-Shape functions of straight-sided simplices, linear and quadratic, in barycentric coordinates.
+The gradients g_c of these coordinates are constant. The gradient of shape function A is ``sum_c
+sum_i slope[A, c, i] l_i g_c``. For a corner it is g_A (linear) or ``(4 l_A - 1) g_A`` (quadratic),
+with 1 = sum l_i. For the middle of edge ij it is ``4 (l_i g_j + l_j g_i)``. Products are integrated
+exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so that no quadrature is
+needed.
 
-On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant. The
-gradient of shape function A is ``sum_c sum_i slope[A, c, i] l_i g_c``. It is g_A (linear) or ``(4
-l_A - 1) g_A`` (quadratic) for a corner, with 1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the
-middle of edge ij. Products integrate exactly by ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d +
-2))``, so that no quadrature is needed.
+The block pattern has the positions of the 3x3 blocks of an assembled matrix, and the cells that
+contribute to each block.
 
-Positions of the 3x3 blocks of an assembled matrix, and the cells that contribute to each block.
-
-Pairs of nodes are grouped by two stable counting sorts, linear in their number. SciPy's conversion
-of one compressed row into columns is such a sort. Each pair occurs once, lower node first. Its
-mirror image gets a place, not a sum.
+Pairs of nodes are grouped by two stable counting sorts, whose time is linear in the number of
+pairs. SciPy's conversion of one compressed row into columns is such a sort. Each pair is summed
+once, with the lower node first. The mirrored block is copied and not summed.
 """
 
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Block pattern of a symmetric matrix over nodes, with both triangles stored by rows.
+    """Block pattern of a symmetric matrix over nodes; the two triangles are stored by rows.
 
     Attributes
     ----------
@@ -59,14 +59,15 @@ class Pattern:
     column
         Node of each block's column, rising within a row, shape (b,).
     pair_start
-        First contribution to each pair of nodes, shape (p + 1,).
+        Position of the first contribution to each pair of nodes, shape (p + 1,).
     contribution
-        Cell times the pairs in a cell, plus the pair in the cell, shape (c,); in the order of cells
-        within a pair. The bitwise complement where the pair is reversed in its cell.
+        Number of each contribution, shape (c,): cell index times number of pairs in a cell, plus
+        index of the pair in the cell. The contributions to a pair are in the order of cells. If the
+        pair is reversed in its cell, the bitwise complement is stored.
     place
-        Block of each pair with the lower node as its row, shape (p,).
+        Block of each pair whose row is the lower node, shape (p,).
     mirror
-        Block of its transpose, shape (p,); equal to `place` on the diagonal.
+        Block of the transposed pair, shape (p,); equal to `place` on the diagonal.
     """
 
     row_start: Int32s
@@ -78,7 +79,7 @@ class Pattern:
 
     @classmethod
     def of(cls, cell_nodes: Ints, node_count: int) -> "Pattern":
-        """Return the pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
+        """Return the block pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
         a, b = local_pairs(cell_nodes.shape[1]).T
         nodes = cell_nodes.astype(np.int32)
         first = nodes[:, a].ravel()
@@ -116,12 +117,12 @@ class Pattern:
 
 
 def local_pairs(nodes_a_cell: int) -> Ints:
-    """Return the pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
+    """Return the pairs a <= b of the nodes of a cell, row by row, shape (k (k + 1) / 2, 2)."""
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
 def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
-    """Return the stable order that sorts pairs of numbers, and the start of each pair.
+    """Return the stable order that sorts pairs of numbers, and the start of each distinct pair.
 
     The numbers are below `count`. The starts have shape (p + 1,).
     """
@@ -137,7 +138,7 @@ def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
 
 
 def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
-    """Return `order` sorted stably by keys below `count`, in time linear in both."""
+    """Return `order` sorted stably by keys below `count`, in linear time."""
     row = csr_array((order, key[order], np.array([0, len(order)], np.int32)), shape=(1, count))
     return np.asarray(row.tocsc().data)
 
@@ -149,22 +150,23 @@ TRIANGLE_EDGES = EDGES[:3]
 """Corners of each edge of a triangle."""
 
 GAUSS = 0.13819660112501052
-"""Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
+"""Smaller barycentric coordinate of the four Gauss points of a tetrahedron: (5 - sqrt 5) / 20."""
 
 
 def gauss_points(order: int) -> Array:
-    """Return barycentric coordinates of a tetrahedron's Gauss points, which have equal weights.
+    """Return the barycentric coordinates of a tetrahedron's Gauss points.
 
-    Shape (1, 4) for linear cells, (4, 4) for quadratic cells.
+    The points have equal weights. The shape is (1, 4) for linear cells and (4, 4) for quadratic
+    cells.
     """
     # One point at the centroid is enough for linear cells, whose strain is constant.
     return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
 
 
 def gradient_slopes(corners: int, order: int) -> Array:
-    """Return the slopes of the gradients, shape (nodes, corners, corners).
+    """Return the coefficients ``slope`` of the gradients, shape (nodes, corners, corners).
 
-    The axes are shape function, g_c and l_i.
+    The axes are the shape function, the index c of g_c and the index i of l_i.
     """
     edges = _edges(corners, order)
     slope = np.zeros((corners + len(edges), corners, corners))
@@ -178,9 +180,9 @@ def gradient_slopes(corners: int, order: int) -> Array:
 
 
 def gradient_products(corners: int, order: int) -> Array:
-    """Return means of gradient products over the simplex, shape (nodes, nodes, corners, corners).
+    """Return means of gradient products, shape (nodes, nodes, corners, corners).
 
-    [A, B, c, d] multiplies g_c g_d^T.
+    The means are taken over the simplex. Entry [A, B, c, d] multiplies g_c g_d^T.
     """
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
@@ -188,14 +190,15 @@ def gradient_products(corners: int, order: int) -> Array:
 
 
 def mean_gradient_products(corners: int, order: int) -> Array:
-    """Return products of mean gradients over the simplex, shape as of `gradient_products`."""
+    """Return products of mean gradients, with the shape of `gradient_products`."""
     slope = gradient_slopes(corners, order).mean(axis=2)
     return np.asarray(np.einsum("ac,bd->abcd", slope, slope))
 
 
 def mean_shape(corners: int, order: int) -> Array:
-    """Return means of the shape functions over the simplex, shape (nodes,): shares of a uniform
-    load.
+    """Return the means of the shape functions over the simplex, shape (nodes,).
+
+    They are the shares of the nodes in a uniform load.
     """
     if order == 1:
         return np.full(corners, 1.0 / corners)
@@ -215,14 +218,15 @@ def _edges(corners: int, order: int) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Continuous displacements, linear or quadratic in each cell; three unknowns x, y, z a node.
+    """Space of continuous displacements, linear or quadratic in each cell.
 
     Attributes
     ----------
     mesh
         The cells, with straight edges.
     order
-        1 or 2. Linear cells lock as Poisson's ratio nears 0.5; quadratic ones do not.
+        Order of the shape functions, 1 or 2. Linear cells lock if Poisson's ratio is near 0.5;
+        quadratic cells do not.
     device
         Warp device name.
 
@@ -249,7 +253,7 @@ class Space:
 
     @property
     def unknown_count(self) -> int:
-        """Number of unknowns, three a node."""
+        """Number of unknowns: x, y and z of each node."""
         return 3 * self.node_count
 
     @property
@@ -270,7 +274,7 @@ class Space:
     def cell_nodes(self) -> Ints:
         """Nodes of each cell, shape (m, 4) or (m, 10).
 
-        Corners come first, then the middles of `EDGES` in VTK's order.
+        The corners come first, then the middles of `EDGES` in VTK's order.
         """
         if self.order == 1:
             return self.mesh.cells
@@ -280,12 +284,12 @@ class Space:
     def faces(self) -> Ints:
         """Nodes of each face of the surface, shape (f, 3) or (f, 6).
 
-        Corners as in the mesh come first, then middles.
+        The corners come first, as in the mesh, then the middles of the edges.
         """
         return self.with_middles(self.mesh.surface)
 
     def with_middles(self, triangles: Ints) -> Ints:
-        """Return triangles with their middle nodes where the space is quadratic.
+        """Return triangles, with their middle nodes if the space is quadratic.
 
         The triangles are faces of cells, shape (f, 3).
         """
@@ -325,7 +329,7 @@ class Space:
 
     @cached_property
     def _edges(self) -> tuple[Ints, Ints]:
-        """Corners of each edge in rising order, (e, 2), and edges of each cell, (m, 6)."""
+        """Corners of each edge in rising order, (e, 2), and the edges of each cell, (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
         edge_of = np.empty(len(order), np.int64)

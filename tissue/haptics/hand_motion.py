@@ -35,7 +35,7 @@ is the limit.
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Force rendering, from the positions of device and tool to the played force.
+    """Force rendering: stages from the positions of device and tool to the played force.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class HandMotion(Motion):
     limits
         Largest force and torque of the device, and largest rates of change.
     rendering
-        Force rendering, from the positions of device and tool to the played force.
+        Stages from the positions of device and tool to the played force.
     script
         Scripted motion, and largest distance of the tool from it.
     """

@@ -1,4 +1,4 @@
-"""Force rendering laws between a device and its proxy, behind one interface."""
+"""Force rendering laws between a device and its proxy, with one interface."""
 
 from collections import deque
 from collections.abc import Callable
@@ -30,30 +30,32 @@ __all__ = [
 SPEED_TICKS = 3
 """Number of ticks over which the speed is averaged.
 
-Chosen. In `tissue.haptics.rigid_wall.knock` on a Touch and a six-DOF device, with latencies up to
-8 ms, no value from 1 to 8 is better throughout.
+Chosen. `tissue.haptics.rigid_wall.knock` was run on a Touch and on a six-DOF device, with latencies
+up to 8 ms. No value from 1 to 8 is better in all of these runs.
 """
 RELEASE_M_S = (0.03, 0.1)
 RELEASE_RAD_S = (1.2, 4.0)
-"""Outward speeds at which the removal of an unpaid force begins and is complete [m/s], [rad/s].
+"""Outward speeds at which the removal of a force that would create energy begins and ends.
 
-They are far above the speeds of encoder steps and of a hand that rests on a wall. The rotational
-values correspond to a handle of 25 mm.
+The units are m/s and rad/s. The values are far above the apparent speed caused by an encoder step,
+and above the speed of a hand that rests on a virtual wall. The rotational values correspond to a
+handle of 25 mm.
 """
 LEAST_N = 1e-6
-"""Force below which a force counts as zero [N]: the tail of a low-pass never reaches zero."""
+"""Force that is treated as zero [N], because the output of a low-pass never reaches zero."""
 STILL = 1e-6
-"""Speed below which no energy can be dissipated [m/s]; the force for it would divide by zero."""
+"""Speed below which no energy can be dissipated [m/s]; it avoids a division by zero."""
 
 
 class PassivityObserver:
-    """Observer of the energy taken from the device, exact for a force that is held.
+    """Observer of the energy taken from the device, exact for a zero-order hold of the force.
 
-    A force F on the device that is held while the device moves by dx takes -F . dx from it. With
-    the force of the last tick and the displacement since then, the sum is exact. It includes the
-    energy that the hold leaks. A spring K that is entered and left at speed v returns K (v T)^2
-    more per sample of depth than it took, half on entry and half on exit. A delayed force works on
-    a later displacement. A known delay is also booked exactly.
+    If a force F on the device is constant while the device moves by dx, it takes the energy -F . dx
+    from the device. The observer sums this product of the force of the last tick and the
+    displacement since then. The sum is exact and includes the energy that the hold creates. For
+    example, a device enters a spring K and leaves it at speed v. For each sample of depth, the
+    spring then returns K (v T)^2 more than it took, half on entry and half on exit. A delayed force
+    acts on a later displacement. If the delay is known, the sum is also exact.
 
     Parameters
     ----------
@@ -64,20 +66,21 @@ class PassivityObserver:
     Attributes
     ----------
     energy_J
-        Energy taken so far [J]. If it is negative, the environment has created energy.
+        Energy taken from the device so far [J]. If it is negative, the environment has created
+        energy.
     """
 
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
-        # 1e-9: a delay of whole ticks that is rounded down stays whole.
+        # 1e-9: a delay of whole ticks must not be rounded down to one tick less.
         whole = int(delay_ticks + 1e-9)
         self._delay = max(delay_ticks - whole, 0.0)
         self.energy_J = 0.0
         self._position: Array | None = None
-        # A fraction of a tick needs the older and the newer force.
+        # For a fraction of a tick, the older and the newer force are needed.
         self._forces: deque[Array] = deque([np.zeros(3)] * (whole + 2), maxlen=whole + 2)
 
     def observe(self, position_m: Array) -> float:
-        """Book the work of the acting forces up to this position [m]; return the energy [J]."""
+        """Add the work of the acting forces up to this position [m]; return the energy [J]."""
         if self._position is not None:
             moved = position_m - self._position
             self.energy_J -= (1.0 - self._delay) * float(self._forces[1].dot(moved))
@@ -90,14 +93,17 @@ class PassivityObserver:
         self._forces.append(np.array(force_N))
 
     def pause(self) -> None:
-        """Skip the motion to the next sample after missing samples; clear the pending forces."""
+        """Ignore the motion up to the next sample, and clear the pending forces.
+
+        Call it after missing samples.
+        """
         self._position = None
         self._forces.extend([np.zeros(3)] * len(self._forces))
 
     def waiting_N(self) -> Array:
         """Return the pending forces, oldest first, shape (n, 3).
 
-        Each force is weighted by its share of a tick.
+        Each force is multiplied by its share of a tick.
         """
         waiting = np.array(self._forces)[1:]
         waiting[0] *= self._delay
@@ -107,18 +113,18 @@ class PassivityObserver:
 class PassivityControl:
     """Controller that dissipates energy that an environment would create or has created.
 
-    A force acts after the pending forces have acted. Until then, these forces push the device. Its
-    speed along the force is therefore predicted as v + sum F T / m with the device's own mass,
-    which overestimates the motion of a held device. The outward work of the pending forces and the
-    new force at these speeds must not exceed the observed energy E. The excess is subtracted from
-    the new force. If the device will move out fast, up to the whole force is removed. A damper -d v
-    is added, which also dissipates a debt during entry. Damping is sampled too and would itself be
-    unstable above m / T, so that d has an upper bound. Near rest no energy can be dissipated, and
-    the debt remains. v is the mean speed over the last ticks, because encoder positions change in
-    steps.
+    A new force acts after the pending forces have acted. Until then, the pending forces push the
+    device. The speed of the device along the force is therefore predicted as v + sum F T / m with
+    the device's own mass m. This overestimates the motion of a device in a hand. The outward work
+    of the pending forces and the new force at these speeds must not exceed the observed energy E.
+    An excess is subtracted from the new force. If the device moves out fast, up to the whole force
+    is removed. A damper -d v is added. It also dissipates a debt, a negative E, during entry. The
+    damper is sampled, too, and would be unstable above m / T. Therefore d has an upper bound. Near
+    zero speed no energy can be dissipated, and the debt remains. v is the mean speed over the last
+    ticks, because encoder positions change in steps.
 
-    An environment without force stores no energy. The energy taken until then has been dissipated.
-    It is discarded, so that a later contact cannot use it. A debt remains.
+    An environment without force stores no energy, because the energy taken before has been
+    dissipated. This energy is set to zero, so that a later contact cannot use it. A debt remains.
 
     Parameters
     ----------
@@ -127,18 +133,19 @@ class PassivityControl:
     delay_ticks
         See `PassivityObserver`.
     mass_kg
-        Mass moved by the forces [kg]; infinite for a motion that they do not change.
+        Mass that the forces move [kg]; infinite if the forces do not change the motion.
 
     Attributes
     ----------
     observer
-        Energy observer, which books the played force.
+        Energy observer of the played force.
     dissipated_J
-        Energy that the controller has planned to dissipate so far [J].
+        Energy that the controller has dissipated so far, at the predicted speeds [J].
     damping_N_s_m
-        Force removed in the last step over the predicted speed [N s/m].
+        Force removed in the last step divided by the predicted speed [N s/m].
     release_speeds
-        Outward speeds between which the removable share of the force rises from zero to one.
+        Outward speeds between which the largest share of the force that may be removed rises from 0
+        to 1.
     """
 
     def __init__(
@@ -168,10 +175,10 @@ class PassivityControl:
             velocity_m_s = (places[-1] - places[0]) / (step_s * (len(places) - 1))
         direction = force_N / size
         pushes = np.append(observer.waiting_N() @ direction, size)
-        # Half of each gain: the mean speed within its tick.
+        # Half of the change of speed gives the mean speed within the tick.
         gained = (step_s / self._mass) * pushes
         speeds = float(velocity_m_s.dot(direction)) + np.cumsum(gained) - 0.5 * gained
-        speeds[-1] -= 0.5 * gained[-1]  # a device at rest is subject to its spring
+        speeds[-1] -= 0.5 * gained[-1]  # at rest a spring balances the new force
         speed = float(speeds[-1])
         left = energy - step_s * float(pushes.dot(np.maximum(speeds, 0.0)))
         played = force_N
@@ -187,10 +194,11 @@ class PassivityControl:
         return played
 
     def pause(self) -> None:
-        """Handle missing samples: the motion until the next sample is unknown.
+        """Reset after missing samples, because the motion up to the next sample is unknown.
 
-        The force then fades and returns slowly, so that entry takes less energy than is booked. The
-        energy taken until now is discarded so that exit cannot release it.
+        The force then fades and returns slowly, so that the device gives less energy on entry than
+        the observer adds. The energy taken so far is set to zero, so that it cannot be released on
+        exit.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)
@@ -205,13 +213,13 @@ class Renderer(Protocol):
     ) -> Array:
         """Return the force on the device [N], shape (3,).
 
-        The arguments are positions [m], velocities [m/s] and the step [s]. Where both positions are
-        equal, the device is free and the force is zero. For a rotation, the positions are rotation
-        vectors [rad] and the force is a torque [N m].
+        The arguments are positions [m], velocities [m/s] and the step [s]. If device and proxy have
+        the same position, the device is free and the force is zero. For a rotation, the positions
+        are rotation vectors [rad] and the force is a torque [N m].
         """
 
     def pause(self) -> None:
-        """Handle a missing sample: the motion until the next sample is unknown."""
+        """Reset after a missing sample, because the motion up to the next sample is unknown."""
 
 
 class SpringDamper:
@@ -228,9 +236,9 @@ class SpringDamper:
 class PenaltyRenderer(SpringDamper):
     """Spring and damper between the device and the nearest point of the surface.
 
-    The law is F = k d - b (v . n) n, n = d / |d|. The damper acts on the velocity of the device,
-    along the penetration only. It therefore also damps a device that moves together with the
-    surface. The force never pulls into the surface.
+    The law is F = k d - b (v . n) n, with the penetration d and n = d / |d|. The damper acts on the
+    velocity of the device along the penetration. It therefore also damps a device that moves
+    together with the surface. The force never pulls into the surface.
     """
 
     def render(
@@ -249,9 +257,8 @@ class ProxyRenderer(SpringDamper):
     """Spring and damper between device and god-object (Colgate et al. 1995).
 
     The law is F = k (p_proxy - p) + b (v_proxy - v). The damper acts on the relative velocity, so
-    the pair can only lose energy. A published form with ``+ b v_device`` alone creates the energy b
-    v^2 every second (E9 of the project's list of errors). The damper is off where the device is
-    free.
+    that the damper can only dissipate energy. A published form has only ``+ b v_device`` and
+    creates the power b v^2. The damper is off while the device is free.
     """
 
     def render(
@@ -266,11 +273,11 @@ class ProxyRenderer(SpringDamper):
 
 
 class PassivityRenderer:
-    """Renderer with a passivity observer and a controller that dissipates the energy it creates.
+    """Renderer with a passivity observer and a passivity controller.
 
-    Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms, the net energy
-    given to the device never exceeded 0.3 mJ. The observer does not see a force that fades while
-    samples are missing. Energy taken before such a gap is not counted.
+    The net energy given to the device was measured at the motors, on virtual walls of up to 1.5
+    kN/m with latencies of up to 8 ms. It never exceeded 0.3 mJ. The observer does not see a force
+    that fades while samples are missing. Energy taken before missing samples is not counted.
     """
 
     def __init__(
@@ -294,7 +301,7 @@ class PassivityRenderer:
         return self.control.step(force, device, device_velocity, dt)
 
     def pause(self) -> None:
-        """Skip the energy of the motion to the next sample.
+        """Ignore the energy of the motion up to the next sample.
 
         Another force was played during this motion.
         """
@@ -304,9 +311,9 @@ class PassivityRenderer:
 class TurningRenderer:
     """Force laws applied to a rotation.
 
-    The gap is the shortest rotation vector from the device to its proxy. The rotations of the
-    device are summed as rotation vectors from tick to tick, so that a passivity observer in the
-    inner law can book the work of the torque.
+    The distance is the shortest rotation vector from the device to its proxy. The rotation vectors
+    of the device in each tick are summed, so that a passivity observer in the inner law can compute
+    the work of the torque.
     """
 
     def __init__(self, inner: Renderer) -> None:
@@ -335,17 +342,17 @@ class TurningRenderer:
         return self._inner.render(self._turned, device_spin, self._turned + gap, proxy_spin, dt)
 
     def pause(self) -> None:
-        """Pause the inner law."""
+        """Reset the inner law."""
         self._inner.pause()
 
 
 def penalty(loop: WallLoop) -> PenaltyRenderer:
-    """Return the penalty law for the wall of a loop, with its stiffness and damping."""
+    """Return the penalty law with stiffness and damping of a loop's wall."""
     return PenaltyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
 
 def passivity(loop: WallLoop) -> PassivityRenderer:
-    """Return the penalty law for the wall of a loop, with a passivity controller.
+    """Return the penalty law of a loop's wall with a passivity controller.
 
     The loop provides the mass and the lag (delay, filter and amplifier). The damping limit is half
     of m / (T + lag).
@@ -361,7 +368,7 @@ def passivity(loop: WallLoop) -> PassivityRenderer:
 
 
 def proxy(loop: WallLoop) -> ProxyRenderer:
-    """Return the god-object law for the wall of a loop, with its stiffness and damping."""
+    """Return the god-object law with stiffness and damping of a loop's wall."""
     return ProxyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
 

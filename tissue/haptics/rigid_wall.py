@@ -1,8 +1,8 @@
-"""Simulation of a hand that presses a device onto a rigid wall, tick by tick, without a tissue.
+"""Simulated hand that presses a device onto a rigid virtual wall, without a tissue.
 
-The run has its own loop. The stepper of `tissue.simulation` is in a higher layer, and moves a tool
-through a tissue in ticks of 1 ms. Here there is neither tool nor tissue, and a tick lasts one
-sampling period of the device.
+The run has its own loop of ticks. The stepper of `tissue.simulation` is in a higher layer, and
+moves a tool through a tissue in ticks of 1 ms. Here there is neither a tool nor a tissue, and a
+tick is one sampling period of the device.
 """
 
 from dataclasses import dataclass, replace
@@ -21,21 +21,21 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["WallRun", "knock", "press_wall"]
 
 DEPTH_M = 5e-3
-"""Start above the wall and aim below it [m]."""
+"""Start position above the wall, and target of the hand below the wall [m]."""
 JERK_N = 2.0
-"""Force of the jerk [N]: on a Touch at 400 N/m, a hand comes from 2 mm deep to the surface."""
+"""Force of the jerk [N]. On a Touch at 400 N/m, it moves a hand by 2 mm to the surface."""
 JERK_S = (0.8, 0.82)
 LASTS_S = 1.3
-"""Begin and end of the jerk, and end of the run [s].
+"""Start and end of the jerk, and end of the run [s].
 
-At 0.7 s, hands of all groups rest on the wall. A stable loop rests again 0.2 s after the jerk, so
-that motion in the last 0.3 s is caused by the loop.
+At 0.7 s, simulated hands of all groups rest on the wall. A stable loop is at rest again 0.2 s after
+the jerk. Motion in the last 0.3 s is therefore caused by the loop.
 """
 
 
 @dataclass(frozen=True)
 class WallRun:
-    """Record of a run on the wall z = 0, whose free side is z > 0; n ticks.
+    """Record of a run of n ticks on the wall z = 0, whose free side is z > 0.
 
     Attributes
     ----------
@@ -47,8 +47,8 @@ class WallRun:
     force_N
         Force commanded to the device from the tick on [N], shape (n, 3).
     taken_J
-        Energy that the loop has taken from the device up to the tick [J], shape (n,), computed from
-        the sampled positions.
+        Energy that the loop has taken from the device up to each tick [J], shape (n,), computed
+        from the sampled positions.
     """
 
     time_s: Array
@@ -73,10 +73,10 @@ def press_wall(
 ) -> WallRun:
     """Run device, proxy on the plane, renderer and guard for ``duration_s``.
 
-    A free device and its proxy coincide. Inside the wall, the proxy is the projection of the device
-    onto the plane, and its velocity is the component along the plane. Without a guard, every sample
-    is valid and a missing sample means zero force. However the run ends, the device is left with
-    zero force.
+    The proxy of a free device is at the device. Inside the wall, the proxy is the projection of the
+    device onto the plane, and its velocity is the component of the device's velocity along the
+    plane. Without a guard, every sample is valid, and a missing sample gives zero force. At every
+    kind of end, the last force is zero.
     """
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))
@@ -123,12 +123,13 @@ def knock(
     *,
     damping_N_s_m: float = 0.0,
 ) -> tuple[WallRun, SimulatedDevice]:
-    """Simulate a hand that moves 5 mm into a wall and is jerked off it after 0.8 s (2 N for 20 ms).
+    """Simulate a hand that moves 5 mm into a wall and is jerked away from the wall.
 
-    The hand has no noise and no tremor. Motion after the jerk is therefore caused by the loop.
+    The jerk is a force of 2 N for 20 ms after 0.8 s. The hand has no noise and no tremor. Motion
+    after the jerk is therefore caused by the loop.
     """
     quiet = replace(hand, endpoint_noise=0.0, force_noise=0.0, tremor_m=0.0)
-    # The target jumps within one tick. The hand itself makes a smooth movement of it.
+    # The target jumps within one tick. The hand follows it with a smooth movement.
     path = waypoints(np.array([0.0, 1e-3]), np.array([[0.0, 0.0, DEPTH_M], [0.0, 0.0, -DEPTH_M]]))
     jerk = np.array([0.0, 0.0, JERK_N])
     holding = Hand(

@@ -1,8 +1,8 @@
-"""OpenIGTLink messages: header, CRC and the bodies that a run sends and receives.
+"""OpenIGTLink messages: header, checksum and the bodies that a run sends and receives.
 
 All numbers are big-endian, except the voxels of an image. A header of version 2 is followed by an
-extended header, and the body is followed by metadata. Lengths are in mm, and 3D Slicer interprets
-all of them as RAS.
+extended header, and the body is followed by metadata. Lengths are in mm. 3D Slicer interprets all
+positions as RAS (right, anterior, superior).
 """
 
 import struct
@@ -38,7 +38,10 @@ __all__ = [
 ]
 
 POLYNOMIAL = 0x42F0E1EBA9EA3693
-"""Polynomial of ECMA-182, highest bit first, initial value zero, not inverted."""
+"""Polynomial of the CRC-64 checksum of ECMA-182.
+
+The highest bit comes first, the initial value is zero, and the result is not inverted.
+"""
 LANES = 4096
 """Number of parts of a long body that are processed in parallel; a power of two.
 
@@ -47,18 +50,19 @@ A body of 2 MB takes 11 ms with 4096 parts, 19 ms with 1024 parts and 209 ms byt
 LONG = 2 * LANES
 """Body length from which the parts are processed in parallel [bytes].
 
-Both methods take less than 2 ms there; the parallel method is faster from about 16 kB on.
+At this length, the parallel and the serial method take less than 2 ms each. The parallel method is
+faster from about 16 kB on.
 """
 MASK = 0xFFFFFFFFFFFFFFFF
-"""The 64 bits of a remainder, since integers of Python have no limit."""
+"""Mask of the 64 bits of a remainder, because Python integers are not limited to 64 bits."""
 Words = NDArray[np.uint64]
 
 
 def _entries() -> list[int]:
-    """Return the remainder of every byte followed by eight zero bytes."""
+    """Return a table with the remainder of each byte value followed by eight zero bytes."""
     found = []
     for byte in range(256):
-        # the byte at the top of 64 bits; each round divides by the polynomial for one bit
+        # the byte is in the highest of the 64 bits; each round divides one bit by the polynomial
         value = byte << 56
         for _ in range(8):
             value = ((value << 1) ^ POLYNOMIAL if value >> 63 else value << 1) & MASK
@@ -103,7 +107,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
 
 
 def _through(moved: Words, words: Words) -> Words:
-    """Apply the linear map that takes bit i to ``moved[i]`` to words."""
+    """Apply a linear map to words. The map converts bit i to ``moved[i]``."""
     chosen = ((words[:, None] >> BITS) & np.uint64(1)) * moved
     return np.asarray(np.bitwise_xor.reduce(chosen, axis=1))
 
@@ -111,34 +115,37 @@ def _through(moved: Words, words: Words) -> Words:
 HEADER = struct.Struct(">H12s20sIIQQ")
 HEADER_BYTES = HEADER.size
 EXTENDED = struct.Struct(">HHII")
-"""Sizes of the extended header, metadata header and metadata, and the number of the message."""
+"""Sizes of extended header, metadata header and metadata, and number of the message."""
 ENTRY = struct.Struct(">HHI")
-"""Length of a key, encoding and length of its value."""
+"""Length of a metadata key, and encoding and length of its value."""
 NEWEST = 3
-"""Highest header version with a known layout; versions from 2 on have the extended header."""
+"""Highest header version with a known layout. Versions from 2 on have an extended header."""
 STATUS_OK = 1
 STATUS_SHUT_DOWN = 19
 ASCII = 3
 UTF8 = 106
-"""IANA numbers of the encodings."""
+"""IANA numbers of the text encodings."""
 LONGEST_TEXT = 0xFFFF
 """Largest length of a text that the 16 bits of its length field can hold [bytes]."""
 SCALARS = {"i1": 2, "u1": 3, "i2": 4, "u2": 5, "i4": 6, "u4": 7, "f4": 10, "f8": 11}
 """Type numbers of scalars."""
 NEWTON = 0x0B << 54 | 1 << 50
 NEWTON_METRE = NEWTON | 0x01 << 44 | 1 << 40
-"""Codes of units: from the highest bits on, 6 bits of a unit and 4 bits of its power."""
+"""Codes of units. Starting at the highest bits, a unit has 6 bits and its power has 4 bits."""
 POINT_SCALARS = 0x00
 LITTLE = 2
 RAS = 1
-"""Byte order and frame of an image.
+"""Codes for the byte order and the frame of an image.
 
-The voxels of an image are the only numbers that are not big-endian.
+Only the voxels of an image are little-endian.
 """
 
 
 class IgtlError(ValueError):
-    """Error for bytes that are not an OpenIGTLink message; its text is half a sentence."""
+    """Error for bytes that are not an OpenIGTLink message.
+
+    Its text is a part of a sentence, which the caller completes.
+    """
 
 
 @dataclass(frozen=True)
@@ -148,7 +155,7 @@ class Header:
     Attributes
     ----------
     version
-        1 without, 2 with extended header and metadata.
+        1 without extended header and metadata, 2 with them.
     kind, name
         Type of the message, and name of the sending device.
     time_s
@@ -176,7 +183,7 @@ def packed(
 ) -> bytes:
     """Return a whole message.
 
-    With metadata, the header is of version 2, and ``number`` is the number of the message.
+    With metadata, the header has version 2, and ``number`` is the number of the message.
     """
     version = 1
     if metadata is not None:
@@ -235,8 +242,8 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
     # version 1 has no extended header
     if header.version == 1:
         return bytes(body)
-    # a body that is too short for the extended header is padded; its size of 0 fails the check
-    # below
+    # a body that is too short for the extended header is padded with zeros; the check below then
+    # finds a size of 0 and raises an error
     first, index, values, _ = EXTENDED.unpack(body[: EXTENDED.size].ljust(EXTENDED.size, b"\0"))
     last = len(body) - index - values
     if not EXTENDED.size <= first <= last:
@@ -245,7 +252,7 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
 
 
 def transform_body(matrix: ArrayLike) -> bytes:
-    """Return the TRANSFORM body of a homogeneous matrix [mm], shape (4, 4).
+    """Return the TRANSFORM body for a homogeneous matrix [mm], shape (4, 4).
 
     The body contains the columns of the matrix without its last row.
     """
@@ -283,7 +290,7 @@ def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") ->
 def string_body(text: str) -> bytes:
     """Return a STRING body in ASCII, or in UTF-8 if necessary, truncated to 65535 bytes."""
     code, encoded = _encoded(text)
-    # "ignore" drops a character of several bytes that the limit cuts apart
+    # "ignore" drops the last character if the limit cuts its bytes apart
     encoded = encoded[:LONGEST_TEXT].decode("utf-8", "ignore").encode()
     return struct.pack(">HH", code, len(encoded)) + encoded
 
@@ -291,12 +298,12 @@ def string_body(text: str) -> bytes:
 def sensor_body(values: ArrayLike, unit: int) -> bytes:
     """Return a SENSOR body of at most 255 values in one unit such as `NEWTON`."""
     data = np.asarray(values, dtype=">f8").ravel()
-    # one byte holds the number of values; the status byte is reserved and 0
+    # one byte holds the number of values; the status byte is reserved and is 0
     return struct.pack(">BBQ", len(data), 0, unit) + data.tobytes()
 
 
 def ndarray_body(values: ArrayLike) -> bytes:
-    """Return an NDARRAY body of an array of numbers, last axis fastest."""
+    """Return an NDARRAY body of an array of numbers in C order (the last index varies fastest)."""
     data = np.asarray(values)
     head = struct.pack(f">BB{data.ndim}H", _scalar(data), data.ndim, *data.shape)
     return head + data.astype(data.dtype.newbyteorder(">")).tobytes()
@@ -317,7 +324,7 @@ def polydata_body(
     polygons
         Point indices of each polygon, shape (m, k).
     scalars
-        Values at the points by name, shape (n,) each.
+        Dictionary from a name to the values at the points, shape (n,).
     """
     points = np.asarray(points_mm, dtype=">f4").reshape(-1, 3)
     corners = np.asarray(polygons)
@@ -325,8 +332,8 @@ def polydata_body(
     cells[:, 0] = corners.shape[1]
     cells[:, 1:] = corners
     named = dict(scalars or {})
-    # numbers and sizes of points, vertices, lines, polygons, strips and attributes: only polygons
-    # here
+    # numbers and sizes of points, vertices, lines, polygons, strips and attributes; only points,
+    # polygons and attributes are used
     counts = (len(points), 0, 0, 0, 0, len(cells), cells.nbytes, 0, 0, len(named))
     parts = [struct.pack(">10I", *counts), points.tobytes(), cells.tobytes()]
     parts += [struct.pack(">BBI", POINT_SCALARS, 1, len(values)) for values in named.values()]
@@ -343,7 +350,7 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     Parameters
     ----------
     voxels
-        Values by their indices i, j, k, shape (ni, nj, nk).
+        Values with the indices i, j, k, shape (ni, nj, nk).
     ijk_to_ras_mm
         Homogeneous matrix from indices to positions [mm], shape (4, 4). The message contains the
         centre of the volume instead of its first voxel.
@@ -353,9 +360,9 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     # the index of the centre is half the index of the last voxel
     middle = matrix @ [*(0.5 * (np.array(shape) - 1.0)), 1.0]
     placed = np.concatenate([matrix[:3, :3].T.ravel(), middle[:3]]).astype(">f4")
-    # version 1 of the format, one component a voxel
+    # version 1 of the format, one component per voxel
     head = struct.pack(">HBBBB3H", 1, 1, _scalar(voxels), LITTLE, RAS, *shape) + placed.tobytes()
-    # the sent part of the volume begins at index 0 and is the whole volume
+    # the message contains the whole volume, so the sent part begins at index 0
     window = struct.pack(">6H", 0, 0, 0, *shape)
     return (
         head + window + voxels.astype(voxels.dtype.newbyteorder("<"), copy=False).tobytes(order="F")

@@ -20,22 +20,25 @@ LOCAL = "127.0.0.1"
 LARGEST = 1 << 16
 """Size of the largest body that is read [bytes]; a larger body is skipped, see `OVERLARGE`.
 
-A run uses transforms and requests only, which are far smaller. Images and meshes are skipped.
+A run only uses transforms and requests, which are far smaller. Images and meshes are skipped.
 """
 OVERLARGE = 1 << 34
 """Body size above which a message counts as invalid [bytes].
 
-No image has 16 GiB: such a size comes from bytes that are not a header.
+No image has 16 GiB. Such a size means that the bytes are not a header.
 """
 PIECE = 1 << 16
-"""Bytes read from a client at a time: as many as the largest body that is read."""
+"""Number of bytes read from a client at a time, the size of the largest body that is read."""
 STALLED_S = 10.0
-"""Longest time for which a client may take no data from its send queue [s].
+"""Longest time in which a client may accept no data from its send queue [s].
 
-A client that hangs would otherwise keep one of the `MOST_CLIENTS` places until the run ends.
+A client that hangs would otherwise use one of the `MOST_CLIENTS` connections until the run ends.
 """
 MOST_CLIENTS = 16
-"""Largest number of clients. Each has its own queue: the limit bounds memory and sending time."""
+"""Largest number of clients.
+
+Each client has its own queue, so this number limits memory and sending time.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +82,7 @@ class Client:
 
     def put(self, message: bytes) -> None:
         """Append a message to the send queue."""
-        # the time without progress begins when the first message has to wait
+        # the time without progress starts when the first message is queued
         if not self._outbox:
             self._moved_s = perf_counter()
         self._outbox.append(memoryview(message))
@@ -90,7 +93,7 @@ class Client:
         Raises
         ------
         OSError
-            If the connection is closed, or the client took no data for `STALLED_S`.
+            If the connection is closed, or the client accepted no data for `STALLED_S`.
         """
         while self._outbox:
             try:
@@ -105,7 +108,7 @@ class Client:
                 self._outbox.popleft()
 
     def read(self) -> list[tuple[Header, bytes]]:
-        """Return header and content of all messages that are complete now.
+        """Return header and content of all messages that have been received completely.
 
         Raises
         ------
@@ -147,8 +150,9 @@ class Client:
 class IgtlServer:
     """Server that listens on a port of this machine, sends to all clients and receives messages.
 
-    No call blocks on a client. Data that a client does not take at once waits in its send queue. A
-    client that sends anything but OpenIGTLink, or takes no data for `STALLED_S`, is disconnected.
+    No call blocks on a client. Data that a client does not accept at once waits in its send queue.
+    A client is disconnected if it sends data that is not OpenIGTLink, or accepts no data for
+    `STALLED_S`.
 
     Parameters
     ----------
@@ -162,8 +166,8 @@ class IgtlServer:
     clients
         Connected clients.
     accepted, refused
-        Number of accepted clients. Number of clients that were refused, or disconnected for invalid
-        messages or for taking no data.
+        Number of accepted clients, and number of clients that were refused or disconnected. A
+        client is disconnected if it sends invalid messages or accepts no data.
 
     Raises
     ------
@@ -195,7 +199,7 @@ class IgtlServer:
         return host, port
 
     def poll(self, timeout_s: float) -> tuple[list[Client], list[Received]]:
-        """Write and read without blocking; return new clients and received messages.
+        """Send and receive without blocking, and return new clients and received messages.
 
         The call waits up to ``timeout_s`` for new data.
         """
@@ -208,7 +212,7 @@ class IgtlServer:
             # the listening socket has no client
             if client is None:
                 fresh += self._accept()
-            # a client that failed earlier in this call is gone
+            # skip a client that was disconnected earlier in this call
             elif client in self.clients:
                 came = self._try(client, client.read)
                 received += [
@@ -220,10 +224,10 @@ class IgtlServer:
     def send(
         self, message: bytes, *, to: list[Client] | None = None, is_stream: bool = False
     ) -> int:
-        """Send a message to all clients, or to some, and return the number of receivers.
+        """Send a message to all clients, or only to `to`, and return the number of receivers.
 
-        A stream message is skipped for a client with a non-empty send queue, because a newer one
-        will follow.
+        A stream message is not sent to a client with a non-empty send queue, because a newer stream
+        message will follow.
         """
         sent = 0
         for client in list(self.clients if to is None else to):
@@ -241,10 +245,10 @@ class IgtlServer:
         self._listener.close()
 
     def _accept(self) -> list[Client]:
-        """Accept the next client that waits at the port."""
+        """Accept the next waiting client."""
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # the client has left in the meantime
+        except OSError:  # the client has disconnected
             return []
         if len(self.clients) >= MOST_CLIENTS:
             connection.close()
@@ -260,7 +264,7 @@ class IgtlServer:
         return [client]
 
     def _try(self, client: Client, call: Callable[[], Result]) -> Result | None:
-        """Call a method of a client, and disconnect the client on failure."""
+        """Call a method of a client, and disconnect the client if the method fails."""
         try:
             return call()
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Server that answers the poses of another program with wrenches, over the network or ROS 2."""
+"""Server that receives poses from another program and returns wrenches, by network or ROS 2."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -18,17 +18,20 @@ if TYPE_CHECKING:
 __all__ = ["PosedLoop", "serve_network", "serve_ros2"]
 
 LOOK_S = 0.05
-"""Longest time between two checks whether the server has to end [s]; a pose ends the wait."""
+"""Longest time between two checks whether the server must stop [s].
+
+A received pose ends the wait.
+"""
 
 
 class PosedLoop(Protocol):
-    """Loop that a caller moves, such as `tissue.Loop` without a device."""
+    """Loop to which the caller passes poses, such as `tissue.Loop` without a device."""
 
     def step(self, pose: ArrayLike, /) -> Array:
         """Move the tool to a pose [mm]; return force [N] and torque [N m], shape (6,)."""
 
     def reset(self, pose: ArrayLike, /) -> None:
-        """Restore the uncut tissue and put the tool at a pose."""
+        """Restore the uncut tissue and place the tool at a pose."""
 
 
 def serve_network(
@@ -40,19 +43,20 @@ def serve_network(
 ) -> int:
     """Answer every pose of a client with a wrench; return the number of answers.
 
-    Each accepted ``hello`` begins with the uncut tissue at the client's first pose. A later pose is
-    a step of the loop. A client whose pose cannot be used is refused with a sentence.
+    After each accepted ``hello``, the tissue is uncut and the tool is at the client's first pose.
+    Each later pose is a step of the loop. A client that sends an invalid pose is refused with an
+    error message.
 
     Parameters
     ----------
     loop
         Loop to step.
     hardware
-        Its address is ``udp://HOST:PORT`` or ``ws://HOST:PORT``.
+        Settings with an address ``udp://HOST:PORT`` or ``ws://HOST:PORT``.
     opened
-        Called with the address once the server listens.
+        Called with the address when the server starts to listen.
     ends
-        Returns True when the server has to end.
+        Function that returns True when the server must stop.
     """
     answers = 0
     greeted = 0
@@ -86,9 +90,9 @@ def serve_ros2(
 ) -> int:
     """Answer every message on ``servo_cp`` with ``measured_cp`` and ``measured_cf``.
 
-    The first pose begins with the uncut tissue. Names and units are those of CRTK: m, N and N m, in
-    the frame of the scene. Returns the number of answers. A pose that cannot be used is logged as
-    an error of the node, and not answered.
+    At the first pose, the tissue is uncut. Names and units follow CRTK: m, N and N m, in the frame
+    of the scene. An invalid pose is logged as an error of the node and is not answered. Returns the
+    number of answers.
 
     Raises
     ------
@@ -134,7 +138,7 @@ def serve_ros2(
             fill(filled.header, ("frame_id", "stamp"), (FRAME, stamp))
             publisher.publish(filled)
 
-    # A queue of one: a pose that comes during a step replaces the one that waits.
+    # The queue has one entry: a pose that arrives during a step replaces the waiting pose.
     node.create_subscription(geometry.PoseStamped, "servo_cp", answer, 1)
     try:
         opened(f"/{NAMESPACE}/servo_cp")

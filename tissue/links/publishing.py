@@ -1,4 +1,4 @@
-"""Process that publishes a live run: shared start, loop and end."""
+"""Start, loop and end of a process that publishes a live run."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from tissue.simulation.live.shared import SharedArrays
 __all__ = ["RunPublisher", "publish"]
 
 NICE = 5
-"""Niceness of the process, so that the ticks take precedence on a busy machine."""
+"""Niceness (lower priority) of the process, so that the ticks take precedence on a busy machine."""
 
 
 class RunPublisher(ABC):
@@ -23,12 +23,12 @@ class RunPublisher(ABC):
     Parameters
     ----------
     folder
-        Folder that the run has filled, with shared arrays and the names of their columns.
+        Folder in which the run has written shared arrays and the names of their columns.
 
     Attributes
     ----------
     address
-        Address or topics of the data, which the run reports to the user.
+        Address or topics at which the data is available. The run reports them to the user.
     """
 
     address = ""
@@ -39,12 +39,12 @@ class RunPublisher(ABC):
         self._turn = 0
 
     def _places(self, names: tuple[str, ...]) -> list[int]:
-        """Return the places of columns in a row."""
+        """Return the indices of columns in a row."""
         return [self._columns.index(name) for name in names]
 
     @abstractmethod
     def step(self) -> None:
-        """Publish what is due, and wait a moment."""
+        """Publish the data that is due, and wait briefly."""
 
     @abstractmethod
     def end(self) -> None:
@@ -59,18 +59,18 @@ class RunPublisher(ABC):
 
 def publish(make: Callable[[Path], RunPublisher], folder: str) -> None:
     """Make a publisher, report its address on standard output, and run it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
-    # Windows has no niceness
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process stops when the ticks end
+    # Windows does not support niceness
     if hasattr(os, "nice"):
         os.nice(NICE)
-    # libraries may print to standard output, whose reader waits for the line "ready"; such text
-    # goes to standard error
+    # The run reads standard output and waits for the line "ready". Text that libraries print there
+    # is redirected to standard error.
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     try:
         publisher = make(Path(folder))
     except Exception as error:
-        # a middleware raises its own error types; the user reads the last printed line
+        # A middleware has its own error types. The user sees the last printed line.
         words = " ".join(str(error).split())
         sys.exit(words if isinstance(error, InputError) else f"{type(error).__name__}: {words}")
     print(f"ready {publisher.address}", file=standard_output, flush=True)

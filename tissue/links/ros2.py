@@ -1,6 +1,6 @@
 """Publisher of a live run on ROS 2 topics.
 
-Run in its own process by ``python -m tissue.links.ros2 FOLDER``.
+The publisher runs in its own process, ``python -m tissue.links.ros2 FOLDER``.
 """
 
 import sys
@@ -20,16 +20,16 @@ NAMESPACE = "tissue"
 FRAME = "tissue_scene"
 """Frame of poses and of all vectors: the frame of the scene."""
 DEPTH = 10
-"""Queue length for slow readers, as in CRTK's client [messages]."""
+"""Queue length for slow subscribers [messages], the same as in CRTK's client."""
 STATE_S = 1.0
-"""Interval between repeated messages of an unchanged state [s]."""
+"""Interval at which an unchanged state is published again [s]."""
 PAUSED_S = 0.5
 """Time without a tick after which the run counts as paused [s].
 
-It is 500 ticks, so that late ticks do not count as a pause.
+This is 500 ticks, so that late ticks do not count as a pause.
 """
 LOOK_S = 1e-3
-"""Interval between two checks for a new row [s]: one tick, so that no row is missed for long."""
+"""Interval between two checks for a new row [s]. It is one tick, so that a row is found soon."""
 POSE = (*(f"tool_{c}_mm" for c in "xyz"), *(f"tool_q{c}" for c in "xyzw"))
 TWIST = (*(f"velocity_{c}_mm_s" for c in "xyz"), *(f"angular_velocity_{c}_rad_s" for c in "xyz"))
 WRENCH = (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz"))
@@ -42,7 +42,7 @@ class Ros2Publisher(RunPublisher):
 
     - ``measured_cp``: pose of the tool tip, z from tip to shank.
     - ``measured_cv``: velocity of the tool.
-    - ``measured_cf``: load of the tissue on the tool, torques about the tip.
+    - ``measured_cf``: force and torque of the tissue on the tool; the torque is about the tip.
     - ``operating_state``, if crtk_msgs is installed: ENABLED while ticks run, PAUSED while they
       pause, DISABLED at the end.
     """
@@ -71,7 +71,7 @@ class Ros2Publisher(RunPublisher):
             pass
         else:
             qos = import_module("rclpy.qos")
-            # keep the last state for readers that connect later
+            # keep the last state for subscribers that connect later
             last = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
             topics.append("operating_state")
             self._states = self._node.create_publisher(self._new_state, topics[-1], last)
@@ -111,7 +111,7 @@ class Ros2Publisher(RunPublisher):
         for (first, second), places, scale in zip(parts, self._rows, scales, strict=True):
             values = row[places]
             fill(first, "xyz", (scale * values[:3]).tolist())
-            # an orientation has 4 values, an angular velocity and a torque have 3
+            # an orientation has 4 values; an angular velocity or a torque has 3 values
             fill(second, "xyzw"[: len(values) - 3], values[3:].tolist())
         for publisher, message in zip(self._publishers, (pose, twist, wrench), strict=True):
             fill(message.header, header, header.values())

@@ -1,6 +1,6 @@
-"""Publisher of a live run for 3D Slicer: frame, messages, target of the tool, and process.
+"""Publisher of a live run for 3D Slicer: frame, messages, tool target, and process.
 
-Run in its own process by ``python -m tissue.links.slicer_process FOLDER``.
+The publisher runs in its own process, ``python -m tissue.links.slicer_process FOLDER``.
 """
 
 import sys
@@ -30,14 +30,14 @@ __all__ = ["TARGET", "Publisher", "SlicerContent", "SlicerFrame", "SlicerTarget"
 
 
 LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Rotation by half a turn from LPS to RAS: left and back become right and front."""
+"""Conversion from LPS (left, posterior, superior) to RAS (right, anterior, superior) axes."""
 
 
 class SlicerFrame:
     """Rigid transform between the scene frame [mm] and RAS [mm].
 
-    A scene whose anatomy comes from a file is aligned with that file. Any other scene has no
-    patient frame. It is placed where 3D Slicer shows the files of its run, such as ``bone.nrrd``,
+    If the anatomy of the scene comes from a file, the scene is aligned with that file. Any other
+    scene has no patient frame. It is then aligned with the files of its run, such as ``bone.nrrd``,
     which 3D Slicer interprets as LPS.
 
     Parameters
@@ -53,16 +53,16 @@ class SlicerFrame:
 
     def __init__(self, placement: Placement | None) -> None:
         self.matrix = LPS_TO_RAS.copy()
-        # without a placement, the scene's axes are those of the patient
+        # without a placement, the axes of the scene are LPS axes
         if placement is not None:
             self.matrix = LPS_TO_RAS @ _pose(placement.origin_mm, placement.rotation)
 
     def points(self, points_mm: ArrayLike) -> Array:
-        """Return points of the scene [mm], shape (n, 3), in RAS [mm]."""
+        """Convert points of the scene [mm], shape (n, 3), to RAS [mm]."""
         return np.asarray(points_mm) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
 
     def vector(self, vector: Array) -> Array:
-        """Return a force, a torque or another vector of the scene in RAS, shape (3,)."""
+        """Convert a force, a torque or another vector of the scene to RAS, shape (3,)."""
         return np.asarray(self.matrix[:3, :3] @ vector)
 
     def pose(self, tip_mm: ArrayLike, rotation: ArrayLike) -> Array:
@@ -73,7 +73,7 @@ class SlicerFrame:
         return np.asarray(self.matrix @ _pose(tip_mm, rotation))
 
     def pose_in_scene(self, matrix: Array) -> tuple[Array, Array]:
-        """Return tip [mm] and orientation, shape (3, 3), in the scene from a tool pose in RAS.
+        """Convert a tool pose in RAS to the tip [mm] and orientation, shape (3, 3), in the scene.
 
         The pose is a homogeneous matrix [mm], shape (4, 4).
         """
@@ -89,7 +89,7 @@ def _pose(origin: ArrayLike, rotation: ArrayLike) -> Array:
     return matrix
 
 
-# names of the messages, used by 3D Slicer as names of its nodes
+# names of the messages, which 3D Slicer uses as names of its nodes
 TOOL = "tissue-tool"
 SHAPE = "tissue-tool-shape"
 TISSUE = "tissue-anatomy"
@@ -131,9 +131,10 @@ class SlicerContent:
         self._torque = [columns.index(f"model_torque_{c}_Nm") for c in "xyz"]
 
     def scene_messages(self) -> list[bytes]:
-        """Return the constant messages: tool shape, voxel image, and faces without a body.
+        """Return the messages that do not change during a run.
 
-        The tool shape is in its own frame.
+        The messages are the tool shape in its own frame, the voxel image, and the faces of an
+        anatomy without voxels and mesh, such as a wall.
         """
         messages = []
         tool = tool_surface(self._scene.tool)
@@ -144,24 +145,24 @@ class SlicerContent:
         density = self._start.get("density_kg_m3")
         if density is not None:
             spacing_mm = 1e3 * float(self._start["spacing_m"])
-            # the origin is the corner of the first voxel; an image has its position at the voxel's
-            # centre
+            # the origin is the corner of the first voxel, but the position of an image is the
+            # centre of the first voxel
             first_mm = 1e3 * self._start["origin_m"].astype(float) + 0.5 * spacing_mm
             voxels = self._frame.matrix @ _pose(first_mm, spacing_mm * np.eye(3))
             messages.append(self._packed("IMAGE", IMAGE, igtl.image_body(density, voxels)))
         for name, face in faces_of(self._scene).items():
             body = self._mesh(face.triangulate())
-            # a name in the header has 20 bytes
+            # a name in the header has at most 20 bytes
             messages.append(self._packed("POLYDATA", f"tissue-{name}"[:20], body))
         return messages
 
     def surface_message(self, tissue: BoneSurface | OrganSurface) -> bytes:
         """Return the current surface of the tissue.
 
-        The surface of a bone has the layer as values at the points.
+        The surface of a bone has the layer as a value at each point.
         """
         surface = tissue.surface
-        # organs have no layers, and an empty mesh has no cells to take them from
+        # organs have no layers, and an empty mesh has no cells with layers
         if not isinstance(tissue, BoneSurface) or not surface.n_cells:
             return self._packed("POLYDATA", TISSUE, self._mesh(surface.triangulate()))
         layers = np.zeros(surface.n_points)
@@ -171,8 +172,8 @@ class SlicerContent:
         return self._packed("POLYDATA", TISSUE, self._mesh(surface, layer=layers))
 
     def pose_message(self, row: Array) -> bytes | None:
-        """Return the pose of the tool tip; None if the row has no pose yet."""
-        # a quaternion of zeros: the row has not been written yet
+        """Return the pose of the tool tip, or None if the row has no pose yet."""
+        # a quaternion of zeros means that the row has not been written yet
         if not row[self._turn].any():
             return None
         pose = self._frame.pose(row[self._tip], matrix_of(row[self._turn]))
@@ -181,7 +182,7 @@ class SlicerContent:
     def force_messages(self, row: Array, kind: str) -> list[bytes]:
         """Return the load of the tissue on the tool, with the simulated time.
 
-        The load is a SENSOR of force and a SENSOR of torque, or one NDARRAY.
+        The result is a SENSOR message for the force and one for the torque, or one NDARRAY message.
         """
         force, torque = self._load(row)
         self._number += 1
@@ -189,14 +190,14 @@ class SlicerContent:
             ("SENSOR", FORCE, igtl.sensor_body(force, igtl.NEWTON)),
             ("SENSOR", TORQUE, igtl.sensor_body(torque, igtl.NEWTON_METRE)),
         ]
-        # one array of six numbers; sensors have one unit each
+        # an array holds all six numbers; a sensor message has one unit
         if kind == "NDARRAY":
             bodies = [("NDARRAY", WRENCH, igtl.ndarray_body(np.concatenate([force, torque])))]
         metadata = {"time_s": f"{row[self._time]:.3f}"}
         return [self._packed(*each, metadata=metadata, number=self._number) for each in bodies]
 
     def words_message(self, row: Array) -> bytes:
-        """Return the load of the tissue on the tool as a text that 3D Slicer shows."""
+        """Return the load of the tissue on the tool as text for display in 3D Slicer."""
         force, torque = self._load(row)
         x, y, z = force
         text = (
@@ -221,7 +222,7 @@ class SlicerContent:
         return self._packed("STRING", "tissue-events", igtl.string_body(text))
 
     def end_message(self) -> bytes:
-        """Return the message that the run has ended."""
+        """Return the message that reports the end of the run."""
         body = igtl.status_body(
             igtl.STATUS_SHUT_DOWN, f"{self._scene.name}: the run has ended", name="SHUT_DOWN"
         )
@@ -232,7 +233,7 @@ class SlicerContent:
         return self._frame.vector(row[self._force]), self._frame.vector(row[self._torque])
 
     def _mesh(self, mesh: "pyvista.PolyData", **scalars: Array) -> bytes:
-        triangles = mesh.regular_faces.reshape(-1, 3)  # an empty mesh loses its shape
+        triangles = mesh.regular_faces.reshape(-1, 3)  # keep the shape of an empty mesh
         return igtl.polydata_body(self._frame.points(mesh.points), triangles, scalars=scalars)
 
     def _packed(self, kind: str, name: str, body: bytes, **options: Any) -> bytes:
@@ -242,14 +243,15 @@ class SlicerContent:
 TARGET = "tissue-target"
 """Name of the transform that moves the tool."""
 OFF = 0.01
-"""Largest deviation of a rotation times its transpose from the identity.
+"""Largest accepted deviation of R R^T from the identity, for a rotation R.
 
-Transforms in single precision deviate by 1e-7. A scale of 1 % deviates by 0.02 and is refused.
+Transforms in single precision have a deviation of 1e-7. A scale of 1 % has a deviation of 0.02, so
+the transform is ignored.
 """
 
 
 class SlicerTarget:
-    """Receiver of transforms named `TARGET` from one client at a time.
+    """Receiver of transforms with the name `TARGET`, from one client at a time.
 
     Parameters
     ----------
@@ -262,7 +264,7 @@ class SlicerTarget:
     Attributes
     ----------
     ignored
-        Number of ignored transforms with that name.
+        Number of ignored transforms with the name `TARGET`.
     """
 
     def __init__(self, frame: SlicerFrame, start: Start) -> None:
@@ -277,20 +279,21 @@ class SlicerTarget:
     def wanted(self, received: Received, clients: list[Client]) -> Array | None:
         """Return the target pose of a transform, shape (7,), or None.
 
-        The pose is the tip [mm] in the scene and the rotation from the first orientation (x, y, z,
-        w). The result is None for a transform with another name, and for an ignored transform. A
-        transform is ignored if it is not a rigid motion, or comes from a second client while the
-        first client is connected, or the scene does not allow clients to move the tool.
+        The pose consists of the tip in the scene [mm] and the rotation relative to the first
+        orientation (x, y, z, w). The result is None for a transform with another name and for an
+        ignored transform. A transform is ignored if it is not a rigid motion, if the scene does not
+        allow clients to move the tool, or if another client that sent a target earlier is still
+        connected.
         """
         if received.header.name != TARGET:
             return None
-        # the first client that sends a target drives, until it disconnects
+        # the first client that sends a target moves the tool until it disconnects
         if self._driver not in clients:
             self._driver = received.client
         try:
             matrix = parse_transform(received.content)
         except IgtlError:
-            # not a rotation, so that it is ignored below
+            # not a rotation, so the transform is ignored below
             matrix = np.zeros((4, 4))
         turn = matrix[:3, :3]
         rigid = np.abs(turn.T @ turn - np.eye(3)).max() < OFF and np.linalg.det(turn) > 0.0
@@ -301,25 +304,28 @@ class SlicerTarget:
 
         tip_mm, rotation = self._frame.pose_in_scene(matrix)
         quaternion = Rotation.from_matrix(rotation @ self._turn.T).as_quat()
-        # tissue is prepared only in the box around the scripted path, see `window.reach_m`
+        # tissue is only prepared in a box around the scripted path, see `window.reach_m`
         return np.concatenate([np.clip(tip_mm, self._low, self._high), quaternion])
 
 
 FRAME_S = 0.02
-"""Interval between two poses [s]: 50 poses a second appear as a continuous motion."""
+"""Interval between two poses [s]. 50 poses per second appear as a continuous motion."""
 WORDS_S = 0.2
 STATUS_S = 1.0
 SURFACE_S = 1.0
 """Shortest interval between two force texts, two states and two surfaces [s].
 
-A text that changes faster cannot be read. A surface is the largest message.
+Text that changes faster cannot be read. Surfaces are the largest messages.
 """
 WAIT_S = 0.005
-"""Longest wait for the server at a time [s], a quarter of the interval between poses."""
+"""Longest wait in a call of the server [s], a quarter of the interval between poses."""
 LINGERS_S = 2.0
-"""Longest time to send the last messages after the end of the run [s]."""
+"""Longest time for sending the last messages after the end of the run [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
-"""Streams that a client must request, because 3D Slicer would report each one as an error."""
+"""Streams that are only sent on request.
+
+3D Slicer would report each of these messages as an error.
+"""
 
 
 class Publisher(RunPublisher):
@@ -344,7 +350,7 @@ class Publisher(RunPublisher):
         self.server = IgtlServer(int(start["port"]))
         self.address = "{}:{}".format(*self.server.address)
         placed = start.get("file_to_scene_mm")
-        # lengths are sent in mm whatever the unit of the file
+        # lengths are sent in mm, for any length unit of the file
         record = {"file_to_scene_mm": placed, "file_unit_mm": 1.0}
         frame = SlicerFrame(None if placed is None else Placement.from_record(record))
         self._tissue = tissue_surface(start, self._arrays)
@@ -353,7 +359,7 @@ class Publisher(RunPublisher):
         self._lasting = self._content.scene_messages()
         self._surface = b"" if self._tissue is None else self._content.surface_message(self._tissue)
         self._behind: set[Client] = set()
-        """Clients that do not have the newest surface yet."""
+        """Clients that have not received the newest surface yet."""
         self._row = np.zeros(0)
         self._event = 0
         self._posed = self._worded = self._stated = self._drawn = 0.0
@@ -390,7 +396,7 @@ class Publisher(RunPublisher):
     def _count(self) -> None:
         """Write the message counts and increment the frame counter.
 
-        The frame counter shows that this process works.
+        The frame counter shows that this process is running.
         """
         server = self.server
         self._arrays["counts"][:] = (
@@ -402,15 +408,15 @@ class Publisher(RunPublisher):
         self._arrays["frames"][0] += 1
 
     def _take(self, received: Received) -> None:
-        """Handle a message of a client: a request or a tool target; other messages are ignored."""
+        """Handle a request or a tool target from a client; ignore other messages."""
         kind = received.header.kind
         client = received.client
         verb, _, stream = kind.partition("_")
         if stream in STREAMS:
-            # before the first row there is nothing to answer with
+            # before the first row, no data is available for an answer
             if verb == "GET" and self._row.size:
                 self._send_to(client, stream)
-            # start and stop a stream; OpenIGTLink wants a reply of type RTS
+            # start or stop a stream; OpenIGTLink requires a reply of type RTS
             elif verb in ("STT", "STP"):
                 (client.wants.add if verb == "STT" else client.wants.discard)(stream)
                 reply = igtl.packed(f"RTS_{stream}", received.header.name, b"\0", time_s=time())
@@ -426,7 +432,7 @@ class Publisher(RunPublisher):
         if now - self._posed < FRAME_S:
             return
         message = self._arrays.read("row")
-        # no row yet, or the last one was sent already
+        # no row yet, or the last row has been sent already
         if message is None or message[0] == self._turn:
             return
         self._turn, self._row = message
@@ -445,7 +451,7 @@ class Publisher(RunPublisher):
             self._send(self._content.status_message(self._row), is_stream=True)
 
     def _send_events(self) -> None:
-        """Send the new events that are still stored."""
+        """Send new events. Only events that are still stored can be sent."""
         count = int(self._arrays["events_count"][0])
         held = self._arrays["events"]
         for number in range(max(self._event, count - len(held)), count):

@@ -1,1 +1,1 @@
-"""Cited material constants."""
+"""Material constants with their sources."""

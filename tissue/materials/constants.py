@@ -1,4 +1,7 @@
-"""Cited material constants of this package: values, cutting coefficients and priors."""
+"""Material constants of this package with their sources, cutting coefficients, and priors.
+
+A cited constant is a constant with a source from the TOML files of this package.
+"""
 
 import tomllib
 from collections.abc import Mapping
@@ -34,7 +37,10 @@ UM = 1e-6  # [m]
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
 LINEAR = {"size_exponent": 0.0, "minimum_chip_um": 0.0, "reference_chip_um": 100.0}
-"""Constants of the size effect for a material that has none: a law linear in the chip thickness."""
+"""Constants of the size effect for a material without a size effect.
+
+The cutting law is then linear in the chip thickness.
+"""
 CUT_AS = {
     "enamel": "enamel",
     "dentin": "dentin",
@@ -42,12 +48,12 @@ CUT_AS = {
     "pulp": "soft",
     "ligament": "soft",
 }
-"""Material that provides the cutting coefficients of a tooth layer; other layers use bone."""
+"""Material whose cutting coefficients a tooth layer uses. Other layers use a material of bone."""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """Cited constant with value, plausible range and source, in the unit of its name."""
+    """Cited constant with value, plausible range and source, in the unit that its name states."""
 
     value: float
     low: float
@@ -57,7 +63,7 @@ class Constant:
 
 
 class Entry(TypedDict):
-    """Cited constant in the layout of a file."""
+    """Cited constant as it is written in a TOML file."""
 
     value: float
     range: list[float]
@@ -67,10 +73,10 @@ class Entry(TypedDict):
 
 @dataclass(frozen=True)
 class CuttingCoefficients:
-    """Mechanistic cutting coefficients of a material: chip in [Pa], edge in [N/m].
+    """Mechanistic cutting coefficients of a material, for chips [Pa] and edges [N/m].
 
-    The chip coefficients hold at the reference chip thickness. Their size effect is described in
-    `effective_chip`. Without a minimum chip thickness the law is linear in the chip thickness.
+    The chip coefficients are valid at the reference chip thickness. Their size effect is described
+    in `effective_chip`. Without a minimum chip thickness the law is linear in the chip thickness.
     """
 
     tangential_chip_Pa: float
@@ -103,8 +109,8 @@ def effective_chip(
 ) -> tuple[Array, Array]:
     """Return the effective chip thickness [m] and the share of the edge force, each shape (n,).
 
-    The force per length of edge is the chip coefficient times the effective thickness plus the edge
-    coefficient times the share. See `kernels.cutting` for the law.
+    The force per length of edge is the chip coefficient times the effective thickness, plus the
+    edge coefficient times the share. See `kernels.cutting` for the law.
 
     Parameters
     ----------
@@ -148,25 +154,26 @@ def constants(table: str, material: str) -> dict[str, Constant]:
 
 
 def listed(table: str) -> tuple[str, ...]:
-    """Return the materials of ``table.toml``, in the order of the file."""
+    """Return the names of the materials in ``table.toml``, in the order of the file."""
     return tuple(_table(table))
 
 
 def thermal_material(layer: str) -> str:
-    """Return the material of ``tooth.toml`` with the thermal constants of a layer.
+    """Return the name of the material in ``tooth.toml`` that has the thermal constants of a layer.
 
-    Each layer of a tooth has its own constants. All layers of bone use one set.
+    Each layer of a tooth has its own thermal constants. All layers of bone use the same thermal
+    constants.
     """
     return layer if layer in CUT_AS else "bone"
 
 
 def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
-    """Add a material to the table of ``table.toml``, until the process ends.
+    """Add a material to the table of ``table.toml`` in this process. The file is not changed.
 
     Raises
     ------
     InputError
-        If its name is taken.
+        If the table already has a material with this name.
     """
     known = _table(table)
     if material in known:
@@ -177,7 +184,7 @@ def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
 
 
 def remove_material(table: str, material: str) -> None:
-    """Remove a material that was added."""
+    """Remove a material that `add_material` added."""
     del _table(table)[material]
     constants.cache_clear()
 
@@ -190,7 +197,7 @@ def _table(table: str) -> dict[str, dict[str, Entry]]:
 def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:
     """Return the cutting coefficients of a material in SI units.
 
-    ``changes`` replace single constants, named with their units as in the file.
+    ``changes`` replace single constants. Their names include the unit, as in the file.
 
     Raises
     ------
@@ -203,15 +210,15 @@ def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoeff
 def changed_coefficients(
     cited: Mapping[str, Constant], changes: Mapping[str, float | None]
 ) -> CuttingCoefficients:
-    """Return the cutting coefficients of cutting constants in SI units.
+    """Convert cutting constants to cutting coefficients in SI units.
 
-    ``changes`` replace single constants. A minimum chip thickness of zero is the linear law, which
-    has no size effect.
+    ``changes`` replace single constants. A minimum chip thickness of zero selects the linear law,
+    which has no size effect.
 
     Raises
     ------
     InputError
-        If a change names no constant.
+        If ``changes`` contains a name that is not a constant.
     """
     values = LINEAR | {name: constant.value for name, constant in cited.items()}
     for name, value in changes.items():
@@ -221,7 +228,7 @@ def changed_coefficients(
             )
         if value is not None:
             values[name] = value
-    # A size effect that the caller adds without a minimum is refused below.
+    # If the caller adds a size effect without a minimum chip thickness, an error is raised below.
     if values["minimum_chip_um"] == 0.0 and not changes.get("size_exponent"):
         values["size_exponent"] = 0.0
     found: dict[str, float] = {}
@@ -239,24 +246,26 @@ def changed_coefficients(
 
 
 Z_95 = 1.6448536269514722
-"""95 % quantile of a standard normal number."""
+"""95 % quantile of the standard normal distribution."""
 W_95 = 1.959963984540054
-"""95 % quantile of the absolute value of a standard normal number."""
+"""95 % quantile of the absolute value of a standard normal variable."""
 BOUNDS = {
     "poisson_ratio": (0.0, 0.49995),
     "prony_g1": (0.0, 0.5),
     "prony_g2": (0.0, 0.5),
     "heat_share": (0.0, 1.0),
 }
-"""Smallest and largest value with which a scene can be built, by the name of a constant.
+"""Smallest and largest value with which a scene can be built, by name of the constant.
 
-Only constants whose range is close to these limits are listed: nearly incompressible solids, and
-relaxation shares whose sum must stay below one. Cited ranges of Poisson's ratio end at 0.4999.
+Only constants whose range is close to a limit are listed: Poisson's ratios of nearly incompressible
+solids, and relaxation shares, whose sum must be less than one. Cited ranges of Poisson's ratio end
+at 0.4999.
 """
 NEAR_ZERO = 0.05
-"""Threshold of the soft limit above zero, as a share of the cited value; chosen.
+"""Threshold of the soft limit above zero, relative to the cited value; chosen.
 
-If a range begins at zero, values below this threshold are compressed so that they stay above zero.
+If a range begins at zero, values below this threshold are compressed so that they are always above
+zero.
 """
 
 
@@ -270,18 +279,18 @@ class Prior:
     - With `bounds`: y = logit of x between the bounds.
     - With a positive range: y = ln x.
     - With a range that contains negative numbers: y = x.
-    - With a range from zero: y = s ln(exp(x / s) - 1) with s = 0.05 value. Then y is close to x
-      where x is well above s, and x stays positive. The quantile `low` is 0.035 value.
+    - With a range that begins at zero: y = s ln(exp(x / s) - 1) with s = 0.05 value. Then y is
+      close to x if x is well above s, and x is always positive. The quantile `low` is 0.035 value.
 
-    If the value is at one end of its range, the distribution is half-normal on the other side, with
-    95 % of it inside the range.
+    If the value is one end of its range, the distribution is half-normal toward the other end, and
+    95 % of the distribution lies inside the range.
 
     Attributes
     ----------
     value, low, high
         Median and quantiles in the unit of the constant.
     bounds
-        Smallest and largest value of any draw; None without bounds.
+        Smallest and largest value of the distribution; None without bounds.
 
     Raises
     ------
@@ -322,7 +331,7 @@ class Prior:
 
     @property
     def fixed(self) -> bool:
-        """True if the range is a single number, so that there is nothing to identify."""
+        """True if the range is a single number, so there is nothing to estimate."""
         return self.low == self.high
 
     @property
@@ -331,7 +340,7 @@ class Prior:
         return not self.fixed and self.value in (self.low, self.high)
 
     def mirrored(self) -> "Prior":
-        """Return a two-sided prior: a one-sided prior together with its reflection at the value."""
+        """Return a two-sided prior: this one-sided prior and its reflection at the value."""
         low, value, high = self._knots
         outer = [min(low, 2.0 * value - high), max(high, 2.0 * value - low)]
         ends = self._from_y(np.array(outer)).tolist()
@@ -356,7 +365,7 @@ class Prior:
         return slope_y
 
     def z(self, x: ArrayLike) -> Array:
-        """Return the standard normal numbers of values; infinite outside the support."""
+        """Return the standard normal numbers of constant values; infinite outside the support."""
         x = np.asarray(x, float)
         if self.fixed:
             return np.zeros(x.shape)
@@ -366,15 +375,15 @@ class Prior:
 
             w = W_95 * np.maximum(share, 0.0)
             with np.errstate(divide="ignore"):
-                # erf rounds to 1 for large w, erfc for small w.
+                # erf rounds to 1 for large w, and erfc rounds to 1 for small w.
                 z = np.where(w > 1.0, -ndtri(erfc(w / np.sqrt(2.0))), ndtri(erf(w / np.sqrt(2.0))))
             return z if self._span > 0.0 else -z
         skew = self._skew
-        # -1: values outside the support have an infinite z.
+        # -1: limit of the logarithm; values outside the support have an infinite z.
         stretched = np.maximum(share * np.expm1(skew), -1.0)
         with np.errstate(divide="ignore"):
             grown = np.log1p(stretched)
-        # Without a skew the distribution is normal, and the quotient would be 0 / 0.
+        # Without skew the distribution is normal. The quotient would be 0 / 0.
         return Z_95 * (share if abs(skew) < 1e-9 else grown / skew)
 
     @property
@@ -393,19 +402,19 @@ class Prior:
     def _knots(self) -> tuple[float, float, float]:
         """Coordinates y of low, value and high."""
         low, value, high = self._to_y(np.array([self.low, self.value, self.high])).tolist()
-        # y is -inf at zero; at y = 0 the constant is 0.035 of its value.
+        # y is -inf at x = 0. At y = 0, the constant is 0.035 times its median.
         return (0.0 if self._is_near_zero else low), value, high
 
     @cached_property
     def _skewed(self) -> float:
-        """Factor between shift and span of the log-normal distribution, cached for all values."""
+        """Ratio of shift to span of the log-normal distribution, cached."""
         return float(_relative(self._skew))
 
     @cached_property
     def _span(self) -> float:
         """Signed distance in y from the value to the upper end of the range.
 
-        If the value is the upper end, it is the distance to the lower end.
+        If the value is the upper end, the result is the distance to the lower end.
         """
         low, value, high = self._knots
         return low - value if self.value == self.high else high - value
@@ -457,18 +466,18 @@ class Prior:
 def _relative(power: ArrayLike) -> Array:
     """Return (exp(power) - 1) / power, which is one at zero."""
     power = np.asarray(power, float)
-    # The quotient is 0 / 0 at zero: two terms of its series, exact to rounding.
+    # The quotient is 0 / 0 at zero. Two terms of its series are exact up to rounding errors.
     small = np.abs(power) < 1e-9
     return np.where(small, 1.0 + 0.5 * power, np.expm1(power) / np.where(small, 1.0, power))
 
 
 def _absolute(z: Array) -> Array:
-    """Return the absolute value of a normal number as a function of its quantile.
+    """Convert standard normal numbers to absolute values of normal numbers with the same quantile.
 
-    The function increases with z and starts from zero.
+    The result increases with z and is positive.
     """
     from scipy.special import erfinv, ndtr, ndtri
 
-    # Both forms are equal; each keeps the digits of one tail.
+    # The two forms are mathematically equal. Each form is accurate in one tail.
     upper = -ndtri(0.5 * ndtr(-np.maximum(z, 0.0)))
     return np.where(z > 0.0, upper, np.sqrt(2.0) * erfinv(ndtr(np.minimum(z, 0.0))))

@@ -1,4 +1,4 @@
-"""Linear elastic stiffness: isotropic, transversely isotropic, orthotropic and rotated to fibres.
+"""Stiffness of linear elastic materials: isotropic, transversely isotropic, orthotropic, rotated.
 
 The Voigt order is xx, yy, zz, yz, xz, xy with engineering shear strains, which are twice the tensor
 components, so that stress = D strain. The material axes 1, 2, 3 are x, y, z until they are rotated.
@@ -28,21 +28,21 @@ VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Row and column of the tensor component at each Voigt index."""
 
 SYMMETRIC = 1e-9
-"""Allowed asymmetry relative to the largest entry.
+"""Allowed asymmetry of a stiffness matrix, relative to its largest entry.
 
-It covers the rounding of an inverse with a contrast of up to a million.
+The value exceeds the rounding errors of a matrix inverse with a contrast of up to a million.
 """
 
 
 def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     """Return the Lamé constants lambda, mu [Pa], shape (..., 2).
 
-    Young's modulus [Pa] and Poisson's ratio broadcast.
+    The arguments are broadcast: Young's modulus [Pa] and Poisson's ratio.
 
     Raises
     ------
     InputError
-        If a modulus is not positive and finite, or a ratio lies outside (-1, 0.5).
+        If a modulus is not positive and finite, or a Poisson's ratio lies outside (-1, 0.5).
     """
     young = _positive("young_Pa", young_Pa)
     ratio = np.asarray(poisson_ratio, np.float64)
@@ -59,7 +59,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
 
 
 def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
-    """Return stiffness matrices [Pa], shape (..., 6, 6), of Lamé constants [Pa], shape (..., 2)."""
+    """Convert Lamé constants, shape (..., 2), to stiffness matrices, shape (..., 6, 6), in [Pa]."""
     pair = np.asarray(lame_Pa, np.float64)
     matrix = np.zeros((*pair.shape[:-1], 6, 6))
     matrix[..., :3, :3] = pair[..., 0, None, None]
@@ -78,13 +78,13 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
-        nu12, nu13, nu23. nu12 is the contraction along 2 under tension along 1, and nu21 = nu12 E2
-        / E1.
+        nu12, nu13, nu23. nu12 is the ratio of contraction along 2 to extension along 1 under
+        tension along 1, and nu21 = nu12 E2 / E1.
 
     Raises
     ------
     InputError
-        If a modulus is not positive, or the ratios make the matrix indefinite.
+        If a modulus is not positive, or the matrix is not positive definite.
     """
     young = _positive("young_Pa", young_Pa)
     shear = _positive("shear_Pa", shear_Pa)
@@ -127,9 +127,9 @@ def transversely_isotropic(
     shear_fibre_Pa
         Shear modulus in planes that contain the fibre [Pa].
     poisson_fibre
-        Contraction across the fibre under tension along the fibre.
+        Poisson's ratio across the fibre under tension along the fibre.
     poisson_across
-        Contraction across the fibre under tension across the fibre; in (-1, 1).
+        Poisson's ratio across the fibre under tension across the fibre, in (-1, 1).
 
     Raises
     ------
@@ -150,22 +150,23 @@ def transversely_isotropic(
 
 
 def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
-    """Compute Poisson's ratio across fibres at which the fibres do not change the bulk modulus.
+    """Compute the Poisson's ratio across fibres for which fibres do not change the bulk modulus.
 
-    Take a transversely isotropic material with moduli E across and r E along its fibres. Its
-    Poisson's ratio is nu under tension along the fibres, and nu_across under tension across them.
-    Under a pressure, its volume changes by the sum of its compliances::
+    A transversely isotropic material has the Young's moduli E across and r E along its fibres. Its
+    Poisson's ratio is nu under tension along the fibres, and nu_across under tension across the
+    fibres. The bulk modulus K follows from the sum of its compliances::
 
         1 / K = (2 (1 - nu_across) + (1 - 4 nu) / r) / E
 
-    This is the isotropic 3 (1 - 2 nu) / E for nu_across = 3 nu - 1/2 + (1 - 4 nu) / (2 r).
+    This is equal to the isotropic value 3 (1 - 2 nu) / E if nu_across = 3 nu - 1/2 + (1 - 4 nu) /
+    (2 r).
 
     Parameters
     ----------
     poisson_ratio
-        Poisson's ratio without fibres, and under tension along the fibres.
+        Poisson's ratio without fibres, which is also the ratio under tension along the fibres.
     modulus_ratio
-        Young's modulus along the fibres over Young's modulus across them.
+        Ratio of the Young's modulus along the fibres to the Young's modulus across the fibres.
     """
     return 3.0 * poisson_ratio - 0.5 + (1.0 - 4.0 * poisson_ratio) / (2.0 * modulus_ratio)
 
@@ -173,8 +174,9 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
 def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
     """Compute the open range of modulus ratios for which `volume_preserving_ratio` is stable.
 
-    Stability requires 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1.
-    The second condition bounds r from below for nu > 1/4 and from above for nu < -1/6.
+    Stability requires 1 - nu_across > 2 nu^2 / r, which is equivalent to r > (1 - 2 nu) / 3, and
+    nu_across > -1. The second condition is a lower bound of r if nu > 1/4, and an upper bound if nu
+    < -1/6.
     """
     low = (1.0 - 2.0 * poisson_ratio) / 3.0
     high = np.inf
@@ -187,7 +189,7 @@ def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
 
 
 def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
-    """Return stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), after validation.
+    """Validate and return stiffness matrices [Pa], shape (6, 6) or (m, 6, 6).
 
     Raises
     ------
@@ -222,7 +224,7 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
 
 
 def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
-    """Return stiffness matrices [Pa], shape (m, 6, 6), rotated to a fibre field (Bond 1943).
+    """Rotate stiffness matrices [Pa] to a fibre field, shape (m, 6, 6) (Bond 1943).
 
     Parameters
     ----------
@@ -246,14 +248,14 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
 
 
 def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
-    """Return an elasticity as rows, one for all cells or one per cell.
+    """Return an elasticity as rows: one row for all cells, or one row per cell.
 
-    Rows are Lamé pairs (1 | m, 2) or matrices (1 | m, 6, 6) [Pa].
+    The rows are Lamé constants, shape (1 | m, 2), or matrices, shape (1 | m, 6, 6) [Pa].
 
     Raises
     ------
     InputError
-        If the shape is another, or the material is not positive definite.
+        If the elasticity has another shape, or is not positive definite.
     """
     given = np.asarray(elasticity, np.float64)
     if given.ndim in (1, 2) and given.shape[-1] == 2:
@@ -309,7 +311,7 @@ def _frames(fibre: Array) -> Array:
 def _turned(matrix: Array, rotation: Array) -> Array:
     """Return D' = M D M^T, where M rotates stresses in Voigt order.
 
-    The result is symmetrised because of rounding in the products.
+    The result is symmetrised to remove rounding errors of the products.
     """
     i, j = VOIGT.T[:, :, None]
     k, n = VOIGT.T[:, None]

@@ -1,16 +1,17 @@
 """Hyperelastic laws of isotropic soft tissue, and their first Piola-Kirchhoff stress.
 
-Neo-Hookean, Mooney-Rivlin, Yeoh, Ogden and exponential laws form one family here. The principal
-stretches of the deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are
-b_i = l_i J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
+Neo-Hookean, Mooney-Rivlin, Yeoh, Ogden and exponential laws are special cases of one law. The
+principal stretches of the deformation gradient F are l_i, and J = l_1 l_2 l_3. The isochoric
+stretches are b_i = l_i J^(-1/3). With S(alpha) = sum_i b_i^alpha and x = S(2) - 3, the energy
+density is::
 
     psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
           + sum_e (mu_e / (2 b_e)) (exp(b_e x) - 1) + (kappa / 4) (J^2 - 1 - 2 ln J)
 
 The shear modulus at small strains is sum mu_p + sum mu_e, and the bulk modulus is kappa. The
-volumetric part (Simo and Miehe 1992) is separate from the isochoric part, so that shear does not
-depend on kappa. The stress follows from the derivatives by ln l_i in the frame of the singular
-vectors of F. Cells of a mesh are computed by `kernels.tet_hyperelastic`.
+volumetric part (Simo and Miehe 1992) is separate from the isochoric part, so the response to shear
+does not depend on kappa. The stress follows from the derivatives of psi by ln l_i, in the frame of
+the singular vectors of F. `kernels.tet_hyperelastic` evaluates the law in the cells of a mesh.
 
 References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
 66; Demiray 1972, J. Biomech. 5:309 (exponential of the first invariant, an isotropic form of Fung).
@@ -36,17 +37,17 @@ class Hyperelastic:
     bulk_Pa
         Bulk modulus kappa at small strains [Pa].
     terms
-        Pairs mu_p [Pa], alpha_p of the sum over powers of stretches.
+        Pairs (mu_p [Pa], alpha_p) of the terms with powers of stretches.
     powers_Pa
         Coefficients c_2, c_3, ... of the powers of I1 - 3 [Pa].
     exponentials
-        Pairs mu_e [Pa], b_e of the exponentials of I1 - 3.
+        Pairs (mu_e [Pa], b_e) of the exponential terms in I1 - 3.
 
     Raises
     ------
     InputError
-        If a constant is not finite, an exponent is zero, or the rate of an exponential, the bulk
-        modulus or the shear modulus is not positive.
+        If a constant is not finite; an exponent is zero; or the rate b_e, the bulk modulus or the
+        shear modulus is not positive.
     """
 
     bulk_Pa: float
@@ -78,22 +79,22 @@ class Hyperelastic:
 
     @classmethod
     def neo_hookean(cls, shear_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Return the law (mu / 2) (I1 - 3), isochoric part."""
+        """Return the law with the isochoric energy (mu / 2) (I1 - 3)."""
         return cls(bulk_Pa, ((shear_Pa, 2.0),))
 
     @classmethod
     def mooney_rivlin(cls, c10_Pa: float, c01_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Return the law c10 (I1 - 3) + c01 (I2 - 3), isochoric part."""
+        """Return the law with the isochoric energy c10 (I1 - 3) + c01 (I2 - 3)."""
         return cls(bulk_Pa, ((2.0 * c10_Pa, 2.0), (2.0 * c01_Pa, -2.0)))
 
     @classmethod
     def yeoh(cls, c1_Pa: float, c2_Pa: float, c3_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Return the law c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3, isochoric part."""
+        """Return the law with the isochoric energy c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3."""
         return cls(bulk_Pa, ((2.0 * c1_Pa, 2.0),), (c2_Pa, c3_Pa))
 
     @classmethod
     def exponential(cls, shear_Pa: float, rate: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Return the law (mu / 2 b) (exp(b (I1 - 3)) - 1) of rate b, isochoric part."""
+        """Return the law with the isochoric energy (mu / 2 b) (exp(b (I1 - 3)) - 1)."""
         return cls(bulk_Pa, (), exponentials=((shear_Pa, rate),))
 
     @property
@@ -104,7 +105,7 @@ class Hyperelastic:
     def stress(self, gradient: ArrayLike) -> Array:
         """Return the first Piola-Kirchhoff stress [Pa], shape (..., 3, 3).
 
-        The gradients have shape (..., 3, 3) and J > 0.
+        The deformation gradients have the shape (..., 3, 3) and J > 0.
         """
         f = np.asarray(gradient, np.float64)
         if not (np.linalg.det(f) > 0.0).all():
@@ -118,8 +119,8 @@ class Hyperelastic:
     def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
         """Compute energy density and its derivatives by the logarithms of the stretches [Pa].
 
-        The stretches have shape (..., 3). Energy, first and second derivatives have the shapes
-        (...), (..., 3) and (..., 3, 3).
+        The stretches have shape (..., 3). The energy has the shape (...), the first derivatives
+        (..., 3), the second (..., 3, 3).
         """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
@@ -135,7 +136,7 @@ class Hyperelastic:
         if not self.powers_Pa and not self.exponentials:
             return energy, slope, curvature
         value, first, second = _power_sum(isochoric, 2.0)
-        # Functions of x alone: their first and second derivatives by x.
+        # First and second derivatives of the terms that only depend on x.
         rise = np.zeros_like(value)
         bend = np.zeros_like(value)
         for k, c in enumerate(self.powers_Pa, start=2):

@@ -1,16 +1,16 @@
 """Prony series: stress relaxation and creep of a soft tissue.
 
-The relaxation modulus over its instantaneous value is ``s(t) = g_inf + sum g_i exp(-t / tau_i)``,
-with ``s(0) = 1``. Stress is the hereditary integral of the strain rate with s. Strain is the
-hereditary integral of the stress rate with the creep compliance ``j(t) = 1 + sum j_k (1 - exp(-t /
-lambda_k))``, where ``p s~(p) p j~(p) = 1`` in Laplace space. With the dashpot strains as state,
-creep is ``y' = -B y + c sigma``, where ``B = diag(1 / tau) - c c^T`` and ``c_i = sqrt(g_i /
-tau_i)``. The retardation times are the inverse eigenvalues of the symmetric matrix B. One
-eigenvalue lies below each relaxation rate (Gross 1953, Mathematical Structure of the Theories of
-Viscoelasticity; Tschoegl 1989).
+The relaxation modulus, divided by its instantaneous value, is
+``s(t) = g_inf + sum g_i exp(-t / tau_i)``, with ``s(0) = 1``. Stress is the hereditary integral of
+the strain rate with s. Strain is the hereditary integral of the stress rate with the creep
+compliance ``j(t) = 1 + sum j_k (1 - exp(-t / lambda_k))``, where ``p s~(p) p j~(p) = 1`` in Laplace
+space. If the dashpot strains y are the state, creep follows ``y' = -B y + c sigma``, where
+``B = diag(1 / tau) - c c^T`` and ``c_i = sqrt(g_i / tau_i)``. The retardation times are the
+reciprocals of the eigenvalues of the symmetric matrix B. One eigenvalue lies below each relaxation
+rate (Gross 1953, Mathematical Structure of the Theories of Viscoelasticity; Tschoegl 1989).
 
-Both integrals need one exponential per term and step. They are exact for an input that is linear
-within each step, and therefore of second order for a smooth input (Taylor, Pister and Goudreau
+The two integrals need one exponential per term and step. They are exact if the input is linear
+within each step, and have second-order accuracy for a smooth input (Taylor, Pister and Goudreau
 1970, Int. J. Numer. Methods Eng. 2:45).
 """
 
@@ -35,7 +35,7 @@ class Spectrum:
     Attributes
     ----------
     amplitude
-        Delayed share of each term, shape (k,); negative for a relaxing response.
+        Delayed part of each term, shape (k,); negative for a relaxing response.
     time_s
         Time of each term [s], shape (k,).
     """
@@ -46,7 +46,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Prony:
-    """Prony series of a modulus over its instantaneous value.
+    """Prony series of a modulus, relative to the instantaneous modulus.
 
     Attributes
     ----------
@@ -58,8 +58,8 @@ class Prony:
     Raises
     ------
     InputError
-        If the lengths differ, a share or a time is not positive and finite, or the modulus relaxes
-        to zero.
+        If the lengths of `g` and `tau_s` differ; a share or a time is not positive and finite; or
+        the modulus relaxes to zero.
     """
 
     g: tuple[float, ...]
@@ -129,17 +129,18 @@ class HereditaryIntegral:
         fall = -np.expm1(-ratio)
         mean = fall / ratio
         self.instant_factor = float(1.0 + spectrum.amplitude @ (1.0 - mean))
-        """Response at the end of a step to a unit input reached there; 1 for a short step."""
+        """Response at the end of a step in which the input rises to 1; 1 for a short step.
+        """
         self._keep = 1.0 - fall
         self._gain = spectrum.amplitude * mean * fall
         self._terms = np.zeros((len(ratio), *shape))
         self._scaled = np.zeros(shape)
         self.history = np.zeros(shape)
-        """Response at the end of the next step to all previous inputs, if the input there is zero.
+        """Response at the end of the next step to all previous inputs, if the input is zero there.
         """
 
     def advance(self, value: ArrayLike) -> None:
-        """End a step with this input."""
+        """Finish a step with this input at its end."""
         for term, keep, gain in zip(self._terms, self._keep, self._gain, strict=True):
             term *= keep
             np.multiply(value, gain, out=self._scaled)
@@ -147,7 +148,7 @@ class HereditaryIntegral:
         np.add.reduce(self._terms, axis=0, out=self.history)
 
     def become(self, other: "HereditaryIntegral", of: Callable[[Array], Array]) -> None:
-        """Take the state of another integral whose inputs are mapped linearly.
+        """Copy the state of another integral, converted by a linear map of its inputs.
 
         Parameters
         ----------

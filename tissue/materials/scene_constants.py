@@ -1,4 +1,7 @@
-"""Constants of a scene: cited constants, replaced by the constants of a file."""
+"""Constants of a scene: constants of this package, replaced by constants of a user's file.
+
+Constants of this package are called cited, because each has a source.
+"""
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,11 +31,11 @@ from tissue.materials.constants import (
 __all__ = ["Materials", "checked_constant", "energy_note"]
 
 TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
-"""Tables whose constants a file may replace."""
+"""Names of the tables whose constants a file may replace."""
 ENERGY = "tangential_chip_N_mm2"
-"""Constant that is the specific cutting energy."""
+"""Name of the constant that is the specific cutting energy."""
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Largest value of a constant, by its name; a Poisson's ratio of one half cannot be solved."""
+"""Limit of a constant, by name. The equations cannot be solved for a Poisson's ratio of 0.5."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +45,12 @@ class Materials:
     Attributes
     ----------
     given
-        Constants of a user's file by their names ``TABLE.MATERIAL.NAME``. In the table ``cutting``,
-        the name of a layer may replace that of the material. Constants of the layer take
-        precedence over constants of the material.
+        Constants of a user's file, by their names ``TABLE.MATERIAL.NAME``. In the table
+        ``cutting``, the name of a layer may replace the name of the material. Constants of the
+        layer take precedence over constants of the material.
     names, matrix
-        Names and correlation matrix of constants in the file. The correlation applies to the normal
-        numbers of `tissue.materials.constants.Prior`.
+        Names of constants in the file, and their correlation matrix. The correlation applies to the
+        standard normal numbers of `tissue.materials.constants.Prior`.
     file
         Path of the file; empty if all constants are cited.
     """
@@ -79,7 +82,7 @@ class Materials:
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Return the constants from a file, from a `Materials` object, or the cited ones for None.
+        """Return the constants of a file or a `Materials` object, or the cited ones for None.
 
         Raises
         ------
@@ -102,8 +105,9 @@ class Materials:
     def constants(self, table: str, material: str) -> dict[str, Constant]:
         """Return the constants of a material by name, with the constants of the file first.
 
-        Raises as `constants`. All names of the cited constants are present. A layer of the table
-        ``cutting`` is not a material, see `coefficients`.
+        The result contains all names of the cited constants. A layer of the table ``cutting`` is
+        not a material, see `coefficients`. Raises the errors of
+        `tissue.materials.constants.constants`.
         """
         found = constants(table, material)
         if not self.given:
@@ -114,7 +118,7 @@ class Materials:
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
         """Return the cutting constants of a layer.
 
-        They are the constants of its material, or of `bone`, replaced by the constants of the
+        The constants of the layer's material, or of `bone`, are replaced by the constants of the
         layer.
         """
         found = self.constants("cutting", CUT_AS.get(layer, bone))
@@ -138,7 +142,7 @@ class Materials:
         Raises
         ------
         InputError
-            If there is no such material, or a change names no constant.
+            If a material is not listed, or `changes` contains a name that is not a constant.
         """
         layers = (self.layer_constants(layer, bone=bone) for layer in layer_names)
         return tuple(changed_coefficients(layer, changes) for layer in layers)
@@ -146,7 +150,7 @@ class Materials:
     def numbers(
         self, table: str, numbers: Mapping[str, float], *materials: str
     ) -> dict[str, float]:
-        """Return the numbers of a device or a hand, replaced by the numbers of the file.
+        """Return the numbers of a device or a simulated hand, replaced by the numbers of the file.
 
         Later materials take precedence over earlier ones.
         """
@@ -161,7 +165,7 @@ class Materials:
         return found
 
     def origin(self, table: str, material: str, name: str) -> str:
-        """Return the origin of a constant for a note: its file, or "cited"."""
+        """Return the origin of a constant for a note of the run: its file, or "cited"."""
         return (
             f"of {Path(self.file).name}" if f"{table}.{material}.{name}" in self.given else "cited"
         )
@@ -181,7 +185,10 @@ class Materials:
 
     @property
     def key(self) -> str:
-        """Content of the constants as text, used as cache key; empty if all constants are cited."""
+        """Content of the constants as text, used as cache key.
+
+        The text is empty if all constants are cited, which means that no file replaces constants.
+        """
         return repr((sorted(self.given.items()), self.names, self.matrix)) if self.given else ""
 
 
@@ -201,7 +208,8 @@ def _parsed(text: str, path: str) -> Materials:
     for table, materials in tables.items():
         _require_known("a table", table, TABLES, path)
         for material, entries in _table(materials, table, path).items():
-            # In cutting, the name may be that of a layer, with constants named as those of bone.
+            # In the table `cutting`, the name may be the name of a layer. Its constants have the
+            # names of the constants of bone.
             if table != "cutting":
                 _require_known(f"a material of {table}", material, listed(table), path)
             known = constants(table, material if material in listed(table) else "bone")
@@ -243,7 +251,7 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
 
 
 class _Entry(BaseModel, strict=True, extra="forbid"):
-    """Constant in a file."""
+    """Constant as it is written in a user's file."""
 
     value: FiniteFloat
     range: Annotated[list[Annotated[FiniteFloat, Field(ge=0.0)]], Field(min_length=2, max_length=2)]
@@ -252,7 +260,7 @@ class _Entry(BaseModel, strict=True, extra="forbid"):
 
 
 class _Correlation(BaseModel, strict=True, extra="forbid"):
-    """Correlation of constants in a file."""
+    """Correlation of constants as it is written in a user's file."""
 
     names: list[str]
     matrix: list[list[FiniteFloat]]
@@ -275,7 +283,7 @@ def _checked(model: type[Checked], found: object, name: str, path: str) -> Check
 
 
 def checked_constant(full: str, found: object, path: str) -> Constant:
-    """Return a constant of a file after validation."""
+    """Validate and return a constant of a file."""
     entry = _checked(_Entry, found, full, path)
     low, high = entry.range
     most = HARD_LIMITS.get(full.rpartition(".")[2], np.inf)
@@ -293,7 +301,7 @@ def checked_constant(full: str, found: object, path: str) -> Constant:
 def _correlation(
     found: object, given: Mapping[str, Constant], path: str
 ) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...]]:
-    """Read names and matrix of the correlation of a file."""
+    """Read the names and the matrix of the correlation in a file."""
     table = _checked(_Correlation, found, "correlation", path)
     names = table.names
     for name in names:
@@ -308,7 +316,7 @@ def _correlation(
             "fix the names or the matrix",
         )
     matrix = np.array(table.matrix).reshape(count, count)
-    # 1e-9: rounding of numbers in a file.
+    # 1e-9: rounding error of numbers in a file.
     is_correlation = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9) and np.allclose(
         np.diag(matrix), 1.0, rtol=0.0, atol=1e-9
     )
@@ -342,7 +350,7 @@ def energy_note(
     bone
         Material of bone.
     stated
-        Coefficient in the scene that replaces all others [N/mm2].
+        Coefficient from the scene that replaces all other values [N/mm2].
     """
     if stated is not None:
         return f"{1e-3 * stated:g} J/mm3, as the scene states"

@@ -1,1 +1,1 @@
-"""Tissue models with one interface: bone, tooth, organ, needle in layers, wall."""
+"""Tissue models with one interface: bone, tooth, organ, layers under a needle, virtual wall."""

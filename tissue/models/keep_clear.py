@@ -1,6 +1,6 @@
 """Distance of the tool from structures that it must not touch, at every tick.
 
-Breaches are reported as events.
+A breach, an overlap of tool and structure, is reported as an event.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,9 +26,9 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 __all__ = ["Distance", "KeepClear", "Structure"]
 
 Distance = Callable[[Array], Floats]
-"""Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
+"""Function from points [m], (n, 3), to signed distances [m], (n,), negative inside."""
 DEVICE = "cpu"
-"""Device of the search: one thread on the CPU, for any device of the tissue."""
+"""Device of the search: one thread on the CPU, whatever the device of the tissue is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Structure:
 
 @dataclass
 class _Breach:
-    """Structure and the breaches of the tool into it."""
+    """Breaches of the tool into one structure."""
 
     name: str
     least_m: float = inf
@@ -65,39 +65,41 @@ class _Breach:
 
 
 class KeepClear:
-    """Distance of a tool's whole body from each of some structures.
+    """Distance of a tool's whole body from each of several structures.
 
-    The body is the body of the simulated cutter, including peg, flank and back; a shaft behind it
-    is not included. The distance is the smallest sum, over all points of space, of the signed
-    distances from the tool and from the structure. It is the gap where both are apart. Where they
-    overlap it is negative, and its magnitude is the depth.
+    The body is that of the simulated cutter, including peg, flank and back; the shaft behind the
+    cutter is not included. At each point of space the signed distances from the tool and from the
+    structure are added. The distance is the smallest of these sums. It is the clearance if tool and
+    structure are apart. If they overlap it is negative, and its magnitude is the depth of the
+    overlap.
 
     Parameters
     ----------
     profile
         The tool's half section.
     structures
-        Surfaces by name.
+        Surfaces of the structures, as a dictionary by name.
     distances
-        Signed distances anywhere, for pictures.
+        Functions that return the signed distance from a structure at any point, by name; for
+        pictures.
     points_m
         Points of the tool's body in its own frame [m], shape (n, 3), for pictures.
     box_m
-        Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None where
-        it is not known.
+        Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None if the
+        box is not known.
     times_s
-        Times at which the tool is measured [s]; None for one every tick.
+        Times at which the tool is measured [s]; None to measure in every tick.
 
     Attributes
     ----------
     points_m, distances
         Values of the parameters.
     names
-        Columns of a trace: ``distance_NAME_mm``, negative inside.
+        Names of the columns in a trace: ``distance_NAME_mm``, negative inside.
     measures
-        Their values of the last tick [mm], shape (structures,). A value never lies above the true
-        distance. It lies below by at most the slack of the structure and 0.001 mm where both are
-        apart, 0.01 mm where they overlap.
+        Distances in the last tick [mm], shape (structures,). A value is never larger than the true
+        distance. It is smaller by at most the slack of the structure plus 0.001 mm if tool and
+        structure are apart, and plus 0.01 mm if they overlap.
     notices
         Events, a sentence each; the loop removes them as it logs them.
     """
@@ -125,7 +127,7 @@ class KeepClear:
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
-        """Measure at a tool's pose; set `placed` before the first tick."""
+        """Measure the distances at a tool's pose; set `placed` before the first tick."""
         for number, search in enumerate(self._structures):
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
@@ -143,7 +145,7 @@ class KeepClear:
 
     @property
     def _now_s(self) -> float:
-        """Time of the present tick, or of the last measured tick [s]."""
+        """Time of the present tick, or of the last tick at which the tool was measured [s]."""
         if self._times_s is None:
             return self._tick * TICK_S
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
@@ -173,15 +175,16 @@ class KeepClear:
         breach.began_s = None
 
     def finish(self) -> None:
-        """End breaches that last to the end."""
+        """Close the breaches that last to the end of the run."""
         for breach in self._breaches:
             if breach.began_s is not None:
                 self._leave(breach, "still in")
 
     def summary(self) -> dict[str, dict[str, float | None]]:
-        """Return distance, depth, duration and first time of a breach, by structure.
+        """Return the smallest distance and the breaches of each structure, as a dictionary by name.
 
-        The values are the smallest distance [mm], depth [mm], duration [s] and first time [s].
+        The values are the smallest distance [mm], and depth [mm], total duration [s] and first time
+        [s] of the breaches.
         """
         return {
             breach.name: {
@@ -201,12 +204,13 @@ class _Search:
     def __init__(
         self, outline: Any, medial: Any, structure: Structure, box_m: Array | None
     ) -> None:
-        # Coordinates lie along the structure's principal axes, where boxes around its triangles are
-        # small. They are counted from its middle: the sign is found in single precision.
+        # Coordinates are taken along the structure's principal axes, because boxes around its
+        # triangles are small there. Their origin is in the middle of the structure, because the
+        # sign is computed in single precision.
         vertices = structure.vertices_m
         self._origin = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._turn = np.linalg.eigh(np.cov((vertices - self._origin).T))[1]
-        # Eigenvectors may form a reflection. A reflection would turn the triangles inside out.
+        # Eigenvectors may form a reflection, which would turn the triangles inside out.
         self._turn[:, 0] *= np.sign(np.linalg.det(self._turn))
         corners = cut_long(vertices[structure.faces], box_m)
         tree = box_tree((corners - self._origin) @ self._turn)
@@ -240,7 +244,7 @@ class _Search:
             outputs=[self._distance.device],
             offset_index=0,
             device=DEVICE,
-            # The search is one thread: dim is 1.
+            # The search runs in one thread, so that dim is 1.
             cores=1,
         )
 

@@ -17,14 +17,14 @@ State = dict[str, Any]
 def copied(owner: object, names: Iterable[str]) -> State:
     """Return copies of some attributes of an object.
 
-    They are copied together: attributes that share an object share its copy.
+    The attributes are copied together: attributes that share an object share its copy.
     """
     found: State = deepcopy({name: getattr(owner, name) for name in names})
     return found
 
 
 def put_back(owner: object, state: State) -> None:
-    """Write copied attributes back to an object; the state stays unchanged.
+    """Write copied attributes back to an object; the copied state is not changed.
 
     Arrays are written in place, because a device array or a view may share their memory.
     """
@@ -37,12 +37,12 @@ def put_back(owner: object, state: State) -> None:
 
 
 def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
-    """Refuse copied arrays whose shapes differ from those of the present arrays of a model.
+    """Check that copied arrays have the shapes of the present arrays of a model.
 
     Raises
     ------
     InputError
-        If a shape differs: the copy is of a model with another mesh.
+        If a shape differs, because the copy belongs to a model with another mesh.
     """
     for name, array in present.items():
         if array.shape != kept[name].shape:

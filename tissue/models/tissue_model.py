@@ -1,4 +1,4 @@
-"""Interface between a moving tool and a tissue, free space, and a stiff wall."""
+"""Interface between a moving tool and a tissue; models of free space and of a virtual wall."""
 
 from dataclasses import dataclass, field
 from math import inf, pi
@@ -35,9 +35,9 @@ __all__ = [
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Words of the notice that a background solve was too slow.
+"""Part of the notice that reports a background solve that took too long.
 
-The cause is the machine, not the tissue.
+The cause is a slow computer, not the tissue.
 """
 
 
@@ -50,22 +50,22 @@ class ToolMotion:
     tip_m
         Position of the tool's tip in the world [m], shape (3,).
     rotation
-        Tool to world, columns are the tool's axes, shape (3, 3); z is the tool's axis, from tip to
-        shank.
+        Rotation from tool to world; its columns are the tool's axes, shape (3, 3). z is the tool's
+        axis, from tip to shank.
     heading
         Velocity of the tip at unit speed, shape (3,), and angular velocity of the pose at unit
-        speed [rad/m], shape (3,), in the world frame; the tool's spin about its own axis is not
-        part of it.
+        speed [rad/m], shape (3,), in the world frame. The spin of the tool about its own axis is
+        not included.
     speed_m_s
         Speed that scales `heading` [m/s].
     tangent_m_s
-        Speed at which the tissue takes the tangent of its force [m/s]. None for `speed_m_s`.
+        Speed at which the tissue linearises its force [m/s]; None for `speed_m_s`.
     pressed
         Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
         (about to cut).
     balanced
-        Force [N] and torque about the tip [N m] of the bone on a tool that has been moved to its
-        balance, shape (6,); None for a tool whose motion does not depend on them.
+        Force [N] and torque about the tip [N m] of the bone on a tool at its force balance, shape
+        (6,). None for a tool whose motion does not depend on them.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -81,32 +81,33 @@ class ToolMotion:
 class Response:
     """Response of a tissue to a tool, reused from tick to tick.
 
-    Forces act on the tool, torques about its tip, in the world frame.
+    All forces act on the tool. Torques are about its tip. The components are in the world frame.
 
     Attributes
     ----------
     resistance
-        Derivative of force [N s/m] and torque [N s] by the speed along the direction of motion,
-        at the tangent's speed, shape (6,).
+        Derivative of force [N s/m] and torque [N s] with respect to the speed along the direction
+        of motion, at the speed of the linearisation, shape (6,).
     edge
-        Force [N] and torque [N m] of the tangent at zero speed, shape (6,). For a law that is
-        linear in the speed, it arises as soon as the tool moves.
+        Force [N] and torque [N m] that the tangent has at zero speed, shape (6,). For a law that is
+        linear in the speed, this is the force at the onset of motion.
     wrench
-        Force [N] and torque [N m] at the motion's speed, on the tangent, shape (6,).
+        Force [N] and torque [N m] that the tangent has at the motion's speed, shape (6,).
     removal_rate_m3_s
-        Rate at which the tool's elements sweep filled volume [m3/s].
+        Rate at which the cutting elements of the tool sweep filled volume [m3/s].
     engaged_m2
         Area of the tool in contact with tissue, by layer [m2], shape (layers,).
     measures
-        Further columns of the tissue, in the order and units of its `measure_names`.
+        Further values of the tissue, in the order and units of its `measure_names`.
     stiffness_N_m
-        Decrease of the force on a resting tool with its position, -dF/dx [N/m], shape (3, 3); None
-        where the tissue does not provide it.
+        Stiffness at the position of a resting tool, -dF/dx [N/m], shape (3, 3). None if the tissue
+        does not provide it.
     gap_m, normal
-        Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
-        provide it, and the unit direction out of the surface, shape (3,).
+        Distance of a free tool from the tissue's surface [m], infinite if the tissue does not
+        provide it. Unit normal out of the surface, shape (3,).
     surface_N_m
-        Stiffness of the surface at the gap, along the normal [N/m]; infinite if it is not known.
+        Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
+        known.
     """
 
     resistance: Array
@@ -137,10 +138,11 @@ class TissueModel(Protocol):
 
     The protocols below add members that only some models have.
 
-    `place` puts the tool at its start. Every tick `advance` removes the tissue that the tool
-    reaches at its new pose, then `respond` returns the force at that pose. Neither allocates device
-    memory. A thrust that pushes a cutter calls `respond` first, at trial poses, and `advance` once
-    at the pose where the forces balance. `respond` must therefore change nothing.
+    `place` puts the tool at its first pose. In every tick `advance` removes the tissue that the
+    tool reaches at its new pose, and then `respond` returns the force at that pose. `advance` and
+    `respond` allocate no device memory. If a thrust force pushes a cutter, `respond` is called
+    first, at trial poses. `advance` is then called once, at the pose where the forces balance.
+    `respond` must therefore not change the state.
     """
 
     @property
@@ -178,7 +180,7 @@ class SchedulesBackground(Protocol):
 
     @property
     def scheduling(self) -> str:
-        """Priority and cores of the background work, in words; empty without background work."""
+        """Description of the background work: priority and cores; empty without such work."""
         ...
 
 
@@ -199,7 +201,7 @@ class HasState(Protocol):
         ...
 
     def restore(self, state: State) -> None:
-        """Return to a copied state, of this tissue or of an equal one."""
+        """Return to a copied state of this tissue or of an equal tissue."""
 
 
 @runtime_checkable
@@ -217,18 +219,18 @@ class HasFields(Protocol):
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Frames so far; None where the scene requests no frames."""
+        """Frames so far; None if the scene requests no frames."""
 
 
 @runtime_checkable
 class HasHeat(Protocol):
-    """Tissue that is warmed by cutting."""
+    """Tissue that is heated by cutting."""
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and its distribution [J], by receiver.
+        """Energy of cutting and its distribution [J], as a dictionary.
 
-        None where the scene has no heat.
+        It is None if the scene has no heat.
         """
 
 
@@ -242,15 +244,15 @@ class HasVoxels(Protocol):
 
 @runtime_checkable
 class WaitsForBackground(Protocol):
-    """Tissue whose background work has a result that is due at a certain tick."""
+    """Tissue with background work whose result is due at a certain tick."""
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for work whose result is due at a time; called before a tick and outside it."""
+        """Wait for work whose result is due at a time; called before a tick, outside the tick."""
 
 
 @runtime_checkable
 class MayLag(Protocol):
-    """Tissue whose background work may come late, because a real device cannot wait for it."""
+    """Tissue whose background work may be late, because a real device cannot wait for it."""
 
     waits: bool
     """True if a tick waits for background work that is due."""
@@ -261,7 +263,7 @@ class StartsBackground(Protocol):
     """Tissue with work at a lower rate than the ticks."""
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Do this work, or start it in the background; called at the end of every tick."""
+        """Do the slower work, or start it in the background; called at the end of every tick."""
 
 
 @runtime_checkable
@@ -269,11 +271,11 @@ class Finishes(Protocol):
     """Tissue with work that is spread over ticks."""
 
     def finish(self) -> None:
-        """Complete the work after the last tick; a second call changes nothing."""
+        """Complete the work after the last tick; a second call has no effect."""
 
 
 class FreeSpace:
-    """Free space: the baseline that satisfies every requirement on a tissue model."""
+    """Free space without any force: the simplest tissue model."""
 
     layer_names: tuple[str, ...] = ("nothing",)
     measure_names: tuple[str, ...] = ()
@@ -302,18 +304,19 @@ class FreeSpace:
 
 
 class WallModel:
-    """Linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
+    """Virtual wall: linear unilateral spring below the plane z = 0, F = k depth, without friction.
 
-    Its measure is the depth of the ball's deepest point [mm]. ``engaged_m2`` is the area of the
-    circle where the plane cuts the ball. The response holds the wall's stiffness, so that a tool on
-    a device finds its balance at once.
+    The measure of the model is the depth of the ball's lowest point [mm]. ``engaged_m2`` is the
+    area of the circle in which the plane intersects the ball. The response includes the wall's
+    stiffness, so that the force balance of a tool on a device is found at once.
 
     Parameters
     ----------
     stiffness_N_m
         Stiffness of the wall [N/m].
     radius_m
-        Radius of the ball [m]; its tip is a radius from its centre, against the tool's axis.
+        Radius of the ball [m]. The tip is one radius from the centre, in the direction against the
+        tool's axis.
     """
 
     layer_names: tuple[str, ...] = ("wall",)
@@ -331,12 +334,12 @@ class WallModel:
         self._response.surface_N_m = self.stiffness_N_m
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the ball at its start.
+        """Put the ball at its first pose.
 
         Raises
         ------
         InputError
-            If that is inside the wall.
+            If the ball starts inside the wall.
         """
         depth = self._depth_m(motion)
         if depth > 0.0:

@@ -1,1 +1,1 @@
-"""Motions of a tool (paths, thrust, recorded poses) and rotations."""
+"""Motions of a tool (paths, thrust force, recorded poses), and rotations."""

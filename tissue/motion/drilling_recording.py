@@ -1,4 +1,4 @@
-"""Recordings of volumetric_drilling, the simulator of mastoidectomy of Johns Hopkins (HDF5)."""
+"""HDF5 recordings of volumetric_drilling, the mastoidectomy simulator of Johns Hopkins."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +31,10 @@ EVENTS = "physics_data/intermittent_data"
 """HDF5 group of intermittent events: removed voxels, burr changes and forces."""
 OLD_POSES = "high_frequency_poses"
 OLDEST_POSES = "data"
-"""Groups of the poses in files of older layouts, whose event groups lie at the root.
+"""Groups of the poses in files of older layouts, in which the event groups are at the root.
 
-Recordings of 2022 to 2025 have ``data/time`` and ``data/pose_OBJECT``, one clock for all objects.
+Recordings of 2022 to 2025 have ``data/time`` and ``data/pose_OBJECT``, with one clock for all
+objects.
 """
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
@@ -46,21 +47,21 @@ The axis from tip to shank is z in our frame and x in the recorded frame.
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecording:
-    """Content of a recording, in our tool's frame and with times that start at the first pose.
+    """Content of a recording, converted to our tool frame; the time of the first pose is 0.
 
     Attributes
     ----------
     times_s
         Increasing times of the poses [s] from 0, shape (n,).
     tips_m
-        Tips of the tool in the recording's world [m], shape (n, 3).
+        Positions of the tip in the world frame of the recording [m], shape (n, 3).
     quaternions
-        Orientations (x, y, z, w), the tool's z axis from tip to shank, shape (n, 4).
+        Orientations (x, y, z, w), shape (n, 4). The tool's z axis runs from tip to shank.
     load_times_s
-        Times of the loads on the clock of the poses [s], shape (m,); None without recorded loads.
+        Times of the loads, on the clock of the poses [s], shape (m,); None without recorded loads.
     loads
-        Forces on the tool in the world [N], shape (m, 3). With torques [N m] that are not a copy of
-        the forces, shape (m, 6).
+        Forces on the tool in the world frame [N], shape (m, 3). The shape is (m, 6), with torques
+        [N m], if the recorded torques are not a copy of the forces.
     notes
         Findings and assumptions, one sentence each.
     """
@@ -75,14 +76,14 @@ class DrillingRecording:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """File of poses.
+    """File of poses, with errors that name the file.
 
     Attributes
     ----------
     path
-        File.
+        Path of the file.
     what
-        Name of the file in errors, such as ``motion.file``.
+        Name of the file in error messages, such as ``motion.file``.
     """
 
     path: Path
@@ -107,17 +108,17 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
     The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
-    by half the burr size if the file contains the size. Otherwise the recorded point is used as the
-    tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore sorted,
-    and the first sample of each time is kept. If the file contains one camera, forces are rotated
-    from its axes back into the world.
+    by half the burr size if the file contains this size. Otherwise the recorded point is used as
+    the tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore
+    sorted, and the first sample of each time is kept. If the file contains exactly one camera,
+    forces are rotated from the axes of the camera to the world frame.
 
     Parameters
     ----------
     path
         HDF5 file.
     what
-        Name of the file in errors, such as ``motion.file``.
+        Name of the file in error messages, such as ``motion.file``.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
             return _drilling(file, PoseFile(path, what))
     except (InputError, MemoryError):
         raise
-    except Exception as problem:  # h5py raises a dozen kinds for a damaged file
+    except Exception as problem:  # h5py raises many kinds of errors for a damaged file
         raise InputError(
             what,
             "be a whole HDF5 file",
@@ -149,11 +150,11 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
 
 
 def poses_group(file: Any) -> str | None:
-    """Return the group of the poses of a drill in an HDF5 file, None in any other file."""
+    """Return the group of a drill's poses in an HDF5 file; None in any other file."""
     for group in (POSES, OLD_POSES):
         if group in file:
             return group
-    # many programs have a group of this name
+    # files of many programs have a group of this name
     if OLDEST_POSES in file and any("drill" in name for name in file[OLDEST_POSES]):
         return OLDEST_POSES
     return None
@@ -225,7 +226,7 @@ def _samples(file: Any, group: str, name: str, width: int, where: PoseFile) -> t
     import h5py
 
     found = []
-    # a pose of 2022 to 2025 is a dataset next to the times of all poses
+    # in files of 2022 to 2025 a pose is a dataset, next to the common times
     is_bare = isinstance(file.get(group), h5py.Dataset)
     pair = (
         (f"{group.rpartition('/')[0]}/time", group)
@@ -236,7 +237,7 @@ def _samples(file: Any, group: str, name: str, width: int, where: PoseFile) -> t
         dataset = file.get(each)
         if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
             raise where.error(f"hold numbers as {each}", "none", "record it again")
-        # In memory as doubles, 8 bytes each, but first as stored.
+        # The values become doubles of 8 bytes in memory, after they were read as stored.
         size = max(dataset.dtype.itemsize, 8) * dataset.size
         require_memory(size, where.path.name, f"{dataset.size:.3g} numbers as {each}")
         found.append(np.asarray(dataset[()], dtype=np.float64))

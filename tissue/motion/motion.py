@@ -1,4 +1,4 @@
-"""Motion of a tool along a path, and conversions between rotation matrices and quaternions.
+"""Interface of tool motions, motion along a path, and conversions of rotations.
 
 Quaternions are (x, y, z, w).
 """
@@ -27,22 +27,22 @@ __all__ = [
 ]
 
 LONGEST_S = 3600.0
-"""Longest motion of a run [s]: an hour, 3.6 million ticks. A longer one means a wrong unit."""
+"""Longest motion of a run [s]: an hour, 3.6 million ticks. A longer motion has a wrong unit."""
 
 
 @dataclass(frozen=True)
 class FeedLimit:
-    """Time in contact during which the feed limit, not the thrust, sets the speed of a tool.
+    """Time in contact in which the feed limit, and not the thrust, determines the speed.
 
     Attributes
     ----------
     max_feed_mm_s
         Feed limit [mm/s].
     active_s
-        Time in contact with the limit active [s]. The tissue then resists with less than the
-        thrust.
+        Time in contact with an active limit [s]. The resistance of the tissue is then smaller than
+        the thrust.
     first_s
-        Time of the first activation [s]; None without any.
+        Time of the first activation [s]; None if the limit was never active.
     """
 
     max_feed_mm_s: float
@@ -53,31 +53,31 @@ class FeedLimit:
 class Motion(Protocol):
     """Motion of a tool.
 
-    `begin` writes the first pose, `advance` the pose of every tick, and `play` handles the tissue
-    response.
+    `begin` writes the first pose, `advance` writes the pose of every tick, and `play` handles the
+    tissue response.
     """
 
     duration_s: float
-    """Duration of the motion itself [s]."""
+    """Duration of the motion [s]."""
     after_s: float = 0.0
-    """Part of the duration that is the delay of a hand [s]."""
+    """Part of the duration that is caused by the delay of a simulated hand [s]."""
     measure_names: tuple[str, ...] = ()
     """Names, with units, of the motion's own columns in the trace."""
     measures: Array = np.zeros(0)
     """Values of these columns at the present tick."""
     model_ticks: int = 1
-    """Ticks for which one answer of the tissue holds."""
+    """Number of ticks for which one response of the tissue is used."""
     notes: tuple[str, ...] = ()
     """Findings about the file from which the motion was read, in sentences."""
     balances: bool = False
     """True if the pose depends on the force at that pose.
 
-    `correct` then searches for the pose before a cut is made.
+    `correct` then searches for the pose before tissue is removed.
     """
 
     @property
     def feed_limit(self) -> FeedLimit | None:
-        """Time during which the feed limit sets the speed; None for a motion without a thrust."""
+        """Time in which the feed limit determines the speed; None for a motion without thrust."""
         return None
 
     def sweep_m(self) -> Array:
@@ -93,17 +93,18 @@ class Motion(Protocol):
         return
 
     def begin(self, motion: ToolMotion) -> None:
-        """Write the pose and the direction of motion at the start into ``motion``, at rest."""
+        """Write the start pose and the direction of motion into ``motion``; the speed is zero."""
         ...
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s`` into ``motion``, given the response at the previous tick."""
+        """Write the pose at ``time_s`` into ``motion``; ``response`` is of the previous tick."""
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
         """Move the tool again within the tick if the response at its new pose requires it.
 
-        Return True if the tool moved. A motion that `balances` is asked until it returns False.
+        Return True if the tool moved. For a motion with `balances`, the method is called until it
+        returns False.
         """
         return False
 
@@ -130,9 +131,9 @@ def first_off_unit(quaternions: Array) -> int | None:
 
 
 def frame_along(axis: tuple[float, float, float]) -> Array:
-    """Return a rotation whose third column is along ``axis`` and whose first is close to x.
+    """Return a rotation with its third column along ``axis`` and its first column near x.
 
-    If ``axis`` lies within about 26° of the x axis, the first column is close to y instead.
+    If the angle between ``axis`` and x is below about 26°, the first column is near y instead.
     """
     z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -159,7 +160,7 @@ def quaternion_of(rotation: Array) -> Array:
 
 
 class FollowPath(Motion):
-    """Position-driven motion: the tip follows straight lines at a given feed, then stays.
+    """Position-driven motion: the tip follows straight lines with a given feed, then rests.
 
     Parameters
     ----------
@@ -176,7 +177,7 @@ class FollowPath(Motion):
     ) -> None:
         legs = np.diff(points_m, axis=0)
         lengths = np.linalg.norm(legs, axis=1)
-        # Repeated corners have no direction. 1e-300 avoids a division by zero for them.
+        # Repeated corners have no direction. 1e-300 avoids a division by zero.
         keep = lengths > 0.0
         if not keep.any():
             raise InputError(
@@ -213,7 +214,7 @@ class FollowPath(Motion):
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Move the tool along the path."""
         motion.rotation[:] = self._rotation
-        # 1e-9 s: rounding of the tick's time, which may end a leg exactly at its corner.
+        # 1e-9 s: the time of a tick is rounded, and a leg may end exactly at a tick.
         while self._leg < len(self._ends_s) and time_s > self._ends_s[self._leg] + 1e-9:
             self._leg += 1
         if self._leg == len(self._ends_s):
@@ -259,4 +260,4 @@ class StaysAt(Motion):
         motion.rotation[:] = self._rotation
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Leave the tool at rest."""
+        """Do nothing: the tool stays at rest."""

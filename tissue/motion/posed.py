@@ -1,4 +1,4 @@
-"""Motion of a tool whose poses a caller gives step by step."""
+"""Motion of a tool to poses that the caller gives step by step."""
 
 from math import atan2, inf, sqrt
 
@@ -13,14 +13,14 @@ from tissue.motion.motion import Motion, matrix_of
 __all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
 
 FASTEST_M_S = 10.0
-"""Largest speed of a tool [m/s]; a faster one means a wrong unit of the pose.
+"""Largest speed of a tool [m/s]; a larger speed means that the pose has a wrong unit.
 
-The carving visits the whole swept region, so that a single wrong number would take minutes.
+Carving visits the whole swept region, so that one wrong number would take minutes.
 """
 OFF_ROTATION = 1e-4
-"""Largest deviation of a matrix from a rotation: matrices in single precision or of five digits."""
+"""Largest deviation of a matrix from a rotation, for single precision or five digits."""
 RESTS = 1e-9
-"""Speed below which a tool rests [m/s, rad/s]: above the rounding of positions over a tick."""
+"""Speed below which a tool rests [m/s, rad/s]; rounding of positions gives a smaller speed."""
 
 
 def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
@@ -29,15 +29,15 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     pose
-        Tip [mm], shape (3,); tip and quaternion (x, y, z, w), shape (7,); or a matrix from the
-        tool's frame to the tissue's [mm], shape (4, 4).
+        Tip [mm], shape (3,); tip and quaternion (x, y, z, w), shape (7,); or a matrix from the tool
+        frame to the tissue frame [mm], shape (4, 4).
     rotation
-        Rotation of a pose without one.
+        Rotation that is used if the pose has none.
 
     Raises
     ------
     InputError
-        If the pose has another shape, is not finite, or holds no rotation.
+        If the pose has another shape, is not finite, or has an invalid rotation.
     """
     values = np.asarray(pose, dtype=np.float64)
     if values.shape not in ((3,), (7,), (4, 4)):
@@ -55,7 +55,7 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
         return 1e-3 * values, rotation
     if values.shape == (7,):
         length = float(np.linalg.norm(values[3:]))
-        # A vector of rounding errors has no orientation. Any other length is normalised.
+        # A quaternion near zero has no orientation. A quaternion of any other length is normalised.
         if length < 1e-6:
             raise InputError(
                 "pose", "hold a unit quaternion", "a zero quaternion", "use 0, 0, 0, 1"
@@ -81,7 +81,7 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Return the rotation vector of a rotation by less than 180 degrees [rad], shape (3,)."""
+    """Return the rotation vector of a rotation of less than 180 degrees [rad], shape (3,)."""
     skew = 0.5 * (rotation - rotation.T)
     vector = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     sine = sqrt(vector.dot(vector))
@@ -101,12 +101,12 @@ def rotation_by(vector: Array) -> Array:
 
 
 class PosedTool(Motion):
-    """Motion of a tool to given poses, in equal parts over the ticks of a step.
+    """Motion of a tool to given poses; a step is divided equally among its ticks.
 
     Parameters
     ----------
     tip_m, rotation
-        Pose at the start: position of the tip [m], and rotation from tool to world.
+        Start pose: position of the tip [m], and rotation from tool to world.
     """
 
     duration_s = inf
@@ -115,7 +115,7 @@ class PosedTool(Motion):
         self.put(tip_m, rotation)
 
     def put(self, tip_m: Array, rotation: Array) -> None:
-        """Set the pose at which `begin` puts the tool."""
+        """Set the start pose, which `begin` writes."""
         self._tip = np.array(tip_m)
         self._rotation = np.array(rotation)
         self._left = 0
@@ -131,7 +131,7 @@ class PosedTool(Motion):
         return self._rotation[None]
 
     def begin(self, motion: ToolMotion) -> None:
-        """Write the start, at rest."""
+        """Write the start pose; the speed is zero."""
         motion.tip_m[:] = self._tip
         motion.rotation[:] = self._rotation
         motion.heading[:] = 0.0
@@ -146,24 +146,24 @@ class PosedTool(Motion):
         velocity: Array | None,
         ticks: int,
     ) -> None:
-        """Set the pose at the end of the next ticks.
+        """Set the pose that the tool has after the next ticks.
 
         Parameters
         ----------
         motion
             Present pose of the tool.
         tip_m, rotation
-            Pose at the end.
+            Pose after these ticks.
         velocity
-            Velocity of the tip [m/s] and angular velocity [rad/s] in these ticks, shape (2, 3);
-            None for the change of the pose over their time.
+            Velocity of the tip [m/s] and angular velocity [rad/s] in these ticks, shape (2, 3).
+            With None they are the change of the pose divided by the time.
         ticks
             Number of ticks.
 
         Raises
         ------
         InputError
-            If the tool would move faster than 10 m/s or turn by more than 90 degrees.
+            If the tool would move faster than 10 m/s, or turn by more than 90 degrees.
         """
         step_s = ticks * TICK_S
         moved = tip_m - motion.tip_m
@@ -194,7 +194,7 @@ class PosedTool(Motion):
         self._velocity = velocity
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tool by a tick; after the last tick of a step it rests."""
+        """Move the tool for one tick; after the last tick of a step the tool rests."""
         if self._left == 0:
             motion.speed_m_s = 0.0
             return
@@ -210,7 +210,8 @@ class PosedTool(Motion):
         self._left -= 1
         moved, turned = self._velocity
         speed = sqrt(moved.dot(moved))
-        # A tool that only turns gets 1 m/s: its angular velocity is then the second heading.
+        # For a tool that only turns, the speed is set to 1 m/s. The second row of `heading` then is
+        # the angular velocity.
         if speed <= RESTS:
             speed = 1.0 if sqrt(turned.dot(turned)) > RESTS else 0.0
         motion.speed_m_s = speed

@@ -1,4 +1,4 @@
-"""Rotations inside a tick: unit quaternions (x, y, z, w) and rotation vectors [rad], as floats."""
+"""Fast rotations: unit quaternions (x, y, z, w) and rotation vectors [rad], as Python floats."""
 
 from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
@@ -24,16 +24,16 @@ Triple = tuple[float, float, float]
 """Three components of a vector."""
 NOTHING: Triple = (0.0, 0.0, 0.0)
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
-"""Vector of zeros, and quaternion without a rotation."""
+"""Vector of zeros, and quaternion of no rotation."""
 OFF_UNIT = 0.02
-"""Tolerance of the squared length of a quaternion around one.
+"""Largest deviation of a quaternion's squared length from 1.
 
 Rounding of all four components to two decimals changes the squared length by up to 0.02.
 """
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
-    """Return the rotation ``right`` followed by ``left``."""
+    """Return the product ``left right``: the rotation ``right`` followed by ``left``."""
     a, b, c, d = left
     e, f, g, h = right
     return (
@@ -54,21 +54,21 @@ def unit(rotation: Quaternion) -> Quaternion | None:
     """Return the quaternion scaled to unit length; None if its length is zero, infinite or NaN."""
     x, y, z, w = rotation
     size = sqrt(x * x + y * y + z * z + w * w)
-    # Below 1e-6 rounding in a device's single precision decides the direction.
+    # Below 1e-6, rounding in single precision would determine the direction.
     return (x / size, y / size, z / size, w / size) if 1e-6 < size < inf else None
 
 
 def is_nearly_unit(rotation: Quaternion) -> bool:
-    """Return whether the squared length of the quaternion is within `OFF_UNIT` of one."""
+    """Return True if the squared length of the quaternion deviates from 1 by at most `OFF_UNIT`."""
     x, y, z, w = rotation
     return abs(x * x + y * y + z * z + w * w - 1.0) <= OFF_UNIT
 
 
 def exponential(vector: Triple) -> Quaternion:
-    """Return the rotation about ``vector`` by the length of ``vector``."""
+    """Return the rotation about ``vector``, with the angle equal to its length."""
     x, y, z = vector
     angle = sqrt(x * x + y * y + z * z)
-    # Below 1e-8 rad the series 1/2 - angle^2 / 48 is 1/2 to rounding.
+    # Below 1e-8 rad the series 1/2 - angle^2 / 48 equals 1/2 within rounding.
     share = sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
     return share * x, share * y, share * z, cos(0.5 * angle)
 
@@ -76,14 +76,15 @@ def exponential(vector: Triple) -> Quaternion:
 def logarithm(rotation: Quaternion) -> Triple:
     """Return the shortest rotation vector of a unit quaternion, of length pi or less."""
     x, y, z, w = rotation
-    # The opposite quaternion is the same rotation; the one with w >= 0 gives the shorter arc.
+    # The opposite quaternion is the same rotation; the quaternion with w >= 0 gives the smaller
+    # angle.
     if w < 0.0:
         x = -x
         y = -y
         z = -z
         w = -w
     size = sqrt(x * x + y * y + z * z)
-    # Below 1e-12 the quotient is 2 to rounding, and 0 / 0 at no rotation.
+    # Below 1e-12 the quotient equals 2 within rounding; without rotation it would be 0 / 0.
     share = 2.0 * atan2(size, w) / size if size > 1e-12 else 2.0
     return share * x, share * y, share * z
 
@@ -91,8 +92,8 @@ def logarithm(rotation: Quaternion) -> Triple:
 def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
     """Return the rotation vector [rad] of the shortest rotation from ``start`` to ``goal``.
 
-    It is the logarithm of ``goal start^-1``, in the world's axes. At half a turn, one of two equal
-    rotations is returned.
+    The vector is the logarithm of ``goal start^-1``, in the world's axes. For half a turn there are
+    two shortest rotations; one of them is returned.
     """
     return logarithm(product(goal, conjugate(start)))
 

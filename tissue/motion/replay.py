@@ -1,4 +1,4 @@
-"""Recorded motion: replay of a table of poses or of a recording of volumetric_drilling."""
+"""Replay of recorded motion: a table of poses, or a recording of volumetric_drilling."""
 
 from pathlib import Path
 
@@ -32,14 +32,14 @@ __all__ = [
 FARTHEST_M = 10.0
 """Largest distance between two poses along an axis [m].
 
-Tools in a patient move by less than a metre.
+The motion of a tool in a patient is less than a metre.
 """
 
 
 class GivenPoses(Motion):
     """Motion through given poses, one per tick.
 
-    The velocity at a pose is its difference to the previous pose over the tick length.
+    The velocity at a pose is the difference to the previous pose divided by the tick length.
 
     Parameters
     ----------
@@ -48,19 +48,19 @@ class GivenPoses(Motion):
     tips_m
         Tip positions [m], shape (n, 3).
     turns
-        Orientations, n of them.
+        The n orientations.
 
     Raises
     ------
     InputError
-        If two positions lie further apart than `FARTHEST_M`.
+        If the distance between two positions is larger than `FARTHEST_M`.
     """
 
     def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
         extent_m = float(np.ptp(tips_m, axis=0).max())
         if extent_m > FARTHEST_M:
-            # The carving visits the whole swept region, which one damaged number would make
-            # endless.
+            # Carving visits the whole swept region, so that one damaged number would take endless
+            # time.
             raise InputError(
                 "poses",
                 f"lie within {FARTHEST_M:g} m of each other",
@@ -78,9 +78,9 @@ class GivenPoses(Motion):
         velocity, turning = (np.vstack([np.zeros((1, 3)), each]) for each in (moved, turned))
         speed = np.linalg.norm(velocity, axis=1)
         turn = np.linalg.norm(turning, axis=1)
-        # 1e-9 m/s is far above the rounding of positions over a tick, 1e-13 m/s. Cutting needs a
-        # speed: a tool that only turns gets 1 m/s, and its rate in `_headings` is the turning
-        # itself.
+        # 1e-9 m/s is far above the speed 1e-13 m/s that rounding of positions causes. Cutting needs
+        # a speed. For a tool that only turns, the speed is set to 1 m/s, and the second row of
+        # `_headings` is the angular velocity.
         self._speeds = np.where(speed > 1e-9, speed, np.where(turn > 1e-9, 1.0, 0.0))
         self._headings = (
             np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
@@ -101,7 +101,7 @@ class GivenPoses(Motion):
         motion.heading[:] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose of the tick; after the last pose the tool rests."""
+        """Write the pose of a tick; after the last pose the tool rests."""
         tick = round(time_s / step_s)
         count = len(self._tips)
         at = min(tick, count - 1)
@@ -115,7 +115,7 @@ class GivenPoses(Motion):
 class ReplayPoses(GivenPoses):
     """Recorded motion through poses at given times.
 
-    Positions are interpolated linearly, and orientations on the shortest arc.
+    Positions are interpolated linearly, and orientations along the shortest rotation.
 
     Parameters
     ----------
@@ -126,9 +126,9 @@ class ReplayPoses(GivenPoses):
     quaternions
         Orientations (x, y, z, w), shape (n, 4).
     step_s
-        Length of a tick [s]. The table is resampled to ticks once, before the run.
+        Length of a tick [s]. Before the run, the table is resampled to ticks.
     notes
-        Findings about the file of the poses, in sentences.
+        Findings about the pose file, in sentences.
     """
 
     def __init__(
@@ -157,8 +157,8 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
     Raises
     ------
     InputError
-        If the file is missing, lacks a column, holds values that are not finite, or its times do
-        not increase.
+        If the file is missing, has too few columns, or holds values that are not finite, or if its
+        times do not increase.
     """
     where = PoseFile(path, "motion.file")
     if not is_file(path):
@@ -182,15 +182,15 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
 
 
 MEASURES = ("time", *["length"] * 3, *["number"] * 4)
-"""Key of `meshes.base.units.UNITS` of each column of a table of poses."""
+"""Key in `meshes.base.units.UNITS` for each column of a table of poses."""
 
 
 def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
-    """Read a table of text.
+    """Read a text table.
 
     Returns
     -------
-    Times [s], tips [m] and quaternions, shape (n, 8), and notes.
+    Array of times [s], tips [m] and quaternions, shape (n, 8), and notes.
     """
     table = read_table(where.path, where.what)
     require_distinct_columns(table.names, where.what, where.path)
@@ -225,13 +225,13 @@ def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
 
 
 COLUMNS = 7
-"""Columns of a pose: tick, tip [m], axis."""
+"""Number of columns of a pose: tick, tip [m], axis."""
 FORMAT = 2
-"""Version of the file of poses."""
+"""Version of the pose file."""
 
 
 def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
-    """Write poses, and origin and spacing of the voxels that they cut, to a .npz file."""
+    """Write poses, and origin and spacing of the voxels that were cut, to a .npz file."""
     with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {
             "poses": poses,
@@ -265,7 +265,7 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
         )
     except InputError:
         raise
-    except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
+    except Exception:  # NumPy and zipfile raise many kinds of errors for a damaged archive
         is_whole = False
         version = FORMAT
     if version != FORMAT or not is_whole:
@@ -279,14 +279,14 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
 
 
 def poses_of_trace(tips_m: Array, axes: Array) -> Array:
-    """Build the poses of a run from its trace, where the file of poses is missing.
+    """Build the poses of a run from its trace, if the pose file is missing.
 
-    The shape of the bone is then accurate to the distance that a tool moves between two cuts.
+    The error of the bone's shape is then about the distance that the tool moves between two cuts.
 
     Parameters
     ----------
     tips_m, axes
-        Tip [m] and axis of the tool at every tick, shape (n, 3).
+        Tip [m] and axis of the tool at every tick, each of shape (n, 3).
     """
     poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes])
     return (

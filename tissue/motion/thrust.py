@@ -1,4 +1,4 @@
-"""Motion of a tool pushed along its axis by a thrust, in balance with the force of the tissue."""
+"""Motion of a tool along its axis, from the balance of a thrust and the tissue force."""
 
 import numpy as np
 
@@ -10,22 +10,22 @@ from tissue.motion.motion import FeedLimit, Motion, frame_along
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
 TOLERANCE = 0.01
-"""Relative tolerance of the speed that led to a pose against the balanced speed at that pose.
+"""Allowed difference between the speed that led to a pose and the balanced speed there.
 
-The difference is relative to the larger of both speeds. The force balance itself is exact. The
-tolerance applies to the pose and is a hundredth of the travel in a tick. It also applies to the
-speed at which the tissue takes the tangent of its force: there the force is off by the tangent's
-distance from the law a hundredth further, 1e-5 for a size exponent of 0.3.
+The difference is relative to the larger of the two speeds. The force balance itself is exact. The
+tolerance limits the error of the pose to a hundredth of the travel in a tick. It also applies to
+the speed at which the tissue linearises its force. The resulting error of the force is the distance
+between tangent and law at a speed that differs by a hundredth: 1e-5 for a size exponent of 0.3.
 """
 MOST_POSES = 10
 """Largest number of poses tried in a tick.
 
-Halving the interval of possible speeds 7 times reduces it to a hundredth.
+Seven halvings reduce the interval of possible speeds to a hundredth.
 """
 MOST_TANGENTS = 10
-"""Largest number of tangents at the last pose of a tick.
+"""Largest number of linearisations at the last pose of a tick.
 
-Newton's method on a concave force needs 2 to 4 of them.
+Newton's method for a concave force needs 2 to 4 linearisations.
 """
 
 
@@ -34,30 +34,31 @@ def implicit_speed(
 ) -> float:
     """Return the speed [m/s] of a mass after one implicit Euler step.
 
-    The mass is under ``thrust`` [N] and a viscous ``drag`` [N s/m].
+    The forces on the mass are ``thrust`` [N] and a viscous ``drag`` [N s/m].
     """
     return (mass * speed / step_s + thrust) / (mass / step_s + drag)
 
 
 class SpeedSearch:
-    """Search for the speed of a tick that balances the forces at the resulting pose.
+    """Search for the speed in a tick that balances the forces at the resulting pose.
 
-    The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds. S(v) - v
-    therefore changes its sign between them. The balanced speed is tried next. If the balanced and
-    the tried speed are not close after two tries, the interval with the change of sign is halved.
-    Where the force jumps, as at the first contact of a flat reamer, the search ends on the side of
-    the larger force.
+    Let S(v) be the balanced speed at the pose of a tried speed v. S(v) is within the allowed
+    speeds, so that S(v) - v changes its sign between the lowest and the highest allowed speed. The
+    balanced speed is tried next. If balanced and tried speed are not close after two tries, the
+    interval with the change of sign is halved. If the force jumps, for example at the first contact
+    of a flat reamer, the search ends on the side of the larger force.
 
-    The force at a pose is known by its tangent. The tangent is taken at the tried speed, so that
-    the sign of S(v) - v is that of the law. If the search ends with a balanced speed that is not
-    close to the tried speed, tangents at that pose follow until both are close.
+    The force at a pose is given by a tangent as a function of the speed. The tangent is computed at
+    the tried speed, so that the sign of S(v) - v is that of the law. If the search ends with a
+    balanced speed that is not close to the tried speed, new tangents are computed at that pose
+    until the two speeds are close.
 
     Attributes
     ----------
     tried
         Speed of the next pose to evaluate [m/s].
     tangent
-        Speed at which to take the tangent of the force there [m/s].
+        Speed at which the tangent of the force at this pose is computed [m/s].
     """
 
     def __init__(self) -> None:
@@ -69,7 +70,7 @@ class SpeedSearch:
         self._is_last_pose = False
 
     def begin(self, speed: float, *, highest: float) -> None:
-        """Start a tick with a first guess; speeds from 0 to ``highest`` are allowed [m/s]."""
+        """Start a tick with a first guess; the speed is limited to 0 to ``highest`` [m/s]."""
         self.tried = self.tangent = speed
         self._low = 0.0
         self._high = highest
@@ -78,9 +79,9 @@ class SpeedSearch:
         self._is_last_pose = False
 
     def accepts(self, balanced: float) -> bool:
-        """Return whether `tried` and `tangent` balance the forces, given the balanced speed there.
+        """Return True if `tried` and `tangent` balance the forces; else update the two speeds.
 
-        Otherwise, update both.
+        ``balanced`` is the balanced speed at the pose of `tried`.
         """
         if not self._is_last_pose:
             if _are_close(balanced, self.tried):
@@ -96,7 +97,7 @@ class SpeedSearch:
         return False
 
     def _narrow(self, balanced: float) -> None:
-        """Narrow the interval, and choose the next pose or keep the present one as the last."""
+        """Narrow the interval, and choose the next pose or accept the present pose as the last."""
         self._poses += 1
         tried = self.tried
         if balanced < tried:
@@ -104,37 +105,38 @@ class SpeedSearch:
         else:
             self._low = tried
         if self._high - self._low <= TOLERANCE * self._high or self._poses >= MOST_POSES:
-            # At a jump of the force no pose balances. The side of the larger force is accepted, and
-            # tried first if it was not the last pose.
+            # At a jump of the force no pose balances the forces. The side of the larger force is
+            # accepted. It is tried once more if it was not the last pose.
             if tried == self._high:
                 self._is_last_pose = True
                 return
             self._low = self.tried = self._high
             return
-        # Two steps to the balanced speed suffice where drag varies smoothly; halving always ends.
+        # Two steps to the balanced speed are enough if the drag varies smoothly. Halving always
+        # ends.
         is_inside = self._low < balanced < self._high
         self.tried = balanced if self._poses <= 2 and is_inside else 0.5 * (self._low + self._high)
 
 
 def _are_close(a: float, b: float) -> bool:
-    """Return whether two speeds agree within `TOLERANCE`."""
+    """Return True if two speeds agree within `TOLERANCE`."""
     return abs(a - b) <= TOLERANCE * max(a, b)
 
 
 class PushAlongAxis(Motion):
-    """Force-driven motion: a thrust pushes the tool along its axis against the cutting force.
+    """Force-driven motion: a thrust force pushes the tool along its axis.
 
-    The feed follows from the balance of thrust and cutting force. The cutting force increases so
-    steeply with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer than
-    2 m / c. The balance is therefore solved for the new speed, with drag c and edge force at the
-    new pose::
+    The feed is computed from the balance of thrust and cutting force. The cutting force increases
+    so steeply with the feed (up to 1e5 N s/m) that an explicit step is unstable if it is longer
+    than 2 m / c. The balance is therefore solved for the new speed v', with the drag c and the edge
+    force at the new pose::
 
         m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
 
-    Drag and edge force are those of the law's tangent. The force therefore never exceeds thrust + m
-    v / dt. `advance` starts from the drag of the previous tick, and `correct` tries poses until
-    speed and forces agree. With a law that is linear in the speed, a thrust below the edge force
-    leaves the tool at rest, and the bone balances the thrust.
+    Drag and edge force are those of the law's tangent. The cutting force therefore never exceeds
+    thrust + m v / dt. `advance` starts with the drag of the previous tick, and `correct` tries
+    poses until speed and forces agree. For a law that is linear in the speed, the tool stays at
+    rest if the thrust is below the edge force; the bone then balances the thrust.
 
     Parameters
     ----------
@@ -145,7 +147,7 @@ class PushAlongAxis(Motion):
     thrust_N, mass_kg, max_feed_m_s
         Thrust [N], moving mass [kg] and largest feed [m/s].
     depth_m
-        Coordinate along ``-axis`` from the site's origin at which the feed stops [m].
+        Coordinate along ``-axis``, from the site's origin, at which the feed stops [m].
     """
 
     balances = True
@@ -184,8 +186,8 @@ class PushAlongAxis(Motion):
         self._touching = self._is_limited = False
         self._limited_s = 0.0
         self._first_limited_s = -1.0
-        # The feed is known only during the run: a quarter of the limit on average reaches the
-        # depth.
+        # The feed is known only during the run. This duration is enough for a mean feed of a
+        # quarter of the limit.
         self.duration_s = 4.0 * self._longest / max_feed_m_s
 
     def sweep_m(self) -> Array:
@@ -203,7 +205,7 @@ class PushAlongAxis(Motion):
         motion.heading[0] = self._heading
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move with the speed that would balance the drag of the previous tick."""
+        """Move with the speed that balances the forces with the drag of the previous tick."""
         drag, edge = self._resisting(response)
         was_touching = self._touching
         self._touching = drag > 0.0 or edge > 0.0
@@ -225,7 +227,7 @@ class PushAlongAxis(Motion):
         self._set_speed(motion, edge)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Try another pose until its forces balance, then set the exactly balanced speed."""
+        """Try another pose until the forces balance; then set the exactly balanced speed."""
         if self._settled:
             return False
         drag, edge = self._resisting(response)
@@ -238,7 +240,7 @@ class PushAlongAxis(Motion):
         return True
 
     def happened(self) -> list[tuple[float, str]]:
-        """Return the time of the first active feed limit in contact, and its total duration."""
+        """Return the event of the feed limit in contact: first time and total duration."""
         if self._limited_s == 0.0:
             return []
         what = (
@@ -250,7 +252,7 @@ class PushAlongAxis(Motion):
 
     @property
     def feed_limit(self) -> FeedLimit:
-        """Time for which the feed limit was active in contact, up to the previous tick."""
+        """Time in which the feed limit was active in contact, up to the previous tick."""
         first_s = self._first_limited_s if self._limited_s > 0.0 else None
         return FeedLimit(1e3 * self._max_feed, round(self._limited_s, 6), first_s)
 
@@ -265,7 +267,7 @@ class PushAlongAxis(Motion):
         return max(min(self._max_feed, (self._longest - self._travel_before) / self._step), 0.0)
 
     def _balanced(self, drag: float, edge: float) -> float:
-        """Return the balanced speed at the end of this tick, within the limits [m/s].
+        """Return the balanced speed at the end of the tick, within the limits [m/s].
 
         It balances thrust, inertia, drag and edge force.
         """

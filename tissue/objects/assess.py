@@ -1,6 +1,6 @@
 """Assessment of trainees' runs against a reference run: `tissue.assess` and `tissue.rank`.
 
-The command `tissue assess` does the same.
+The command `tissue assess` makes the same assessment.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ __all__ = ["Assessment", "Ranking", "assess", "rank"]
 
 
 class Assessment(engine.Assessment):
-    """Comparison of a trainee's run with the reference; ``print`` shows a readable report."""
+    """Comparison of a trainee's run with a reference run; ``print`` shows a readable report."""
 
     def __str__(self) -> str:
         return "\n".join(assessment_lines(self))
@@ -40,24 +40,25 @@ def assess(
 ) -> Assessment:
     """Compare a trainee's run with a reference run of the same scene.
 
-    The runs are aligned by position, so a pause is no error.
+    The runs are aligned by position, so a pause does not count as an error.
 
     Parameters
     ----------
     trainee, reference
         Runs, or folders of runs.
     force_limit_N
-        Force on the tool that should not be exceeded [N]; default 1.25 times the reference's peak.
+        Force on the tool that should not be exceeded [N]; default 1.25 times the peak force of the
+        reference run.
     deviation_limit_mm
-        Distance from the reference's path that should not be exceeded [mm].
+        Distance from the path of the reference run that should not be exceeded [mm].
     overshoot_limit_mm
-        Largest allowed distance of the tip below the reference's deepest point [mm].
+        Largest allowed distance of the tip below the deepest point of the reference run [mm].
 
     Raises
     ------
     InputError
-        If the runs are of two tasks (different anatomy, tool or material), have no trace, or never
-        touch.
+        If the runs belong to different tasks (their anatomy, tool or material differs), or a run
+        has no trace or no contact.
     """
     found = engine.assess(
         assessed_run(trainee),
@@ -76,7 +77,7 @@ class Ranking(ranking.Ranking):
         return "\n".join(ranking.ranking_lines(self))
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
-        """Write ``ranking.csv``, a row for each run, and ``ranking.png``.
+        """Write ``ranking.csv``, with a row for each run, and ``ranking.png``.
 
         Raises
         ------
@@ -95,15 +96,15 @@ def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
     Parameters
     ----------
     folder
-        Folder with a folder for each trainee. This is a run, or contains the runs of all attempts,
-        whose names give their order.
+        Folder that contains one folder for each trainee. A trainee's folder is a run, or contains
+        the runs of all attempts. The names of these runs give the order of the attempts.
     reference
-        Run, or folder of a run, with which all are compared.
+        Run, or folder of a run, with which all runs are compared.
 
     Raises
     ------
     InputError
-        If a folder holds no run, or a run is of another task than the reference or was not made on
-        a device.
+        If a folder holds no run, or a run was not made on a device or belongs to another task than
+        the reference run.
     """
     return Ranking(**vars(ranking.rank(Path(folder), assessed_run(reference), assessed_run)))

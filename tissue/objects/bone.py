@@ -1,4 +1,4 @@
-"""Bone object: made from a file, a block, an array or an image, cut by tools, and shown."""
+"""Bone object, made from a file, a block, an array or an image; tools can cut it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -43,15 +43,15 @@ __all__ = ["Bone"]
 SHOWN_VOXELS = 4e6
 """Largest number of voxels for drawing the surface of a bone given by a formula.
 
-The surface is drawn before the bone is cut. Its voxels may be coarse: 4 million show a ball in
-about 200,000 triangles.
+The surface is drawn before the bone is cut. The voxels of this surface may be coarse: 4 million
+voxels show a ball with about 200,000 triangles.
 """
 KEY = "anatomy."
-"""Prefix that readers add to the keys of a scene."""
+"""Prefix of the keys of a scene in the notes of file readers; it is removed here."""
 
 
 class BoneOptions(TypedDict, total=False):
-    """Options that every bone takes; see `tissue.Bone.from_file`."""
+    """Options of all functions that make a bone; see `tissue.Bone.from_file`."""
 
     material: str
     cutting: Mapping[str, float] | None
@@ -65,13 +65,15 @@ class BoneSource:
     Attributes
     ----------
     voxels
-        Function that makes its voxels, or bricks that are made where a tool first reaches.
+        Function that makes all voxels, or a store that makes blocks of voxels only where a tool
+        comes near.
     outer
-        Function that makes its surface before any cut [mm]; None where all voxels are made.
+        Function that makes the surface before any cut [mm]; None if all voxels are made at the
+        start.
     notes
-        Notes on findings and assumptions, by subject.
+        Notes on findings and assumptions, keyed by subject.
     density_kg_m3
-        Density of a bone with one density, else None.
+        Density of a bone with a single density [kg/m3]; None for other bones.
     """
 
     voxels: Callable[[], VoxelVolume | BricksOnDemand]
@@ -83,12 +85,12 @@ class BoneSource:
 class Bone:
     """Bone in the frame of its file or array [mm].
 
-    `from_file`, `block`, `from_array` and `from_image` make one.
+    `from_file`, `block`, `from_array` and `from_image` make a bone.
 
     Attributes
     ----------
     notes
-        Notes on findings and assumptions about a file, by subject.
+        Notes on findings and assumptions about a file, keyed by subject.
     spacing_mm
         Edge of a voxel [mm].
     """
@@ -132,7 +134,8 @@ class Bone:
         trabecular_density_kg_m3: float = 350.0,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make bone in a closed surface: a cortical shell of even thickness over trabecular bone.
+        """Make a bone that fills a closed surface: a cortical shell of even thickness around
+        trabecular bone.
 
         Parameters
         ----------
@@ -141,15 +144,18 @@ class Bone:
         spacing_mm
             Edge of a voxel [mm], at most a quarter of the tool's diameter.
         scale_mm
-            Millimetres per unit of the file; without it the unit is guessed and noted.
+            Millimetres per unit of the file. If it is not given, the unit is guessed, and `notes`
+            reports the guess.
         cortical_thickness_mm
-            Thickness of the shell [mm], 0 (none) to 10; a surface does not contain it.
+            Thickness of the shell [mm], 0 (no shell) to 10. A surface file does not contain this
+            thickness.
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         options
-            ``material``: name of the cited cutting coefficients, bone or a registered one;
-            ``cutting``: coefficients in place of these, by their names in a scene; ``materials``:
-            file of constants, as `tissue fit` writes it.
+            ``material``: name of the material whose cutting coefficients are used, ``bone`` (built
+            in) or a registered material. ``cutting``: coefficients that replace these, keyed by
+            their names in a scene. ``materials``: file of constants, in the format that `tissue
+            fit` writes.
 
         Raises
         ------
@@ -176,14 +182,14 @@ class Bone:
         spacing_mm: float = 0.1,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a block of one density, its top face at z = 0 with the origin at its middle.
+        """Make a block of one density, with the origin at the middle of its top face.
 
         Parameters
         ----------
         size_mm
             Edge lengths along x, y and z [mm], each 0.1 to 500.
         density_kg_m3
-            Apparent density, 100 to 2500 kg/m3; 1800 is cortical bone.
+            Apparent density, 100 to 2500 kg/m3. Cortical bone has 1800 kg/m3.
         spacing_mm, options
             As for `from_file`.
         """
@@ -202,29 +208,30 @@ class Bone:
         layer_names: tuple[str, ...] = ("bone",),
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make bone from an array of densities, with 0 where there is no bone.
+        """Make a bone from an array of densities, which are 0 where there is no bone.
 
         Parameters
         ----------
         density_kg_m3
-            Apparent density of each voxel [kg/m3], shape (nx, ny, nz), axes along x, y and z, 0 to
-            20000.
+            Apparent density of each voxel, 0 to 20000 kg/m3, shape (nx, ny, nz). The axes are along
+            x, y and z.
         spacing_mm
             Edge of a voxel [mm].
         origin_mm
-            Corner of the first voxel with the lowest coordinates [mm].
+            Corner of the first voxel that has the lowest coordinates [mm].
         layer
-            Number of each voxel's layer, same shape; default all 0.
+            Index of the layer of each voxel, in an array of the same shape; default 0 everywhere.
         layer_names
-            Name of each layer; enamel, dentin, caries, pulp and ligament are cut with their own
-            coefficients, other layers with the coefficients of `material`.
+            Name of each layer. The layers enamel, dentin, caries, pulp and ligament have cutting
+            coefficients of their own; other layers are cut with the coefficients of `material`.
         options
             As for `from_file`.
 
         Raises
         ------
         InputError
-            If an array has another shape, is not finite or out of range, or holds no bone.
+            If an array has a wrong shape, contains values that are not finite or out of range, or
+            holds no bone.
         """
         volume = density_volume(
             density_kg_m3,
@@ -247,9 +254,9 @@ class Bone:
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make bone of one density from an image volume, where its grey value exceeds a threshold.
+        """Make a bone of one density where the grey value of an image volume exceeds a threshold.
 
-        The frame is the patient's frame (LPS, mm).
+        The bone lies in the patient's frame (LPS, in millimetres).
 
         Parameters
         ----------
@@ -257,13 +264,13 @@ class Bone:
             Image (.nii .nii.gz .nrrd .mhd .mha .vti), or folder with a DICOM series or with TIFF,
             PNG or BMP slices.
         threshold
-            Grey value above which a voxel is bone: about 200 HU of a CT.
+            Grey value above which a voxel is bone: about 200 HU in a CT.
         density_kg_m3
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
-            Edge of a voxel [mm] to resample to; default the finest spacing of the file. For TIFF,
-            PNG and BMP slices it is the spacing of their voxels. Three numbers are the spacing of
-            any file along each of its axes, instead of the one it states.
+            Edge of the voxels after resampling [mm]; default the finest spacing of the file. TIFF,
+            PNG and BMP slices contain no spacing; for these it is the spacing of their voxels.
+            Three numbers, one for each axis, replace the spacing that any file contains.
         max_memory_GB
             Memory that the image may take [GB]; default half of the free memory.
         options
@@ -272,7 +279,7 @@ class Bone:
         Raises
         ------
         InputError
-            If the file cannot be used, nothing lies above the threshold, or the bone would not fit
+            If the file cannot be used, no voxel lies above the threshold, or the bone would not fit
             in memory.
         """
         require_known(options, BoneOptions, of="Bone")
@@ -293,11 +300,13 @@ class Bone:
         tolerance: float = 0.01,
         keep_clear: Structures | None = None,
     ) -> Cut:
-        """Move a turning tool through poses; remove the swept bone and compute the forces.
+        """Move a rotating tool through poses, remove the swept bone and compute the forces.
 
-        The bone keeps the cut. The same tool continues the cut if it begins where it ended. Between
-        poses the tool moves straight. Its velocity at a pose is the difference to the pose before,
-        so force and torque at the first pose are 0; bone inside the tool at that pose is removed.
+        The bone keeps the cut. A second call with the same tool continues the cut if its first pose
+        is the last pose of the call before. Between two poses the tool moves along a straight line.
+        Its velocity at a pose is computed from the difference to the previous pose. Force and
+        torque at the first pose are therefore 0. Bone that lies inside the tool at the first pose
+        is removed.
 
         A warning is issued if the feed per tooth exceeds 0.1 mm, or if a smooth part of the tool,
         such as a peg, is pushed into bone. The warning is also in `Cut.notes` and `Cut.events`.
@@ -305,27 +314,28 @@ class Bone:
         Parameters
         ----------
         tool
-            Cutter of `tissue.cutters`.
+            Cutter from `tissue.cutters`.
         poses, times_s
-            Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices
-            from the tool's frame to the bone's [mm], shape (n, 4, 4), with z from tip to shank; and
-            increasing times [s], shape (n,).
+            Poses and their increasing times [s], shape (n,). The poses are tips [mm], shape (n, 3);
+            tips and quaternions (x, y, z, w), shape (n, 7); or matrices from the frame of the tool
+            to the frame of the bone [mm], shape (n, 4, 4). The z axis of the tool runs from tip to
+            shank.
         axis
             Direction from tip to shank if the poses are tips only; default z.
         depth_mm, tolerance
-            Smallest depth of cut that matters [mm], 0.001 to 100, and the relative error of its
-            force, 0.001 to 0.1. They set the number of elements of the tool's surface. Voxels
-            should be finer than the depth.
+            Smallest depth of cut that matters [mm], 0.001 to 100, and accepted relative error of
+            the force at this depth, 0.001 to 0.1. Together they set the number of cutting elements
+            on the tool's surface. The voxels should be smaller than the depth.
         keep_clear
-            Closed surfaces that the tool must not touch, by name: files or pyvista surfaces in the
-            frame of the bone [mm]. The trace has ``distance_NAME_mm`` of each, and a breach is an
-            event.
+            Closed surfaces that the tool must not touch, keyed by name. Each is a file or a pyvista
+            surface in the frame of the bone [mm]. The trace has a column ``distance_NAME_mm`` for
+            each surface. An overlap of the tool with a surface is recorded as an event.
 
         Raises
         ------
         InputError
-            If an argument cannot be used, or a tooth would take a chip thicker than the tool's
-            radius.
+            If an argument cannot be used, or a tooth would remove a chip that is thicker than the
+            radius of the tool.
         """
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))
@@ -352,7 +362,8 @@ class Bone:
                 "make a cutter by tissue.cutters.ball_burr",
             )
         width_mm = 2e3 * tool.profile.radius_m
-        # Fewer than four voxels across show no shape of a tool. The suggestion has twenty.
+        # Fewer than four voxels across a tool do not show its shape. The suggestion has twenty
+        # voxels.
         if width_mm < 4.0 * self.spacing_mm:
             raise InputError(
                 "tool",
@@ -381,13 +392,15 @@ class Bone:
         return Removed(self.voxel_bone)
 
     def surface(self) -> "pyvista.PolyData":
-        """Return the bone's present surface [mm], with the cell array ``layer``."""
+        """Return the current surface of the bone [mm], with the cell array ``layer``."""
 
         outer = self._source.outer
         return bone_surface(self.voxel_bone, outer() if outer is not None else None)
 
     def plot(self, **options: Any) -> Any:
-        """Show the present bone by layer; `options` are options of ``pyvista.PolyData.plot``."""
+        """Show the current bone, coloured by layer; `options` are passed to
+        ``pyvista.PolyData.plot``.
+        """
         return plot_surface(self.surface(), self.layer_names, **options)
 
     def __repr__(self) -> str:
@@ -402,14 +415,14 @@ class Bone:
 def _anatomy_source(
     anatomy: Anatomy, *, spacing_mm: float, outer: "Callable[[], pyvista.PolyData] | None" = None
 ) -> BoneSource:
-    """Return an anatomy in its own frame, with voxels made where a tool reaches.
+    """Return the source of an anatomy in its own frame; voxels are made only near a tool.
 
     `outer` is as for `BoneSource`.
     """
     spacing_m = 1e-3 * require_range("spacing_mm", spacing_mm, 1e-3, 5.0, "use about 0.1")
 
     def drawn() -> "pyvista.PolyData":
-        """Return the surface of coarse voxels."""
+        """Return the surface, computed with coarse voxels."""
         from meshes.voxels.voxelise import voxelise
         from tissue.simulation.bone_surface import bone_surface
 
@@ -418,7 +431,7 @@ def _anatomy_source(
         volume = voxelise(anatomy, spacing_m=coarse_m)
         return bone_surface(volume, volume.fraction)
 
-    # A bone stays in the frame of its file, and has no site.
+    # A bone stays in the frame of its file. It has no site, and needs no note on a site.
     notes = {name: note.replace(KEY, "") for name, note in anatomy.notes.items() if name != "site"}
     return BoneSource(lambda: BricksOnDemand(anatomy, spacing_m=spacing_m), outer or drawn, notes)
 
@@ -432,7 +445,7 @@ def _surface_source(
     cortical_density_kg_m3: float,
     trabecular_density_kg_m3: float,
 ) -> BoneSource:
-    """Read a closed surface from a file, see `tissue.objects.bone.Bone.from_file`."""
+    """Read a closed surface from a file; see `tissue.objects.bone.Bone.from_file`."""
     from meshes.surfaces.glenoid import surface_anatomy
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import read_surface
@@ -455,7 +468,7 @@ def _surface_source(
     )
 
     def outer() -> "pyvista.PolyData":
-        """Return the triangles of the file."""
+        """Return the surface that the file contains."""
         import pyvista
 
         return pyvista.PolyData.from_regular_faces(
@@ -468,9 +481,10 @@ def _surface_source(
 def _image_source(
     path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: "Spacing | None"
 ) -> BoneSource:
-    """Read an image volume, see `tissue.objects.bone.Bone.from_image`.
+    """Read an image volume; see `tissue.objects.bone.Bone.from_image`.
 
-    Slices state no spacing: `spacing_mm` is then the spacing of their voxels.
+    Files of TIFF, PNG or BMP slices contain no spacing, so `spacing_mm` gives the spacing of their
+    voxels.
     """
     from meshes.images.bone_image import image_cuts, image_volume
     from meshes.images.plane_files import plane_files

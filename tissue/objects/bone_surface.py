@@ -1,4 +1,4 @@
-"""Surfaces of a cut bone and of the removed bone, for pyvista."""
+"""pyvista surfaces of a cut bone and of the removed bone."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -21,30 +21,32 @@ __all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
 
 MERGED = 1e-3
 SEAM = 3.0
-"""Largest distances [voxels] of points that are merged, and of loops that are joined.
+"""Largest distances between points that are merged, and between loops that are joined [voxels].
 
-Both are between two parts of a surface. The first is for rounding. The second is for the gap that
-clipping and half-full voxels leave; it is chosen.
+The points and loops belong to two different parts of a surface. The first distance allows for
+rounding. The second one allows for the gap that clipping and half-full voxels leave; its value is
+chosen.
 """
 NEAR = 0.5
 AGREE = 0.8
-"""Largest distance [voxels] and smallest cosine of normals for shading like a file's surface.
+"""Limits for the use of normals from the file: largest distance [voxels] and smallest cosine.
 
-A cut bone is shaded like its file where both limits hold. Voxels show the surface of the file
-within half a voxel; across an edge, normals differ by more than 37 degrees.
+Where the distance and the angle between both normals are within these limits, a cut bone is shaded
+with the normals of its file. The voxel surface is within half a voxel of the surface in the file.
+Across an edge, the normals differ by more than 37 degrees.
 """
 
 
 def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
-    """Return the bone's present surface [mm], with the cell array ``layer``.
+    """Return the current surface of a bone [mm], with the cell array ``layer``.
 
     Parameters
     ----------
     bone
         The bone.
     outer
-        Surface before any cut [mm], shown where no tool has been; None for a bone whose voxels are
-        all made.
+        Surface before any cut [mm], which is shown where no tool has been. None for a bone whose
+        voxels were all made at the start.
     """
     if outer is None:
         volume, left = bone.whole
@@ -100,9 +102,9 @@ def _joined(
 
 
 def _moved(surface: "pyvista.PolyData", by_m: Array) -> "pyvista.PolyData":
-    """Return a surface with its points moved, in double precision.
+    """Return a surface whose points are moved, in double precision.
 
-    Far from the origin single precision would not suffice.
+    Single precision would not suffice far from the origin.
     """
     moved = surface.copy()
     moved.points = np.asarray(surface.points, dtype=np.float64) + 1e3 * by_m
@@ -110,7 +112,7 @@ def _moved(surface: "pyvista.PolyData", by_m: Array) -> "pyvista.PolyData":
 
 
 def _whole(volume: VoxelVolume, fraction: Bytes, *, closed: bool = True) -> "pyvista.PolyData":
-    """Return the shaded surface of bone in voxels [mm], with the cell array ``layer``."""
+    """Return the shaded surface of a voxel volume [mm], with the cell array ``layer``."""
     near = replace(volume, origin_m=np.zeros(3))
     surface = voxel_surface(near, fraction, closed=closed)
     if surface.n_cells:
@@ -121,7 +123,7 @@ def _whole(volume: VoxelVolume, fraction: Bytes, *, closed: bool = True) -> "pyv
 def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
     """Return the surface of the removed bone [mm], with the cell array ``layer``.
 
-    It is empty before the first cut.
+    The surface is empty before the first cut.
     """
     import pyvista
 
@@ -172,7 +174,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 def _shaded(
     surface: "pyvista.PolyData", *, like: "pyvista.PolyData | None" = None, within_mm: float = 0.0
 ) -> "pyvista.PolyData":
-    """Shade a surface of voxels smoothly, and like the file's surface where it is unchanged."""
+    """Shade a voxel surface smoothly, with the normals of the file where the bone is unchanged."""
     import pyvista
 
     if not surface.n_cells:
@@ -201,7 +203,7 @@ def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyDat
 
 
 class Removed:
-    """Bone that tools have removed, as it is at the time of the call."""
+    """Bone that tools have removed up to the time of the call."""
 
     def __init__(self, bone: VoxelBone) -> None:
         self._bone = bone
@@ -220,12 +222,14 @@ class Removed:
     def surface(self) -> "pyvista.PolyData":
         """Return the surface of the removed bone [mm], with the cell array ``layer``.
 
-        It is empty before the first cut.
+        The surface is empty before the first cut.
         """
         return removed_surface(self._bone)
 
     def plot(self, **options: Any) -> Any:
-        """Show the removed bone by layer; `options` are options of ``pyvista.PolyData.plot``."""
+        """Show the removed bone, coloured by layer; `options` are passed to
+        ``pyvista.PolyData.plot``.
+        """
         return plot_surface(self.surface(), self._bone.store.grid.layer_names, **options)
 
     def __repr__(self) -> str:

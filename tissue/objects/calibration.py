@@ -39,27 +39,28 @@ __all__ = [
 
 
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Return simulated observers of a group, drawn from cited spreads.
+    """Return simulated observers of a group, drawn from the distributions in the literature.
 
-    The groups are novice, intermediate and expert.
+    A simulated observer is a model of a person's perception. The groups are novice, intermediate
+    and expert.
     """
     return draw_observers(group, count, np.random.default_rng(seed))
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Return identical simulated observers: the reference observer with given changes.
+    """Return identical simulated observers: copies of the reference observer with given changes.
 
     Parameters
     ----------
     count
         Number of observers.
     truth
-        Changed attributes of `SimulatedObservers`: ``kappa=0.07, beta=1.7``.
+        Attributes of `SimulatedObservers` to change, such as ``kappa=0.07, beta=1.7``.
 
     Raises
     ------
     InputError
-        If there is no such attribute.
+        If an attribute is unknown.
     """
     typical = reference_observer()
     names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
@@ -81,27 +82,28 @@ def run(
     plan: Plan | None = None,
     trials: int | None = None,
 ) -> Session:
-    """Run a session as `tissue calibrate` does, starting at the end of its log.
+    """Run or continue a calibration session, as `tissue calibrate` does.
 
     Parameters
     ----------
     answer
-        Called with the question, a `Comparison` or a `Magnitude`, and the trial's number.
-        ``simulated_answers(people, seed)`` returns such a function; another one may play both
-        forces to a person.
+        Function that answers a question. It is called with the question (a `Comparison` or a
+        `Magnitude`) and the number of the trial. ``simulated_answers(people, seed)`` returns such a
+        function. A function of your own may play the forces to a person.
     log
-        File that receives every answer before the next question.
+        File that receives every answer before the next question. The session continues after the
+        last answer in this file.
     name
         Name of the person who answers.
     plan
-        Plan of the questions; default 120 comparisons and 24 numbers.
+        Plan of the questions; default 120 comparisons and 24 magnitudes.
     trials
-        Trials after which the session stops and can be continued later; default at its end.
+        Number of trials after which the session stops, to be continued later; default all trials.
 
     Raises
     ------
     InputError
-        If the log is of another session, or an answer is impossible.
+        If the log belongs to another session, or an answer is impossible.
     """
     kept = TrialLog(Path(log), name, plan or Plan())
     try:
@@ -114,7 +116,7 @@ def run(
 
 
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Estimate the Weber fractions of observers by a session of comparisons, shape (n,)."""
+    """Estimate the Weber fractions of observers from a session of comparisons, shape (n,)."""
     rng = np.random.default_rng(seed)
     found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
@@ -131,25 +133,26 @@ def share_right(
     seed: int,
     calibrated_by: int | None = None,
 ) -> Array:
-    """Return each observer's share of correct answers in 100 comparisons, shape (n,).
+    """Compute the share of correct answers of each observer in 100 comparisons, shape (n,).
 
     An answer is correct if it names the larger of the two forces.
 
     Parameters
     ----------
     crowd
-        Observers; equal seeds give them the same noise.
+        Observers. Equal seeds give the observers the same noise.
     first_N, second_N
-        The two forces at the device [N], whose limit is 3.3 N.
+        The two forces at the device [N], at most 3.3 N.
     seed
-        Seed of the noise, and of the numbers of a calibration.
+        Seed of the noise, and of the magnitudes in a calibration.
     calibrated_by
-        Number of magnitudes given by each person, from which the force is scaled for the person. 0
-        scales by the true exponent; None leaves the force unscaled.
+        Number of magnitudes that each observer reports in a calibration, from which the force is
+        scaled for the observer. With 0 the force is scaled with the true exponent; with None it is
+        not scaled.
     """
     commands = None
     if calibrated_by is not None:
-        # A random stream of its own: the answers below draw from the seed alone.
+        # The calibration has a random stream of its own, so it does not change the answers below.
         commands = calibrated_commands(
             crowd, np.random.default_rng([seed, 2]), numbers=calibrated_by
         )
@@ -157,8 +160,9 @@ def share_right(
 
 
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
-    """Compute the change of the mean of paired shares [%], each of shape (n,).
+    """Compute the change of the mean [%] between paired shares, each of shape (n,).
 
-    The result has the estimate as ``value`` and its 95 % interval as ``low`` to ``high``.
+    The attribute ``value`` of the result is the estimate; ``low`` and ``high`` are its 95 %
+    interval.
     """
     return gain_of(before, after, np.random.default_rng(seed))

@@ -1,4 +1,4 @@
-"""Result of a cut through bone: force, torque and removed volume at every pose."""
+"""Result of a cut through bone: force, torque and removed volume at each pose."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,13 +30,14 @@ class Cut:
     Attributes
     ----------
     trace
-        All columns by name, one row per pose: ``cut.trace["force_z_N"]``.
+        All columns, keyed by name, with one row per pose: ``cut.trace["force_z_N"]``.
     notes
-        Notes on findings, by subject.
+        Notes on findings, keyed by subject.
     pose_us
         Computing time of each pose [µs], shape (n,).
     events
-        Events, such as a breach of a structure to keep clear of: time [s] and a sentence each.
+        Events, each with a time [s] and a sentence. An example is an overlap of the tool with a
+        structure to keep clear of.
     """
 
     def __init__(
@@ -56,16 +57,17 @@ class Cut:
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
-        """Return the record of a loop over given poses, at their times [s].
+        """Return the result of a loop that has run through given poses at given times [s].
 
-        The volume removed before the loop is left out.
+        The volume that was removed before the loop is not included.
         """
         layout = TraceLayout.of(loop.parts.tissue.layer_names)
         names = [name for name in loop.trace.columns if not name.startswith("model_")]
         places = [loop.trace.columns.index(name) for name in names]
         rows = loop.trace.rows.copy()
         rows[:, layout.time] = times_s
-        # The removal of a slow cut is spread over ticks.
+        # The removal of a slow cut is spread over several ticks, so the last row takes the final
+        # volume.
         rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3
         rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
         rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
@@ -91,12 +93,14 @@ class Cut:
 
     @property
     def force_N(self) -> Array:
-        """Force on the tool [N], shape (n, 3); it is 0 at the first pose, where the tool rests."""
+        """Force on the tool [N], shape (n, 3). It is 0 at the first pose, where the tool is at
+        rest.
+        """
         return self.trace.vectors("force", "N")
 
     @property
     def force_magnitude_N(self) -> Array:
-        """Size of the force [N], shape (n,)."""
+        """Magnitude of the force [N], shape (n,)."""
         return np.linalg.norm(self.force_N, axis=1)
 
     @property
@@ -112,7 +116,7 @@ class Cut:
     def distance_mm(self, name: str) -> Array:
         """Return the distance of the tool from a structure to keep clear of [mm], shape (n,).
 
-        It is negative where they overlap.
+        The distance is negative where tool and structure overlap.
 
         Raises
         ------
@@ -131,7 +135,9 @@ class Cut:
 
     @property
     def layer(self) -> NDArray[np.str_]:
-        """Layer with the largest engaged area of the tool, shape (n,); "none" without contact."""
+        """Name of the layer in which the largest area of the tool is engaged, shape (n,); "none"
+        without contact.
+        """
         return np.asarray(self.trace["layer"])
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -153,20 +159,21 @@ class Cut:
         Raises
         ------
         InputError
-            If the suffix is none of these, its writer is not installed, or the file exists and
-            `overwrite` is not set.
+            If the suffix is unknown, the package that writes the format is not installed, or the
+            file exists and `overwrite` is not set.
         """
         return saved_table(self.trace, path, overwrite=overwrite)
 
     def plot(self, *, over: "Figure | None" = None, label: str | None = None) -> "Figure":
-        """Draw force and torque over time in one panel each.
+        """Draw force and torque over time, each in a panel of its own.
 
-        Without a label the panels show components and size, with a label only the size.
+        Without a label the panels show the components and the magnitude. With a label they show
+        only the magnitude.
 
         Parameters
         ----------
         over
-            Figure of an earlier plot, to draw this cut into: ``b.plot(over=a.plot(label="a"),
+            Figure of an earlier plot into which this cut is drawn: ``b.plot(over=a.plot(label="a"),
             label="b")``.
         label
             Name of this cut in the legend.
@@ -204,8 +211,8 @@ def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
     Raises
     ------
     InputError
-        If the suffix is unknown, its writer is not installed, or the file exists and `overwrite` is
-        not set.
+        If the suffix is unknown, the package that writes the format is not installed, or the file
+        exists and `overwrite` is not set.
     """
     path = Path(path)
     if path.exists() and not overwrite:

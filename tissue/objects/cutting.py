@@ -42,7 +42,8 @@ __all__ = [
     "warn_of",
 ]
 NAME = re.compile("[a-z0-9][a-z0-9_]*")
-"""Pattern of the names of structures, as for a scene's key `keep_clear.names`."""
+"""Pattern of the names of structures. The key `keep_clear.names` of a scene has the same pattern.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ def cut_along(
     shell_spacing_m: float,
     keep_clear: KeepClear | None,
 ) -> Cut:
-    """Cut along poses; see `tissue.objects.bone.Bone.cut`."""
+    """Cut a bone along poses; see `tissue.objects.bone.Bone.cut`."""
     tips = poses.tips_m
     turns = poses.rotations
     motion = GivenPoses(poses.times_s, tips, turns)
@@ -92,7 +93,7 @@ def cut_along(
 def warn_of(sentences: Sequence[str]) -> None:
     """Issue a Python warning for each sentence."""
     for sentence in sentences:
-        # 4: the caller of `Bone.cut` or `Loop.step`.
+        # Level 4 is the caller of `Bone.cut` or `Loop.step`.
         warnings.warn(sentence, stacklevel=4)
 
 
@@ -110,18 +111,18 @@ def _require_chips(model: BoneModel, number: int) -> None:
 
 
 def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
-    """Return tips along straight lines at a given feed, one every millisecond, and their times.
+    """Return tips and times along straight lines at a given feed, one tip per millisecond.
 
     Parameters
     ----------
     points_mm
-        Corners of the path [mm], shape (k, 3), at least two that differ.
+        Corners of the path [mm], shape (k, 3). At least two corners must differ.
     feed_mm_s
         Speed along the path [mm/s].
 
     Returns
     -------
-    Tips [mm], shape (n, 3), and times [s], shape (n,), which `Bone.cut` takes:
+    Tips [mm], shape (n, 3), and times [s], shape (n,). They are arguments of `Bone.cut`:
     ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
 
     Raises
@@ -146,7 +147,7 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
             f"{feed:g}, which takes {duration_s:.4g} s",
             f"use {feed * duration_s / LONGEST_S:.3g} or more",
         )
-    # 1e-6: a duration of whole ticks gets no additional one.
+    # 1e-6 allows for rounding: a duration of whole ticks gets no additional tick.
     whole: Array = TICK_S * np.arange(ceil(duration_s / TICK_S - 1e-6), dtype=np.float64)
     times = np.append(whole, duration_s)  # the last step is shorter: the feed holds to the end
     return points_along(corners, feed * times), times
@@ -166,7 +167,7 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     Raises
     ------
     InputError
-        If the poses have another shape, are not finite, or hold no rotation.
+        If the poses have a wrong shape, are not finite, or contain an invalid rotation.
     """
     shape = np.shape(poses)
     if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
@@ -190,7 +191,8 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
         return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
     if shape[1:] == (7,):
-        # Any other length is normalised; a vector of rounding errors has no orientation.
+        # A quaternion of any other length is normalised. One that consists of rounding errors has
+        # no orientation.
         if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
             raise InputError(
                 "poses", "hold unit quaternions", "a zero quaternion", "use 0, 0, 0, 1 there"
@@ -198,7 +200,7 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
     turns = rows[:, :3, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
-    # 1e-4 allows for matrices in single precision or of five digits.
+    # 1e-4 allows for matrices in single precision or with five digits.
     if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
         raise InputError(
             "poses",
@@ -210,7 +212,7 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
 
 
 def times_of(times_s: ArrayLike, count: int) -> Array:
-    """Check the times of `count` poses and return them [s], shape (n,).
+    """Validate the times of `count` poses and return the times [s], shape (n,).
 
     Raises
     ------
@@ -231,7 +233,7 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return finite numbers as an array, one row each."""
+    """Return finite numbers as an array of rows."""
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -247,9 +249,9 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
-"""Closed surface of each structure by name, in millimetres in the frame of the bone.
+"""Closed surfaces of structures, keyed by name, in millimetres in the frame of the bone.
 
-It is a file or a pyvista surface.
+Each surface is a file or a pyvista surface.
 """
 
 
@@ -260,7 +262,7 @@ def clearance_of(
     box_m: Array | None = None,
     times_s: Array | None = None,
 ) -> KeepClear | None:
-    """Build the measurement of a tool's distance from structures; None without any.
+    """Return the measurement of a tool's distance from structures; None if there are no structures.
 
     Parameters
     ----------

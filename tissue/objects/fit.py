@@ -25,7 +25,7 @@ __all__ = ["Fit", "fit"]
 
 
 class Fit:
-    """Constants of a scene as determined by a log or a table.
+    """Constants of a scene, as determined from a log or a table.
 
     Attributes
     ----------
@@ -38,7 +38,9 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on determined and undetermined constants, and on the next measurement."""
+        """Sentences on the constants that are determined, on those that are not, and on the next
+        measurement.
+        """
         if isinstance(self.fitted, ProbeFit):
             return probe_verdicts(self.fitted)
         return verdicts(self.fitted)
@@ -51,8 +53,8 @@ class Fit:
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.
 
-        It has the cited range, the 5, 50 and 95 % quantiles given the log, and the state of the
-        constant.
+        For each constant, the table has the range before the fit (from the cited source), the 5, 50
+        and 95 % quantiles after the fit, and a state such as whether the data determine it.
         """
         import pandas
 
@@ -104,12 +106,12 @@ def fit(
     max_memory_GB: float | None = None,
     progress: Bar = None,
 ) -> Fit:
-    """Find the constants of a scene's material from a measured log, or from steady loads.
+    """Fit the constants of a scene's material to a measured log, or to a table of loads.
 
     A log holds poses and forces over time. A table of steady loads holds the thrust and the torque
-    of a drill by feed and speed. A table of presses holds the force of a ball on tissue by depth.
-    The columns of the file show which of them it is. For steady loads, the fit reports which
-    cutting laws the table rejects.
+    of a drill for each feed and speed. A table of presses holds the force of a ball on tissue for
+    each depth. The kind of file is recognised from its columns. For steady loads, the fit reports
+    which cutting laws the table rejects.
 
     Parameters
     ----------
@@ -117,24 +119,26 @@ def fit(
         Scene with the tissue and the tool of the log. The log's poses, in the scene's frame,
         replace its motion.
     measured
-        CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns. A table has the
-        feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or ``feed_mm_per_turn``), the
-        loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and possibly their standard
-        deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or ``torque_pm_Nm``). Presses have
-        ``depth_mm``, ``force_N`` and possibly ``probe``, the number of the press; the scene is a
-        slab of the tissue's thickness and a ball.
+        CSV, Parquet, HDF5, .mat or .npz file. The trace of a run needs no `columns`. A table of
+        steady loads has the feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or
+        ``feed_mm_per_turn``), the loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and
+        optionally their standard deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or
+        ``torque_pm_Nm``). A table of presses has ``depth_mm``, ``force_N`` and optionally
+        ``probe``, the number of the press. Its scene has a ball and a slab that is as thick as the
+        tissue.
     free
-        Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual
-        ones.
+        Constants to fit, such as ``cutting.trabecular`` or ``cutting.edge``. The default is all
+        constants of the touched tissue that have a range; see docs/guide/fit.md.
     columns
-        Columns of a log with other names or units: ``{"force_x_N": "-Fx:mN"}``; a number is a
-        constant, and ``{"time_s": "500:Hz"}`` a rate in place of times.
+        Columns of a log that have other names or units: ``{"force_x_N": "-Fx:mN"}``. A number is a
+        constant value. ``{"time_s": "500:Hz"}`` gives a sampling rate if the log has no times.
     cores
         Processor cores to use; default all.
     max_memory_GB
         Memory that the log may take [GB]; default half of the free memory.
     progress
-        Whether to show a progress bar, or a function called with the present work.
+        Whether to show a progress bar, or a function that is called with the name of the current
+        work.
 
     Raises
     ------

@@ -28,7 +28,7 @@ def table_html(
     caption: str = "",
     numbers: bool = False,
 ) -> str:
-    """Return a table of texts. ``numbers`` aligns them to the right."""
+    """Return an HTML table of texts; ``numbers`` aligns the cells to the right."""
     side = "right" if numbers else "left"
     head = f"<caption>{escape(caption)}</caption>" if caption else ""
     if titles:
@@ -38,7 +38,7 @@ def table_html(
 
 
 def curve(values: Sequence[float], *, title: str, width: int = 320, height: int = 48) -> str:
-    """Return a small curve from zero, without axes."""
+    """Return a small curve without axes, whose scale starts at zero."""
     top = max(*values, 0.0) or 1.0
     step = width / max(len(values) - 1, 1)
     # One pixel is left above and below for the width of the line.
@@ -54,7 +54,7 @@ def curve(values: Sequence[float], *, title: str, width: int = 320, height: int 
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:
-    """Return HTML under a title that expands and collapses it."""
+    """Return a section that expands and collapses when its title is clicked."""
     return (
         f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
     )
@@ -75,11 +75,11 @@ def _cells(row: Sequence[object], name: str, side: str) -> str:
 
 
 CURVE_POINTS = 300
-"""Largest number of points of the small force curve: it is 320 pixels wide."""
+"""Largest number of points of the small force curve, which is 320 pixels wide."""
 
 
 def run_line(summary: Summary) -> list[str]:
-    """Return the most important figures of a run, in a few words each."""
+    """Return a line with the most important figures of a run."""
     name = str(summary.get("scene"))
     if summary["status"] != "complete":
         return [name, str(summary["status"])]
@@ -128,7 +128,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def figures_of(summary: Summary) -> dict[str, float]:
-    """Return the figures of a complete run, by names with units."""
+    """Return the figures of a complete run, keyed by names with units."""
     if summary["status"] != "complete":
         return {}
     force = summary["force_N"]
@@ -159,7 +159,7 @@ def run_html(summary: Summary, events: list[tuple[float, str]], force_N: Array) 
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):
         every = max(len(force_N) // CURVE_POINTS, 1)
-        # The highest of each group: no peak is lost.
+        # The largest value of each group is drawn, so no peak is lost.
         highest = np.maximum.reduceat(force_N, np.arange(0, len(force_N), every))
         shown += curve(highest.tolist(), title=f"force over time, up to {force_N.max():.3g} N")
     if events:

@@ -1,4 +1,4 @@
-"""Loop of a tool and a tissue: stepped with poses by a program, or moved by a haptic device."""
+"""Loop of a tool and a tissue; a program or a haptic device moves the tool."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -55,21 +55,21 @@ __all__ = ["Loop"]
 class Loop:
     """Loop of a tool and a tissue in ticks of 1 ms.
 
-    Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves it to a pose and
-    returns force and torque on it. The tool follows its pose exactly. `reset`, `snapshot` and
-    `restore` return the loop to an earlier state. After a restore it gives bit for bit the same
-    forces.
+    Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves the tool to a pose
+    and returns the force and torque on it. The tool follows the given poses exactly. `snapshot`
+    copies the state of the loop; `restore` and `reset` return the loop to an earlier state. The
+    forces after a restore are the same to the last bit.
 
-    With a device, ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In every
-    tick the device is read, the tool follows it through a spring, and the tissue responds. The
-    force is commanded after prediction, low-pass and the device's limits. The spring is judged for
-    stability before the first tick. The last command to the device is zero, whatever ends the block
-    or the run.
+    With a device, use ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In each
+    tick the loop reads the device, the tool follows the device through a spring, and the tissue
+    responds. The force passes the predictor, the low-pass and the device's limits before it is
+    commanded. The stability of the coupling is checked before the first tick. The last command to
+    the device is zero, even if an error ends the block or the run.
 
     Attributes
     ----------
     notes
-        Notes on choices and findings, by subject.
+        Notes on choices and findings, keyed by subject.
     ticks
         Number of ticks that have run.
     """
@@ -89,68 +89,75 @@ class Loop:
         cores: int | None = None,
         **options: Unpack[LoopOptions],
     ) -> None:
-        """Judge the loop and build it.
+        """Build the loop; with a device, check the stability of the coupling first.
 
         Parameters
         ----------
         tissue
-            Bone or organ that the tool meets; or a scene or its name, which brings its own tool,
-            start and structures to keep clear of.
+            Bone or organ for the tool; or a scene or its name. A scene contains its own tool, start
+            and structures to keep clear of.
         tool
-            Cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 revolutions a
-            minute; pressing tool for an organ, default a ball of 10 mm.
+            For bone a cutter, default a ball burr of 4 mm with 6 flutes at 20,000 revolutions per
+            minute. For an organ a pressing tool, default a ball of 10 mm.
         device
             Object with ``read(time_s)``, which returns a `tissue.Sample` in metres or None, and
-            ``command(force_N, torque_Nm)``. A context manager is entered and exited. None for a
-            tool that `step` moves.
+            ``command(force_N, torque_Nm)``. If the object is a context manager, the loop enters and
+            exits it. None if the tool is moved by `step`.
         start_mm
-            Position of the tip at the start, where a device is at its own origin [mm]; default 2 mm
-            above the middle of the tissue.
+            Position of the tip at the start [mm], which corresponds to the origin of the device;
+            default 2 mm above the middle of the tissue.
         axis
-            Direction of the tool from tip to shank, default z; the device's axes are the axes of
-            the tissue.
+            Direction of the tool from tip to shank; default z. The axes of the device are parallel
+            to those of the tissue.
         reach_mm
-            Distance around the tool within which bone is prepared, or from the start within which
-            an organ may be touched [mm]; default 5. More bone is made when half of the distance is
-            used up; that tick takes longer. For a scene it is the distance to the sides of its
-            path, default 2, and nothing more is made.
+            For bone: distance around the tool within which bone is prepared [mm]; default 5. More
+            bone is prepared after the tool has moved by half of this distance; that tick takes
+            longer. For an organ: distance from the start within which it may be touched; default 5.
+            For a scene: distance to the sides of its path; default 2. No more tissue is then
+            prepared later.
         longest_s, keep_clear
-            Time for which rows of the trace are allocated [s]; structures that a cutter must not
-            touch, as for `tissue.Bone.cut`. Without a device the newest rows replace the oldest.
+            Time for which rows of the trace are allocated [s]; and structures that a cutter must
+            not touch, as for `tissue.Bone.cut`. When all rows are used, the loop stops with a
+            device; without a device the newest rows replace the oldest ones.
         step_ms
-            Duration of a step without a device [ms], 1 to 1000. The tool moves in a straight line
-            through its ticks. Along a curved path this shortens its path, see the guide.
+            Duration of a step without a device [ms], 1 to 1000. In a step of several ticks the tool
+            moves along a straight line. This shortens a curved path; see the guide.
         cores
-            Processor cores for a scene; default all. The result does not depend on it.
+            Processor cores for a scene; default all. The result does not depend on their number.
         limits
-            Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers;
-            default touch. This and the following options need a device.
+            Limits of the device: name of a known device, `tissue.DeviceParameters`, or a mapping of
+            these parameters; default ``touch``. This option and all following options need a
+            device.
         predictor, predictor_file
-            Prediction of the force over the latency: a name, or an object with ``observe`` and
-            ``predict``. A trained predictor also needs the file that `tissue train` wrote.
+            Predictor of the force at the end of the latency: a name, or an object with ``observe``
+            and ``predict``. A trained predictor also needs the file that `tissue train` wrote.
         hand
-            Hand for which stability is judged: novice, intermediate or expert, the default.
+            Hand for which stability is checked: ``novice``, ``intermediate`` or ``expert``; default
+            expert.
         materials
-            File of constants of device and hand, as `tissue fit` writes it.
+            File of constants of device and hand, in the format that `tissue fit` writes.
         renderer
-            Law by which the device plays the contact force: proxy, the default, penalty or
-            passivity.
+            Law with which the device plays the contact force: ``proxy``, ``penalty`` or
+            ``passivity``; default proxy.
         stiffness_N_m
-            Stiffness of the coupling at the device; default half the critical one in that hand.
+            Stiffness of the coupling at the device; default half of the critical stiffness with
+            this hand.
         force_scale, motion_scale
             Newtons at the device for each newton at the tool, and metres at the tool for each metre
-            at the device, default 1. The default force scale is 1 for an organ. For bone it brings
-            the force in a slot a quarter of the cutter's diameter deep within the device's range.
+            at the device. The default motion scale is 1. The default force scale is 1 for an organ.
+            For bone it is chosen so that the device can play the force in a slot whose depth is a
+            quarter of the cutter's diameter.
         delay_ms, low_pass_ms
-            Latency added before the device, in whole ticks, and time constant of the low-pass
-            before the device [ms], default 0 and 1.
+            Additional latency before the device, in whole ticks, and time constant of the low-pass
+            before the device [ms]; default 0 and 1.
         allow_unstable
-            Whether to run a coupling that is judged unstable.
+            Whether to run a coupling for which the check predicts instability.
 
         Raises
         ------
         InputError
-            If an argument cannot be used, or the coupling is unstable and that is not allowed.
+            If an argument cannot be used, or the coupling is unstable and `allow_unstable` is not
+            set.
         """
         require_known(options, LoopOptions, of="Loop")
         if isinstance(tissue, str):
@@ -191,7 +198,8 @@ class Loop:
             else:
                 judged = judged_device(device, tissue, fitting, start_m, along, options)
                 self._device = judged.motion
-            # A refused coupling leaves the bone as it was: the tissue is prepared after it.
+            # The tissue is prepared after the check, so a refused coupling leaves the bone
+            # unchanged.
             parts = self._prepared(tissue, fitting, start_m, along, extent.reach_m, keep_clear)
             self.notes = dict(tissue.notes)
             if judged is None:
@@ -247,7 +255,7 @@ class Loop:
         reach_m: float,
         keep_clear: Structures | None,
     ) -> Parts:
-        """Return the tissue under the tool; its motion is set by the caller."""
+        """Return the tissue under the tool; the caller sets the motion of the tool."""
         x, y, z = along.tolist()
         motion = StaysAt(start_m, (x, y, z))
         if isinstance(tissue, Bone):
@@ -258,7 +266,7 @@ class Loop:
             return Parts(motion, model, cutter=tool, keep_clear=clearance_of(keep_clear, tool))
         assert isinstance(tool, PressingTool)
         self._organ = organ_around(tissue.soft, tool, start_m, along, reach_m=reach_m)
-        # The caller's own clock may not wait for a solve of a law; see `run`.
+        # With a device, ticks must not wait for the solution of a law; see `run`.
         self._organ.waits = self._device is None
         return Parts(motion, self._organ)
 
@@ -269,7 +277,7 @@ class Loop:
 
     @property
     def row(self) -> TickRow:
-        """Row of the trace of the last tick by column; the next tick overwrites it."""
+        """Row of the trace of the last tick, keyed by column; the next tick overwrites it."""
         return self._row
 
     def __enter__(self) -> Self:
@@ -293,31 +301,32 @@ class Loop:
     def step(
         self, pose: ArrayLike | None = None, velocity: ArrayLike | None = None
     ) -> TickRow | Array:
-        """Run a step with a pose, or a tick with a device.
+        """Run one step to a pose; with a device, run one tick.
 
         Parameters
         ----------
         pose
-            Pose of the tool at the end of the step, in the frame of the tissue: tip [mm], shape
-            (3,), which keeps the orientation; tip and quaternion (x, y, z, w), shape (7,); or a
-            matrix, shape (4, 4), with z from tip to shank. With a device it is left out.
+            Pose of the tool at the end of the step, in the frame of the tissue. It is a tip [mm],
+            shape (3,), which keeps the orientation; a tip and a quaternion (x, y, z, w), shape
+            (7,); or a matrix, shape (4, 4), with z from tip to shank. Leave it out if there is a
+            device.
         velocity
-            Velocity of the tip [mm/s], shape (3,), or with the angular velocity [rad/s], shape
-            (6,). Default the change of the pose over the step. The cutting force depends on it, and
-            is zero for a tool at rest.
+            Velocity of the tip [mm/s], shape (3,), or this and the angular velocity [rad/s], shape
+            (6,). The default is the change of the pose divided by the duration of the step. The
+            cutting force depends on the velocity, and is zero for a tool at rest.
 
         Returns
         -------
         TickRow or array
-            With a pose, the wrench at the end of the step, shape (6,): force on the tool [N] and
-            torque about its tip [N m], in the frame of the tissue. With a device, the row of the
-            trace, the same object in every tick.
+            Without a device: the wrench at the end of the step, shape (6,). It contains the force
+            on the tool [N] and the torque about its tip [N m], in the frame of the tissue. With a
+            device: the row of the trace, which is the same object in every tick.
 
         Raises
         ------
         InputError
-            If the pose cannot be used, the device is not held, or all rows are full. If the device
-            fails, the error is a `DeviceError`.
+            If the pose cannot be used, the loop with a device is not used in a ``with`` block, or
+            all rows are full. If the device fails, the error is a `DeviceError`.
         """
         if self._session is not None:
             if pose is None:
@@ -350,12 +359,12 @@ class Loop:
         return self._row
 
     def _show(self) -> None:
-        """Show the last row of the trace, and warn of limits that were passed."""
+        """Update the last row of the trace, and warn of limits that were passed."""
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is None:
             return
         passed = self._limits.passed
-        # A reset clears the limits. Each limit is still warned of once.
+        # A reset clears the limits, but there is only one warning for each limit.
         if not passed.keys() <= self._warned:
             warn_of([what for about, what in passed.items() if about not in self._warned])
             self._warned |= passed.keys()
@@ -377,7 +386,8 @@ class Loop:
         self._row.values_of_tick = self._loop.trace.rows[0]
 
     def snapshot(self) -> Snapshot:
-        """Return a copy of the state, which can be pickled and restored in an equal loop.
+        """Return a copy of the state, which can be pickled, and restored in a loop made from equal
+        arguments.
 
         Raises
         ------
@@ -387,20 +397,21 @@ class Loop:
         return self._posed("snapshot").snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a snapshot of this loop, or of one that was made from equal arguments.
+        """Return to a snapshot of this loop, or of a loop that was made from equal arguments.
 
-        Rows of the trace before the snapshot are those of this loop.
+        The trace keeps the rows of this loop up to the time of the snapshot.
 
         Raises
         ------
         InputError
-            If the snapshot is of another tissue, or needs bone that is not made here.
+            If the snapshot was made with another tissue, or needs bone that this loop has not
+            prepared.
         """
         self._posed("restore").restore(snapshot)
         self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]
 
     def _posed(self, method: str) -> PosedSession:
-        """Return the session of a loop without a device."""
+        """Return the session, which only a loop without a device has."""
         if self._session is None:
             raise InputError(method, "be used without a device", "a device", "leave device out")
         return self._session
@@ -412,19 +423,21 @@ class Loop:
         real_time: bool = False,
         on_tick: Callable[[int, TickRow], object] | None = None,
     ) -> Self:
-        """Run for some seconds of simulated time while holding the device; return the loop.
+        """Hold the device, run for a duration of simulated time, and return the loop.
 
         Parameters
         ----------
         seconds
             Duration [s].
         real_time
-            Whether a tick waits until it is due on the wall clock, as needed for a real device.
-            Ticks then run in a second thread, and a law of large strains is solved in a third one.
-            Without real time the ticks wait for a law. A sample more than 1.5 ms late is not used,
-            and a device without a command for 50 ms receives zero force.
+            Whether each tick waits until it is due on the wall clock. A real device needs this. The
+            ticks then run in a second thread, and a hyperelastic law is solved in a third thread. A
+            sample that is more than 1.5 ms late is not used, and a device that gets no command for
+            50 ms receives zero force. Without real time, the ticks wait for the solution of the
+            law.
         on_tick
-            Called after every tick with its number and its row; the run ends if it returns False.
+            Function that is called after every tick with the number and the row of the tick. The
+            run ends if the function returns False.
         """
         device = self._device
         if device is None:
@@ -453,7 +466,7 @@ class Loop:
 
     @property
     def trace(self) -> Trace:
-        """Trace of the ticks so far, one row each: ``loop.trace["device_force_z_N"]``."""
+        """Trace of the ticks so far, one row per tick: ``loop.trace["device_force_z_N"]``."""
         whole = self._loop.trace
         return Trace(Table(whole.columns, self._in_order(whole.rows), whole.layer_names))
 
@@ -465,7 +478,7 @@ class Loop:
 
     @property
     def events(self) -> list[tuple[float, str]]:
-        """Events: time [s] and a sentence each."""
+        """Events, each with a time [s] and a sentence."""
         return sorted(
             self._loop.events + self._loop.parts.motion.happened(), key=lambda event: event[0]
         )
@@ -476,9 +489,10 @@ class Loop:
         return self._in_order(self._loop.timing["tick_us"])
 
     def surface(self) -> "pyvista.PolyData":
-        """Return the present surface of a scene's bone or tooth [mm], with cell data ``layer``.
+        """Return the current surface of a scene's bone or tooth [mm], with cell data ``layer``.
 
-        `tissue.Bone.surface` returns it for a bone. Not for use within a tick: it takes up to 1 s.
+        For a `tissue.Bone`, use `tissue.Bone.surface`. Do not call this method within a tick: it
+        takes up to 1 s.
 
         Raises
         ------
@@ -498,7 +512,7 @@ class Loop:
         return with_layers(bone_surface(parts.volume, parts.tissue.remaining()), parts.volume)
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the ticks so far as a table, one row each."""
+        """Return the ticks so far as a table, one row per tick."""
         return self.trace.to_pandas()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:

@@ -1,4 +1,4 @@
-"""Settings of the part between a device and a tool, from the options of `tissue.Loop`."""
+"""Settings of the coupling between a device and a tool, from the options of `tissue.Loop`."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -41,11 +41,11 @@ ARGUMENTS = {
     "prediction": "predictor",
     "kind": "limits",
 }
-"""Arguments of `Loop` by the keys of a scene that errors name."""
+"""Arguments of `Loop`, keyed by the scene keys that appear in error messages."""
 
 
 class LoopOptions(TypedDict, total=False):
-    """Options of the part between device and tool; see `Loop`."""
+    """Options of the coupling between device and tool; see `Loop`."""
 
     limits: str | DeviceParameters | Mapping[str, float]
     predictor: str | Observes | None
@@ -63,16 +63,16 @@ class LoopOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class JudgedDevice:
-    """Motion of a tool that is coupled to a device, after its coupling was judged.
+    """Motion of a tool that is coupled to a device, after the stability check.
 
     Attributes
     ----------
     motion
         Motion of the tool.
     output
-        Options of the force that is played.
+        Options for the force that the device plays.
     notes
-        Notes on constants and on the coupling, by subject.
+        Notes on constants and on the coupling, keyed by subject.
     """
 
     motion: HandMotion
@@ -88,23 +88,23 @@ def judged_device(
     along: Array,
     options: LoopOptions,
 ) -> JudgedDevice:
-    """Judge the coupling of a device to a tool.
+    """Check the stability of the coupling between a device and a tool.
 
     Parameters
     ----------
     device
-        Device, whose origin is the start.
+        Device. Its origin corresponds to the start.
     tissue, tool
         Tissue, and the tool that cuts or presses it.
     start_m, along
         Tip at the start [m] and direction of the tool from tip to shank, shape (3,) each.
     options
-        Options of the caller.
+        Options from the caller of `Loop`.
 
     Raises
     ------
     InputError
-        If an option cannot be used, or the coupling is unstable and that is not allowed.
+        If an option cannot be used, or the coupling is unstable and `allow_unstable` is not set.
     """
     if isinstance(device, type):
         name = device.__name__
@@ -138,7 +138,7 @@ def judged_device(
                 require_positive("force_scale", 1.0 if scale is None else scale, "use 1"),
                 scale_note,
             ),
-            # Only a perception draws, and a caller's loop has none.
+            # Only a perception draws random numbers, and this loop has no perception.
             rng=np.random.default_rng(0),
             allow_unstable=options.get("allow_unstable", False),
         )
@@ -183,7 +183,7 @@ def _settings_of(
             )
         coupling["predictor_file"] = str(file)
     held = {
-        # Numbers without a name: the name is not used.
+        # The caller gave parameters without a name, so the name is not used.
         "kind": given if isinstance(given, str) else "touch",
         "hand": options.get("hand"),
         "renderer": options.get("renderer"),
@@ -204,7 +204,7 @@ def _settings_of(
 def _limits(
     given: str | DeviceParameters | Mapping[str, float], constants: Materials
 ) -> DeviceParameters:
-    """Return the parameters of a device from its name, themselves or a mapping."""
+    """Return the parameters of a device from its name, from a mapping, or as given."""
     if isinstance(given, str):
         return device_parameters(given, constants)
     if isinstance(given, Mapping):

@@ -23,13 +23,16 @@ CLEARANCE_MM = 2.0
 LONGEST_S = 3600.0
 """Longest duration of a loop for which rows are allocated [s].
 
-An hour of 60 columns takes 1.7 GB.
+One hour of a trace with 60 columns takes 1.7 GB.
 """
 REACH_MM = 5.0
 SCENE_REACH_MM = 2.0
-"""Default reach around a tool, and around the path of a scene, which is prepared anyway [mm]."""
+"""Default reach [mm] around a tool, and around the path of a scene.
+
+Tissue along the path of a scene is prepared in any case.
+"""
 MOST_TICKS = 1000
-"""Largest number of ticks in a step: a rate of 1 Hz."""
+"""Largest number of ticks in a step, which is a rate of 1 Hz."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class Extent:
     ticks
         Number of ticks in a step.
     reach_m
-        Distance around the tool, or around the path of a scene, that is prepared [m].
+        Distance around the tool, or around the path of a scene, within which tissue is prepared
+        [m].
     """
 
     rows: int
@@ -64,7 +68,7 @@ class Extent:
         Raises
         ------
         InputError
-            If an argument is out of its range.
+            If an argument is out of range.
         """
         longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
         ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
@@ -78,7 +82,7 @@ class Extent:
 
 
 def leave_out(given: Mapping[str, object], when: str) -> None:
-    """Refuse arguments that have no effect."""
+    """Refuse arguments that would have no effect."""
     for name, value in given.items():
         if value is not None:
             raise InputError(name, f"be left out {when}", repr(value)[:60], "remove it")
@@ -87,7 +91,7 @@ def leave_out(given: Mapping[str, object], when: str) -> None:
 def fitted(
     tissue: Bone | Organ, tool: Cutter | PressingTool | None, keep_clear: Structures | None
 ) -> Cutter | PressingTool:
-    """Return a tool for a tissue, by default one for a first try."""
+    """Return the given tool after checks, or a default tool for the tissue."""
     if isinstance(tissue, Bone):
         burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
         tissue.require_cutter(burr)
@@ -115,7 +119,9 @@ def region(start_m: Array, turn: Array, reach_m: float) -> Region:
 
 
 def start_above(tissue: Bone | Organ, axis: Array) -> Array:
-    """Return a tip above the middle of a bone or an organ, along the tool's axis [mm]."""
+    """Return the position of a tip above the middle of a bone or an organ, along the tool's axis
+    [mm].
+    """
     surface = tissue.surface()
     low, high = np.array(surface.bounds).reshape(3, 2).T
     middle = 0.5 * (low + high)

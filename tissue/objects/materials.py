@@ -1,4 +1,4 @@
-"""Cited constants of materials for users."""
+"""Material constants with their sources, for users."""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ TITLES = ("constant", "value", "lowest", "highest", "confidence", "source")
 
 
 class Material(dict[str, Constant]):
-    """Constants of a material by their names with units.
+    """Constants of a material, keyed by names with units.
 
     An example is ``tissue.material("enamel")["modulus_GPa"].value``.
 
@@ -38,7 +38,7 @@ class Material(dict[str, Constant]):
                 self.update(constants(table, name))
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return value, range, confidence and source of each constant as a table.
+        """Return a table with value, range, confidence and source of each constant.
 
         Raises
         ------
@@ -73,17 +73,17 @@ class Material(dict[str, Constant]):
 
 
 def material(name: str) -> Material:
-    """Return the cited constants of a material.
+    """Return the constants of a built-in or registered material.
 
     Parameters
     ----------
     name
-        One of `material_names`.
+        Name from the list that `material_names` returns.
 
     Raises
     ------
     InputError
-        If there is no such material.
+        If the material is unknown.
     """
     known = material_names()
     if name not in known:
@@ -97,5 +97,5 @@ def material(name: str) -> Material:
 
 
 def material_names() -> list[str]:
-    """Return the names of materials with cited constants, including registered ones."""
+    """Return the names of all materials, including registered materials."""
     return list(dict.fromkeys(name for table in TABLES for name in listed(table)))

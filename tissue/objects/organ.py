@@ -1,4 +1,4 @@
-"""Soft organ object: made from tetrahedra, a surface or a shape, pressed by tools, and shown."""
+"""Soft organ object, made from tetrahedra, a surface, labels or a shape; tools can press it."""
 
 from __future__ import annotations
 
@@ -38,26 +38,26 @@ if TYPE_CHECKING:
 __all__ = ["Organ"]
 
 SPEED_MM_S = 10.0
-"""Default speed of a press [mm/s]; it matters only to an organ that relaxes."""
+"""Default speed of a press [mm/s]; it has an effect only on an organ with relaxation."""
 TISSUE = (0.93, 0.78, 0.72)
 HELD = (0.35, 0.45, 0.6)
 
 
 class Organ:
-    """Soft organ that may be pressed.
+    """Soft organ that tools can press.
 
-    `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make one.
+    `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make an organ.
 
-    It is linear elastic or follows a law of large strains, in the frame of its mesh, with lengths
-    in millimetres. Its stiffness is factorised once, at the first press.
+    The organ is linear elastic or hyperelastic. It lies in the frame of its mesh, with lengths in
+    millimetres. Its stiffness is factorised once, at the first press.
     """
 
     def __init__(self, made: MadeOrgan) -> None:
         self._made = made
         self.notes = made.notes
-        """Notes on findings and assumptions, by subject."""
+        """Notes on findings and assumptions, keyed by subject."""
         self.moduli_kPa = made.material.moduli_kPa(made.mesh.part_names)
-        """Young's modulus of each part by its name [kPa]."""
+        """Young's modulus of each part [kPa], keyed by the name of the part."""
 
     @classmethod
     def from_tetrahedra(
@@ -76,44 +76,44 @@ class Organ:
         ----------
         mesh
             pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a
-            file (.vtu .vtk .msh .mesh). Its parts are a cell array of numbers or names, called
-            ``part`` or by a mesher's usual name.
+            file (.vtu .vtk .msh .mesh). Parts are given by a cell array of numbers or names. This
+            array is called ``part``, or has the name that common mesh generators use.
         modulus_kPa, poisson_ratio
             Young's modulus [kPa] and Poisson's ratio.
         parts
-            Young's moduli of parts that differ, by name or number [kPa].
+            Young's moduli of parts with another modulus [kPa], keyed by name or number.
         part_names
-            Names of numbered parts.
+            Names of parts that have numbers in the mesh.
         scale_mm
             Millimetres per unit of the mesh. Without it the mesh must be in millimetres, and is
             refused if its size contradicts that.
         held
             Points that do not move: a side of the surface, the name of a part, a mask of the mesh's
-            points, or their numbers. A side is ``bottom`` (-z), ``top``, ``-x``, ``+x`` and so on;
-            it holds the faces within 60 degrees of that direction.
+            points, or their indices. A side is ``bottom`` (-z), ``top``, ``-x``, ``+x`` and so on.
+            It contains the faces whose normals are within 60 degrees of that direction.
         held_below_mm
-            Height z below which the surface is held instead [mm].
+            Height z below which the surface does not move [mm]; use it instead of `held`.
         order
-            Order of the tetrahedra; linear ones are faster, but lock near incompressibility.
+            Order of the tetrahedra. Linear tetrahedra are faster, but lock near incompressibility.
         friction
-            Coulomb's coefficient between tool and organ.
+            Coulomb friction coefficient between tool and organ.
         capsule
             Thickness [um] and Young's modulus [kPa] of a membrane on the whole surface.
         density_kg_m3
-            Density [kg/m3]; where it is given, gravity along -z acts on the organ before it is
-            touched.
+            Density [kg/m3]. If it is given, gravity along -z deforms the organ before the first
+            contact.
         relaxation
-            Pairs of a share of the modulus that relaxes and its relaxation time [s]; `modulus_kPa`
-            is the instantaneous modulus.
+            Pairs of a share of the modulus that relaxes and the relaxation time [s] of this share;
+            `modulus_kPa` is the instantaneous modulus.
         law
-            Law of large strains, by the names and keys of `organ.law` in scenes: ``"neo-hookean"``
-            or ``{"name": "yeoh", "square_ratio": 0.5}``. It cannot be combined with a density. The
-            default is the linear law.
+            Hyperelastic law, with the names and keys of `organ.law` in scenes: ``"neo-hookean"`` or
+            ``{"name": "yeoh", "square_ratio": 0.5}``. A hyperelastic law cannot be combined with a
+            density. The default is the linear law.
 
         Raises
         ------
         InputError
-            If the mesh cannot be used, is not in millimetres, or lacks a part.
+            If the mesh cannot be used or is not in millimetres, or a named part does not exist.
         """
         from meshes.tets.files import given_tets
         from tissue.simulation.builders.organ_made import StatedOrgan, made_of
@@ -136,7 +136,7 @@ class Organ:
         progress: Progress = silent,
         **options: Unpack[OrganOptions],
     ) -> Organ:
-        """Make an organ inside a closed surface, filled with tetrahedra once and kept on disk.
+        """Make an organ that fills a closed surface; its tetrahedra are kept in a cache on disk.
 
         Parameters
         ----------
@@ -146,18 +146,18 @@ class Organ:
         modulus_kPa, poisson_ratio, parts, scale_mm, options
             As for `from_tetrahedra`.
         edge_mm
-            Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
+            Edge length of the tetrahedra [mm]; default 1/14 of the longest side.
         inclusions
-            Closed surfaces inside the organ, by name. Each becomes a part, whose modulus `parts`
-            gives.
+            Closed surfaces inside the organ, keyed by name. Each surface becomes a part; `parts`
+            gives its modulus.
         progress
-            Called with the present work.
+            Function that is called with the name of the current work.
 
         Raises
         ------
         InputError
-            If a surface is not closed or not in millimetres, or an inclusion sticks out or overlaps
-            another one.
+            If a surface is not closed or not in millimetres, or an inclusion extends beyond the
+            organ or overlaps another inclusion.
         """
         from tissue.simulation.builders.organ_made import StatedOrgan, of_surface
 
@@ -189,37 +189,39 @@ class Organ:
     ) -> Organ:
         """Make an organ from a segmentation.
 
-        Structures in it or on it, such as a tumour or a vessel, become parts.
+        Structures in the organ or on its surface, such as a tumour or a vessel, become parts.
 
-        Its surface follows the labels without the steps of their voxels, and keeps their volume.
-        The organ lies in the frame of the image: LPS, x to the patient's left, y to the back, z to
-        the head.
+        The surface of the organ is smooth instead of stepped like the voxels, and encloses the
+        volume of the labels. The organ lies in the frame of the image (LPS): x points to the
+        patient's left, y to the back, z to the head.
 
         Parameters
         ----------
         labels
             Label image (.seg.nrrd .nrrd .nii.gz), a DICOM segmentation, a folder of masks or of
-            slices, or labels already read.
+            slices, or labels that were read before.
         organ
-            Name or number of the organ's label.
+            Name or number of the label of the organ.
         modulus_kPa, poisson_ratio, options
             As for `from_tetrahedra`.
         parts
-            Young's moduli of additional labels, by name or number [kPa]. Each label becomes a part.
+            Young's moduli of additional labels [kPa], keyed by name or number. Each of these labels
+            becomes a part.
         names
             Names of the labels for a file without names: ``totalsegmentator``, ``verse``, or a TOML
             file.
         spacing_mm
-            Distance between voxels [mm] of a file that does not state it, one number or three.
+            Spacing of the voxels [mm], one number or three, for a file that does not contain the
+            spacing.
         edge_mm
-            Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
+            Edge length of the tetrahedra [mm]; default 1/14 of the longest side.
         progress
-            Called with the present work.
+            Function that is called with the name of the current work.
 
         Raises
         ------
         InputError
-            If there is no such label, or a part lies apart from the organ or is too small.
+            If a label does not exist, or a part does not touch the organ or is too small.
         """
         from meshes.ct.labels import Labels, read_labels
         from tissue.simulation.builders.organ_made import StatedOrgan, of_labels
@@ -254,8 +256,8 @@ class Organ:
         modulus_kPa, poisson_ratio, options
             As for `from_tetrahedra`.
         edge_mm
-            Edges at the top face [mm], which grow downwards; default a fourteenth of the longest
-            side.
+            Edge length of the tetrahedra at the top face [mm], which increases downwards; default
+            1/14 of the longest side.
         """
         from meshes.organs.liver import slab
         from meshes.tets.tetrahedralise import FILL_EDGES
@@ -280,21 +282,24 @@ class Organ:
     ) -> Organ:
         """Make the procedural liver of the scenes.
 
-        The origin is on top of the right lobe, with z to the head and x to the left.
+        The origin is on top of the right lobe. The z axis points to the head, and x to the left.
 
         Parameters
         ----------
         modulus_kPa, poisson_ratio, options
-            As for `from_tetrahedra`; the defaults are the cited values, 5.4 kPa and 0.49.
+            As for `from_tetrahedra`. The defaults are the built-in values from the literature, 5.4
+            kPa and 0.49.
         materials
-            File of constants in place of the cited ones, as `tissue fit` writes it.
+            File of constants that replace the built-in values, in the format that `tissue fit`
+            writes.
         edge_mm
-            Edge of the tetrahedra [mm].
+            Edge length of the tetrahedra [mm].
 
         Raises
         ------
         InputError
-            If the file cannot be used, or holds neither modulus nor Poisson's ratio of the liver.
+            If the file cannot be used, or contains neither the modulus nor Poisson's ratio of the
+            liver.
         """
         from meshes.organs.liver import liver
         from tissue.simulation.builders.arguments import soft_constants
@@ -310,24 +315,26 @@ class Organ:
         return cls(made_of(mesh, notes, StatedOrgan.of(**taken, options=options)))
 
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
-        """Return the organ with shorter edges near the tool.
+        """Return the organ with a finer mesh near the tool.
 
-        A press needs edges of a quarter of the tool's diameter.
+        For a press, the edges under the tool should be a quarter of the tool's diameter long.
 
         Parameters
         ----------
         edge_mm
-            Longest edge near the tool [mm]; edges grow by half the distance from there.
+            Longest edge near the tool [mm]. Farther away, the longest edge increases by half of the
+            distance from there.
         near_mm
-            Points [mm], shape (k, 3) or (3,), each moved to the nearest point of the surface;
-            default the whole surface. Presses at these points are fast from the second one on.
-            Presses elsewhere take some seconds longer each.
+            Points [mm], shape (k, 3) or (3,), near which the mesh is refined; default the whole
+            surface. Each point is moved to the nearest point of the surface. Presses at these
+            points are fast from the second press on. Each press elsewhere takes some seconds
+            longer.
         """
         return Organ(self._made.refined(edge_mm, near_mm))
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Tetrahedra [mm], with ``part`` over the cells and ``held`` over the points."""
+        """Tetrahedra [mm], with the cell array ``part`` and the point array ``held``."""
         grid = grid_of(self._made.mesh)
         grid.point_data["held"] = np.isin(np.arange(grid.n_points), self._made.held)
         return grid
@@ -338,7 +345,7 @@ class Organ:
 
     @property
     def soft(self) -> SoftOrgan:
-        """Organ ready to be solved."""
+        """Organ with assembled equations, ready to be solved."""
         return self._made.soft
 
     def press(
@@ -352,7 +359,7 @@ class Organ:
         hold_s: float = 0.0,
         progress: Progress = silent,
     ) -> Press:
-        """Press a tool into the organ at rest, step by step from its first contact.
+        """Press a tool into the undeformed organ, in steps from the first contact.
 
         Parameters
         ----------
@@ -361,18 +368,21 @@ class Organ:
         depth_mm
             Depth of the press from the first contact [mm].
         at_mm
-            Point [mm]; the nearest point of the surface is used, and refused if it is far away.
+            Target point [mm]. The press goes to the nearest point of the surface, unless that point
+            is far away.
         along
-            Direction of the tool's motion; default straight into the surface.
+            Direction of the tool's motion; default perpendicular to the surface, into the organ.
         speed_mm_s, hold_s
-            Speed [mm/s] and holding time [s], only for an organ with `relaxation`.
+            Speed [mm/s] and holding time [s]; they are used only for an organ with `relaxation`.
         progress
-            Called with the present work and its completed share (0 to 1).
+            Function that is called with the name of the current work and its completed share (0 to
+            1).
 
         Raises
         ------
         InputError
-            If the point is far from the surface or cannot move, or the tool has no free path to it.
+            If the point is far from the surface or cannot move, or the tool has no free path to the
+            point.
         """
         if self.soft.prony is None and (speed_mm_s is not None or hold_s):
             given = "hold_s" if hold_s else "speed_mm_s"
@@ -396,7 +406,7 @@ class Organ:
         )
 
     def plot(self, **options: Any) -> Any:
-        """Show the parts, cut open, and the supports.
+        """Show the organ, cut open, with its parts and supports.
 
         `options` are options of ``pyvista.Plotter.show``.
         """
@@ -411,7 +421,7 @@ class Organ:
 
 @quiet_without_display()
 def plot_organ(organ: Organ, **options: Any) -> Any:
-    """Show an organ with a translucent outside, its parts and its supports.
+    """Show an organ with a translucent surface, its parts and its supports.
 
     Parameters
     ----------
@@ -426,7 +436,7 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     grid = organ.mesh
     names = list(organ.moduli_kPa)
     plotter = new_plotter(options)
-    # A single part needs no translucent outside to be seen.
+    # An organ with a single part needs no translucent surface.
     alone = len(names) == 1
     plotter.add_mesh(shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)
     for number, name in enumerate(names[1:], 1):

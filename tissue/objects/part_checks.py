@@ -47,7 +47,7 @@ def check_name(kind: str, given: object, *, argument: bool = False) -> None:
 
 
 def check_callable(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
-    """Refuse a part that is not callable, or a class without the required methods."""
+    """Refuse a part that is not callable, or a class that lacks a required method."""
     if not callable(part):
         raise InputError(
             f"{kind} {given}",
@@ -68,7 +68,7 @@ def check_callable(kind: str, given: str, part: object, methods: Sequence[str] =
 
 
 def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
-    """Refuse a half section that cannot be called with a tool's sizes."""
+    """Refuse a half-section function that cannot be called with the sizes of a tool."""
     known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
     for key in keys:
         if key not in known:
@@ -91,7 +91,9 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
 
 
 def check_parameters(kind: str, given: str, part: Any) -> None:
-    """Refuse parameters that are no subclass of `Part` whose kind is the name."""
+    """Refuse a class of parameters that is not a subclass of `Part`, or whose `kind` is not the
+    name.
+    """
     from tissue.scene.anatomy import Part
     from tissue.scene.part import kinds_of
 

@@ -40,7 +40,7 @@ def plot_columns(
 
     Returns
     -------
-    The panels, shape (panels,), one for each unit.
+    Axes, shape (panels,), one for each unit.
     """
     wanted = chosen_panels(trace, columns)
     if ax is not None and len(wanted) > 1:
@@ -53,7 +53,7 @@ def plot_columns(
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
         labels = [field_label(name)[0] for name in names]
-        # Only the three components of a vector have a size.
+        # Only the three components of a vector have a magnitude.
         if [label[-2:] for label in labels] == [" x", " y", " z"]:
             size = np.linalg.norm([trace[name] for name in names], axis=0)
             axes.fill_between(
@@ -71,12 +71,12 @@ def plot_columns(
 
 
 def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list[str]]:
-    """Return columns by their unit, by default force and torque.
+    """Return the columns to draw, grouped by unit; the default is force and torque.
 
     Raises
     ------
     InputError
-        If there is no such column, or it has no numbers.
+        If a column does not exist, or does not contain numbers.
     """
     asked: Sequence[str] = FORCE_AND_TORQUE
     if columns is not None:
@@ -100,7 +100,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
 
 
 def new_panels(count: int) -> "NDArray[np.object_]":
-    """Return stacked panels in a figure of pyplot, which a notebook shows."""
+    """Return stacked axes in a figure of pyplot, which a notebook shows."""
     from matplotlib import pyplot
 
     _, panels = pyplot.subplots(
@@ -127,23 +127,23 @@ def plot_figures(
     Parameters
     ----------
     lines
-        Value and figures of each run, by the label of its line.
+        Value and figures of each run, keyed by the label of the line.
     names
-        Figures to draw, one in a panel.
+        Names of the figures to draw, one in each panel.
     over
-        Key of the value.
+        Key of the swept value in the scene.
     title
-        Key of the lines; empty for a single line without a legend.
+        Key by which the lines differ; empty for a single line without a legend.
 
     Returns
     -------
-    The panels, shape (names,).
+    Axes, shape (names,).
     """
     from matplotlib import pyplot
 
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
-    # Inches for a panel, and for the legend above all.
+    # Heights in inches of a panel, and of the legend above all panels.
     size = 3.2 * columns, 2.4 * rows + 0.3
     chart, grid = pyplot.subplots(rows, columns, squeeze=False, figsize=size, layout="constrained")
     panels, empty = np.split(grid.ravel(), [len(names)])
@@ -177,6 +177,8 @@ def plot_figures(
 
 
 def _place_of(value: Any) -> float | str:
-    """Return a swept value as a place on an axis: a number, or a text for any other value."""
+    """Return the position of a swept value on an axis: a number, or a text if the value is not a
+    number.
+    """
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return value if is_number else str(value)

@@ -1,4 +1,4 @@
-"""Press of a tool on an organ: force over depth, the organ at the end, and its picture."""
+"""Press of a tool on an organ: force over depth, and the organ at the end of the press."""
 
 from __future__ import annotations
 
@@ -32,36 +32,39 @@ if TYPE_CHECKING:
 __all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
 
 SLOPE_SHARE = 0.1
-"""Share of the depth, at its end, over which the stiffness is computed: ten of 100 steps."""
+"""Last share of the depth, over which the stiffness is computed: ten of 100 steps."""
 FAR = 0.1
-"""Largest accepted distance of a point from the surface, over the organ's longest side.
+"""Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
-A point farther away is a mistake, such as of the unit; chosen.
+A point farther away is treated as a mistake, for example in the unit. The value is chosen.
 """
 NEAR_M = 1e-4
-"""Distance below which a point counts as on the surface [m]: the digits of a typed point."""
+"""Distance below which a point counts as lying on the surface [m], for points with rounded digits.
+"""
 TOOL_EDGES = 4.0
-"""Number of edges across a tool in scenes."""
+"""Number of edges across the tool that scenes use."""
 FALLS = 0.05
-"""Share by which the force may fall with depth, to allow for single steps of the contact."""
+"""Share by which the force may decrease with depth, because nodes enter the contact in steps."""
 LONG = 1.25
-"""Ratio of edge length to wanted length above which the edges are noted.
+"""Ratio of edge length to wanted length above which a note reports the edges.
 
-The error of a press is 4 % where edges are twice as long as wanted, and 0.1 % where they are not
-longer.
+The force error of a press is 4 % if the edges are twice as long as wanted, and 0.1 % if they have
+the wanted length.
 """
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
-"""Names of the caller's arguments, by the names that the press uses."""
+"""Names of the caller's arguments, keyed by the names that the press uses."""
 ACROSS = 7
-"""Number of points across the reach at which a loop searches for contact; chosen.
+"""Number of points along each side of the reach at which a loop searches for contact; chosen.
 
-Triangles near a point are found with a margin, so that the points need not be close.
+Triangles are searched with a margin around each point, so the points need not be close together.
 """
 LAW_INTERVAL_S = 0.025
-"""Time between two solves of a law in a loop [s], the default of `organ.law_interval_ms`."""
+"""Time between two solutions of a hyperelastic law in a loop [s], the default of
+`organ.law_interval_ms`.
+"""
 TOOL = (0.45, 0.48, 0.52)
 COLOURS = "YlOrRd"
-"""Colour map that is light where the displacement is small."""
+"""Colour map; small displacements are light."""
 MATTE: Any = {
     "show_edges": True,
     "edge_opacity": 0.2,
@@ -72,7 +75,7 @@ MATTE: Any = {
 
 
 class Moves(TypedDict):
-    """Motion of a press, as for `tissue.models.organ.press.press`."""
+    """Arguments that describe the motion of a press; see `tissue.models.organ.press.press`."""
 
     depth_m: float
     speed_m_s: float
@@ -82,19 +85,19 @@ class Moves(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """Press of a tool on an organ, made by `Organ.press`.
+    """Result of a press of a tool on an organ, returned by `Organ.press`.
 
-    Forces act on the tool, in the mesh's frame.
+    Forces act on the tool and are given in the frame of the mesh.
 
     Attributes
     ----------
     tool
-        Tool that pressed.
+        Tool of the press.
     at_mm, along
         Target point of the surface [mm] and unit direction of the tool's motion, shape (3,) each.
     notes
-        Notes on findings and assumptions, by subject. Read `linear` before using the force of a
-        deep press.
+        Notes on findings and assumptions, keyed by subject. Read the note `linear` before you use
+        the force of a deep press.
     """
 
     tool: PressingTool
@@ -131,7 +134,7 @@ class Press:
 
     @property
     def force_magnitude_N(self) -> float:
-        """Size of the force at the end [N]."""
+        """Magnitude of the force at the end [N]."""
         return float(np.linalg.norm(self.force_N))
 
     @property
@@ -146,7 +149,7 @@ class Press:
 
     @property
     def stiffness_N_mm(self) -> float:
-        """Slope of the force along the press over the last tenth of the depth [N/mm]."""
+        """Slope of the force along the press over depth, in the last tenth of the depth [N/mm]."""
         depth = self.depth_mm
         force = -self.forces_N @ self.along
         last = int(np.argmax(depth >= depth[-1]))
@@ -156,11 +159,11 @@ class Press:
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Organ at rest with its fields at the end of the press, in the mesh's frame [mm].
+        """Undeformed organ with the fields at the end of the press, in the frame of the mesh [mm].
 
         The point arrays are ``displacement_mm`` and ``reaction_N``. The cell arrays are
-        ``von_mises_kPa``, ``principal_stress_kPa``, ``strain_percent`` and ``part``, which is an
-        index into the field ``part_names``.
+        ``von_mises_kPa``, ``principal_stress_kPa``, ``strain_percent`` and ``part``. The array
+        ``part`` holds indices into the field array ``part_names``.
         """
         grid = grid_of(self._mesh)
         for name, values in self._curve.frame.points.items():
@@ -175,15 +178,15 @@ class Press:
         Parameters
         ----------
         options
-            ``scalars``, another field of `mesh`, and options of ``pyvista.Plotter.show``, such as
-            ``screenshot``.
+            ``scalars``, the name of another field of `mesh`; and options of
+            ``pyvista.Plotter.show``, such as ``screenshot``.
         """
         return plot_press(self, **options)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table with a row per step: depth, force and contact area.
+        """Return a table with depth, force and contact area, one row per step.
 
-        Units are in the names.
+        The column names contain the units.
 
         Raises
         ------
@@ -206,7 +209,7 @@ class Press:
 
     @property
     def tool_mesh(self) -> pyvista.PolyData:
-        """Tool at the end of the press [mm]."""
+        """Surface of the tool at the end of the press [mm]."""
         place = np.eye(4)
         place[:3, :3] = self._curve.rotation
         place[:3, 3] = self.tip_mm
@@ -253,15 +256,15 @@ def press_at(
     at_m
         The given point [m], shape (3,).
     along
-        Direction of the tool's motion, shape (3,). None is into the organ, against the mean normal
-        under the tool.
+        Direction of the tool's motion, shape (3,). None means into the organ, opposite to the mean
+        normal under the tool.
     moves
         Depth, speed, holding time and progress, as for `tissue.models.organ.press.press`.
 
     Raises
     ------
     InputError
-        If the point is far from the surface, the direction leads out of the organ, or the tool has
+        If the point is far from the surface, the direction points out of the organ, or the tool has
         no free path.
     """
     from tissue.models.organ.press import press
@@ -297,13 +300,13 @@ def press_at(
 
 
 def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
-    """Refuse a press whose force falls with depth.
+    """Refuse a press whose force decreases with depth.
 
-    The surface has then wrapped around the tool, which the linear law does not model.
+    In such a press the surface wraps around the tool, which the linear law does not model.
     """
     size = np.linalg.norm(curve.force_N, axis=1)
     falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
-    # The force of tissue that relaxes may fall, too.
+    # The force also decreases in tissue that relaxes.
     if relaxes or not (falls.size or not size.any()):
         return
     most = (
@@ -325,7 +328,7 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, s
     corners = mesh.nodes_m[mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
     radius = probe.size_m[0]
-    # Triangles under the middle of the tool, at least the nearest one.
+    # Triangles under the middle of the tool; at least the nearest triangle is used.
     chosen = corners[near <= max(0.5 * radius, float(near.min()))]
     edge = float(np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max())
     wanted = 2.0 * radius / TOOL_EDGES
@@ -338,7 +341,9 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, s
 
 
 def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
-    """Return a note on the depth to which the linear law holds; it is known only for balls."""
+    """Return a note on the depth up to which the linear law is valid; this depth is known only for
+    balls.
+    """
     from tissue.models.organ.model import LINEAR_ERROR
 
     if not isinstance(probe, SphereProbe):
@@ -367,7 +372,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     press
         The press.
     scalars
-        Field of its mesh for the colour; for a vector its length.
+        Field of the mesh that sets the colour. For a vector field the magnitude is shown.
     options
         Options of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are
         passed to the plotter.
@@ -375,7 +380,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     Raises
     ------
     InputError
-        If the mesh has no such field.
+        If the mesh does not have this field.
     """
     from matplotlib import colormaps
 
@@ -415,8 +420,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
     middle = np.asarray(moved.center)
     size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
-    # Seen from the cut side and from above, at twice the size of the body: the whole of it is in
-    # view.
+    # The camera looks from the cut side and from above, at a distance that shows the whole body.
     plotter.camera_position = [
         middle + size * (1.9 * across - 0.5 * press.along),
         middle,
@@ -431,24 +435,25 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
 
 
 def _across(along: Any) -> Any:
-    """Return a direction perpendicular to a press, as close to -y as possible."""
-    # Nearly parallel directions leave no component across.
+    """Return the direction perpendicular to a press that is closest to -y."""
+    # A press nearly parallel to y leaves no usable perpendicular component of y.
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
     return first / np.linalg.norm(first)
 
 
 def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
-    """Return the surface of a body with outward normals that keep its edges."""
+    """Return the surface of a body with outward normals that show its edges as sharp."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
-    # 40 degrees: above the angles between triangles of a round surface, below those of an edge.
+    # 40 degrees is more than the angles between triangles of a round surface, and less than the
+    # angle at an edge.
     return surface.compute_normals(
         auto_orient_normals=True, split_vertices=True, feature_angle=40.0
     )
 
 
 def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter on white, and remove the plotter's options from those given."""
+    """Return a plotter with a white background, and remove its options from the given mapping."""
     import pyvista
 
     mine = {
@@ -464,7 +469,9 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
 ) -> LiverModel:
-    """Return an organ under a pressing tool, within `reach_m` around and below its start."""
+    """Return an organ that a tool can press within `reach_m` around and below the start of the
+    tool.
+    """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath
     from tissue.simulation.builders.organ import REGION

@@ -1,4 +1,4 @@
-"""Registration of user-defined parts by the names that scenes use: `tissue.register`."""
+"""Registration of user-defined parts under the names that scenes use: `tissue.register`."""
 
 import re
 import tomllib
@@ -54,30 +54,31 @@ F = TypeVar("F")
 
 
 class register:
-    """Registration of parts by name.
+    """Registration of user-defined parts by name.
 
-    Scenes, messages, the schema, charts and the stability check then accept the name.
+    After registration, scenes, messages, the schema, charts and the stability check accept the name
+    of the part.
 
-    Each function takes the class or function that makes a part, or without it returns a decorator.
-    A taken name and a part without a method that a run calls are refused. A registered part is
-    available in this process. An installed package offers parts to all processes by entry points,
-    in groups such as ``tissue.predictors``.
+    Each method takes the class or function that makes a part. Without this argument, it returns a
+    decorator. A name that is in use is refused, and so is a part that lacks a required method. A
+    registered part is available in this process. An installed package can offer parts to all
+    processes through entry points, in groups such as ``tissue.predictors``.
     """
 
     @staticmethod
     def tool(name: str, profile: F | None = None, *, keys: tuple[str, ...] = ()) -> Any:
-        """Register a rotating cutter by its half section.
+        """Register a rotating cutter that is defined by its half section.
 
         Parameters
         ----------
         name
             Value of ``tool.kind``.
         profile
-            Returns a `tissue.cutters.profile.Profile` from ``diameter_m`` and the sizes of `keys`,
-            in metres and radians: ``length_m`` for ``length_mm``, ``point_angle_rad`` for
-            ``point_angle_deg``.
+            Function that returns a `tissue.cutters.profile.Profile`. Its arguments are
+            ``diameter_m`` and the sizes of `keys`, in metres and radians: ``length_m`` for the key
+            ``length_mm``, ``point_angle_rad`` for the key ``point_angle_deg``.
         keys
-            Keys of the tool that define its shape in addition to its diameter.
+            Keys in a scene's `tool` table that define the shape in addition to the diameter.
         """
 
         def entry(part: Any) -> CutterEntry:
@@ -96,7 +97,8 @@ class register:
     def needle(name: str, make: F | None = None) -> Any:
         """Register a needle.
 
-        ``make(walls=...)`` returns its `NeedleTissue`; ``walls`` are the scene's membranes.
+        ``make(walls=...)`` returns the `NeedleTissue` that the needle pierces; ``walls`` are the
+        membranes of the scene.
         """
 
         return _added("needle", name, make, NEEDLES)
@@ -115,7 +117,7 @@ class register:
             Parameters of the motion in a scene: a subclass of `tissue.scene.anatomy.Part` whose
             ``kind`` is the name.
         make
-            Makes a motion from these parameters, for ticks of `step_s` seconds.
+            Function that makes a motion from these parameters, for ticks of `step_s` seconds.
         """
 
         def entry(part: Any) -> MotionEntry:
@@ -148,10 +150,10 @@ class register:
             Parameters of the tissue in a scene: a subclass of `tissue.scene.anatomy.Part` whose
             ``kind`` is the name.
         build
-            Returns `tissue.simulation.builders.parts.Parts`, with a
+            Function that returns `tissue.simulation.builders.parts.Parts`, which contains a
             `tissue.models.tissue_model.TissueModel`.
         tool
-            Class of the tools that the tissue meets: ``Tool``, ``Probe`` or ``Needle`` of
+            Class of the tools for this tissue: ``Tool``, ``Probe`` or ``Needle`` of
             `tissue.scene.tool`.
         force_N, pictures, faces
             See `tissue.scene.registry.AnatomyEntry`.
@@ -176,14 +178,14 @@ class register:
         name
             Value of ``device``.
         numbers
-            Values of `tissue.haptics.device.device.DeviceParameters` in SI for the stability check,
-            at least ``mass_kg`` and ``damping_N_s_m``.
+            Values of `tissue.haptics.device.device.DeviceParameters` in SI units for the stability
+            check; ``mass_kg`` and ``damping_N_s_m`` are required.
         make
-            Opens the device that `tissue.simulate` and ``tissue run`` then hold. It is called with
-            the position [m] at which the tool starts in the scene, and returns a
-            `tissue.haptics.device.device.Device`. Without it, and where charts, studies and
-            training run many trials, the scene's hand holds a simulated device with these
-            parameters.
+            Function that opens the device for `tissue.simulate` and ``tissue run``. It is called
+            with the position [m] at which the tool starts in the scene, and returns a
+            `tissue.haptics.device.device.Device`. Without this function, the simulated hand of the
+            scene holds a simulated device with these parameters. The same applies to the runs of
+            charts, studies and training.
 
         Returns
         -------
@@ -208,7 +210,10 @@ class register:
 
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
-        """Register a hand by values of `HandParameters` in SI; a known hand has the others."""
+        """Register a simulated hand by values of `HandParameters` in SI units.
+
+        Values that are not given are those of the hand `like`.
+        """
         from tissue.haptics.hand.hand import HandParameters
 
         check_name("hand", name)
@@ -216,9 +221,10 @@ class register:
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """Register a rendering law with `render` and `pause`; ``make(loop)`` takes a `WallLoop`.
+        """Register a rendering law, which has methods `render` and `pause`; ``make(loop)`` takes a
+        `WallLoop`.
 
-        The stability check uses ``loop.stiffness_N_m`` and does not detect a stiffer law.
+        The stability check uses ``loop.stiffness_N_m``. It does not detect that a law is stiffer.
         """
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
@@ -231,18 +237,19 @@ class register:
         colour: str = PredictorEntry.colour,
         marker: str = PredictorEntry.marker,
     ) -> Any:
-        """Register a predictor of the force: a class with `observe` and `predict`.
+        """Register a predictor of the force: a class with the methods `observe` and `predict`.
 
-        See `tissue.prediction.guard`. The predictor runs under the guard, which holds the last
-        force where holding has the smaller error. The stability check includes the predictor.
+        The predictor runs under the guard, which repeats the last force while that has the smaller
+        error; see `tissue.prediction.guard`. The stability check includes the predictor.
 
         Parameters
         ----------
         name
             Value of ``prediction``.
         make
-            Called without arguments, or with the `tissue.prediction.trained.Trained` that ``tissue
-            train`` wrote for the scene.
+            Class or function that makes the predictor. It is called without arguments; if `trained`
+            is set, with the `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the
+            scene.
         trained
             Whether `make` takes a `Trained`.
         colour, marker
@@ -261,24 +268,24 @@ class register:
 
     @staticmethod
     def perception(name: str, make: F | None = None) -> Any:
-        """Register a perception, which maps forces for a person.
+        """Register a perceptual map, which changes the forces for a person.
 
         ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`. A name
-        such as ``share:NUMBER`` matches all texts with an argument after the colon.
+        such as ``share:NUMBER`` matches any text after the colon, which is passed as ``argument``.
         """
         return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 
     @staticmethod
     def offered(kind: str, name: str, load: Callable[[], Any]) -> None:
-        """Register the part that an entry point of an installed package names.
+        """Register the part that an entry point of an installed package offers.
 
-        If importing the part already registers it, as a decorator does, nothing is added. A name
-        that a call has registered keeps its part.
+        Nothing is added if the import of the part already registers it, for example by a decorator,
+        or if the program has already registered another part under this name.
 
         Raises
         ------
         InputError
-            If the name is built in, or the part cannot be registered.
+            If the name belongs to a built-in part, or the part cannot be registered.
         """
         tables = TABLES[kind]
         if any(name in table.built_in for table in tables):
@@ -299,14 +306,17 @@ class register:
     def material(file: str | Path) -> tuple[str, ...]:
         """Register the materials of a TOML file and return their names.
 
-        The tables are ``[cutting.NAME.CONSTANT]`` for cutting and ``[soft...]`` for organs. Each
-        constant has value, range, source and confidence, as in `tissue/materials`.
+        The tables of the file are ``[cutting.NAME.CONSTANT]`` for cutting and ``[soft...]`` for
+        organs. Each constant has value, range, source and confidence, as in the files of
+        `tissue/materials`.
         """
         return _add_materials(Path(file))
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """Register the scene of a TOML file by its name, for `load_scene` and the command."""
+        """Register the scene of a TOML file under its name, for `load_scene` and the command
+        ``tissue``.
+        """
         path = Path(file).resolve()
         name = _scene_name(path)
         SCENES.add(name, path)
@@ -321,7 +331,7 @@ def _added(
     entry: Callable[[Any], Any] = lambda part: part,
     methods: tuple[str, ...] = (),
 ) -> Any:
-    """Check a part and add its entry to a table; without a part, return a decorator."""
+    """Validate a part and add its entry to a table; without a part, return a decorator."""
 
     def add(each: Any) -> Any:
         check_name(kind, name, argument=kind == "perception")
@@ -335,11 +345,13 @@ def _added(
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every soft material has."""
 CAPSULE = "_capsule"
-"""End of the name of a capsule, which lies on an organ and is no organ's material."""
+"""End of the names of capsule materials; a capsule is a membrane on an organ, and no organ consists
+of it.
+"""
 
 
 def _scene_name(path: Path) -> str:
-    """Return the name in a scene's file; refuse a name that is taken."""
+    """Return the name in a scene file; refuse a name that is in use."""
     from tissue.scene.load import library_names
 
     found = _table(path, "scene").get("name")
@@ -356,7 +368,7 @@ def _scene_name(path: Path) -> str:
 
 
 def _add_materials(path: Path) -> tuple[str, ...]:
-    """Add the materials of a file: all of them, or none if one is refused."""
+    """Add all materials of a file, or no material if one of them is refused."""
     found = _table(path, "material")
     if not found or any(table not in ("cutting", "soft") for table in found):
         raise InputError(
@@ -379,7 +391,7 @@ def _add_materials(path: Path) -> tuple[str, ...]:
 
 
 def _require_material(path: Path, table: str, material: str, entries: dict[str, Entry]) -> None:
-    """Refuse a material whose name is taken, or that lacks a constant or its source."""
+    """Refuse a material whose name is in use, or that lacks a constant or a source."""
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
         known = ", ".join(listed(table))

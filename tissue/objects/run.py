@@ -1,4 +1,4 @@
-"""Run with its plots, 3D view and bands: `tissue.Run`."""
+"""Run with plots, 3D view and uncertainty bands: `tissue.Run`."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -31,12 +31,12 @@ __all__ = ["Run", "assessed_run", "open_run", "report"]
 
 
 class Run(engine.Run):
-    """Run, as returned by `tissue.simulate` or read by `Run.load`.
+    """Simulated run, returned by `tissue.simulate` or read by `Run.load`.
 
     Parameters
     ----------
     simulated
-        Run of the engine.
+        Run of the simulation engine, without plots and views.
 
     Attributes
     ----------
@@ -54,43 +54,44 @@ class Run(engine.Run):
 
     @cached_property
     def trace(self) -> Trace:
-        """Trace with one row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        """Trace with one row per tick; columns are keyed by name: ``run.trace["force_z_N"]``."""
         return Trace(super().trace)
 
     @cached_property
     def timing(self) -> Trace:
-        """Duration of each tick and its stages [µs], by name: ``run.timing["tick_us"]``."""
+        """Duration of each tick and its stages [µs], keyed by name: ``run.timing["tick_us"]``."""
         return Trace(super().timing)
 
     @property
     def summary(self) -> Summary:
         """Figures of the run, as in ``summary.json``.
 
-        They include volumes by layer, forces, cost of the ticks and the band.
+        The figures include the volume removed from each layer, forces, the time of the ticks, and
+        the uncertainty band if there is one.
         """
         return super().summary | ({} if self._band is None else {"band": self._band.summary})
 
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
-        """Return the tissue as a pyvista data set, in the scene's frame in mm.
+        """Return the tissue as a pyvista data set, in the frame of the scene [mm].
 
-        Voxels: an image with the cell arrays start and remaining (255 = full), layer,
-        density_kg_m3. Voxels that are less than half full are hidden by the cell array
-        ``vtkGhostType``, so ``run.dataset().plot()`` shows the bone. Elements: the mesh of the last
-        frame with its fields.
+        For a tissue of voxels, it is an image with the cell arrays ``start`` and ``remaining`` (255
+        = full), ``layer`` and ``density_kg_m3``. The cell array ``vtkGhostType`` hides voxels that
+        are less than half full, so ``run.dataset().plot()`` shows the bone. For a tissue of finite
+        elements, it is the mesh of the last frame with its fields.
 
         Raises
         ------
         InputError
-            If the tissue has neither voxels nor elements.
+            If the tissue has neither voxels nor finite elements.
         """
         from tissue.objects.show import with_empty_hidden
 
         return with_empty_hidden(super().dataset())
 
     def surface(self) -> "pyvista.PolyData":
-        """Return the surface of the carved bone [mm].
+        """Return the surface of the bone after the run [mm].
 
-        It has the point array ``removed_depth_mm`` and the cell array ``layer``.
+        The surface has the point array ``removed_depth_mm`` and the cell array ``layer``.
 
         Raises
         ------
@@ -110,7 +111,10 @@ class Run(engine.Run):
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run's folder and its band; see `tissue.simulation.run.Run.save`."""
+        """Write the run, and its uncertainty band if there is one, to a folder.
+
+        See `tissue.simulation.run.Run.save`.
+        """
         path = super().save(
             out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress
         )
@@ -120,16 +124,17 @@ class Run(engine.Run):
         return path
 
     def _save_band(self, path: Path | None, pictures: bool | str) -> None:
-        """Write the band into a folder of the run, if both exist."""
+        """Write the uncertainty band into the folder of the run, if both exist."""
         if self._band is not None and path is not None:
             from tissue.fitting.bands.band import save_band
 
             save_band(self._band, path, kind=picture_format(pictures))
 
     def _folder(self) -> Path:
-        """Return a folder with this run's files.
+        """Return a folder that contains the files of this run.
 
-        It is the run's own folder, or a temporary one if that holds another run by now.
+        It is the folder of the run; or a temporary folder, if the run was not saved or its folder
+        holds another run by now.
         """
         if self._saved is not None:
             return self._saved.path
@@ -143,24 +148,25 @@ class Run(engine.Run):
     def plot(
         self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None
     ) -> "NDArray[np.object_]":
-        """Plot columns of the trace over time, with the run's events.
+        """Plot columns of the trace over time, with the events of the run.
 
         Parameters
         ----------
         columns
-            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; default force and torque
-            on the tool. Columns of one unit share a panel.
+            Names of columns, such as ``["removed_mm3", "contact_mm2"]``; default force and torque
+            on the tool. Columns with the same unit share a panel.
         ax
-            Axes of matplotlib to draw on, for columns of one unit; default axes in a new figure.
+            Axes of matplotlib to draw on, if all columns have the same unit; default axes in a new
+            figure.
 
         Returns
         -------
-        The panels, shape (panels,); ``run.plot()[0].figure`` is the figure.
+        Axes, shape (panels,). ``run.plot()[0].figure`` is the figure.
 
         Raises
         ------
         InputError
-            If there is no such column.
+            If a column does not exist.
         """
         from tissue.objects.plots import plot_columns
 
@@ -176,35 +182,36 @@ class Run(engine.Run):
         interactive: bool | None = None,
         screenshot: str | Path | None = None,
     ) -> Any:
-        """Show the run in 3D: bone or fields, the tool on its path, and its force.
+        """Show the run in 3D: bone or fields, the tool, its path and its force.
 
         Parameters
         ----------
         time_s
-            Moment to show [s]; default the moment of the largest force.
+            Time to show [s]; default the time of the largest force.
         field
-            Field in place of the bone, such as ``von_mises_MPa``.
+            Field to show instead of the bone, such as ``von_mises_MPa``.
         hide
-            Layers to leave out.
+            Names of layers that are not shown.
         scale
-            Factor of the drawn displacement.
+            Factor by which the drawn displacement is multiplied.
         interactive
             Whether the view can be rotated with the mouse. In a notebook this needs the extra
-            ``notebook``; in a script it needs a display for a window, as `tissue view` opens it.
-            The default is an interactive view wherever it is possible.
+            ``notebook``. In a script it needs a display, and opens the window of `tissue view`. The
+            default is an interactive view where this is possible.
         screenshot
             PNG file to write; an existing one is replaced.
 
         Returns
         -------
-        A still picture, which a notebook shows, with its pixels as ``array``. An interactive view
-        in a notebook. None for a window, after it was closed.
+        In a notebook, an interactive view. In a script with a display, None, after the
+        window was closed. Otherwise a still picture, which a notebook shows; ``array`` contains its
+        pixels.
 
         Raises
         ------
         InputError
-            If there is nothing to show, no such layer, field or moment, no display, or 3D cannot be
-            drawn.
+            If there is nothing to show; if a layer, the field or the time does not exist; if there
+            is no display; or if this machine cannot draw in 3D.
         """
         from tissue.objects.show import show_folder
 
@@ -225,35 +232,39 @@ class Run(engine.Run):
         pictures: bool | str = True,
         progress: Bar = None,
     ) -> "Band":
-        """Compute loads and figures over the ranges of the constants; see docs/guide/bands.md.
+        """Compute the uncertainty band of loads and figures from the ranges of the constants.
+
+        See docs/guide/bands.md.
 
         Parameters
         ----------
         samples
-            Samples of the constants, rounded up to a power of two; None reads an existing band.
+            Number of samples of the constants, rounded up to a power of two. None reads an existing
+            band.
         seed
             Seed of the samples; default the seed of the scene.
         workers
-            Processes that run samples in parallel, if each sample is a run, as for a needle. A
-            script that uses several must begin below ``if __name__ == "__main__":``.
+            Number of processes that run samples in parallel. It has an effect only if each sample
+            is a run, as for a needle. A script that uses several processes must have its statements
+            below ``if __name__ == "__main__":``.
         scheduler
-            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers
-            run samples instead.
+            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run
+            the samples instead of processes on this machine.
         each_run
-            Run every sample even where reweighting the loads would suffice, so that temperature and
-            stress have bands too.
+            Whether to run every sample even if it would suffice to reweight the loads of one run.
+            Temperature and stress then have bands too.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
-            Whether pictures are drawn, or their format, png, svg or pdf. The band of a saved run is
-            written into its folder; the band of another run is written when the run is saved.
+            Whether to draw pictures, or their format: png, svg or pdf. The band of a saved run is
+            written into the folder of the run. The band of another run is written when the run is
+            saved.
 
         Raises
         ------
         InputError
-            If there is no band to read, or no band can be made: no constant has a range, the number
-            of samples is not from 16 to 65536, more than a tenth of the samples fail, or the run
-            was stopped early.
+            If there is no band to read, no constant has a range, the number of samples is not from
+            16 to 65536, more than a tenth of the samples fail, or the run was stopped early.
         """
         if samples is None:
             if self._band is None:
@@ -286,7 +297,7 @@ class Run(engine.Run):
         return made
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the trace as a table, one row a tick, with the scene's name in ``attrs``.
+        """Return the trace as a table, one row per tick, with the name of the scene in ``attrs``.
 
         See `Trace.to_pandas`.
         """
@@ -295,7 +306,7 @@ class Run(engine.Run):
         return table
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the trace over ``time_s``, with the scene's name in ``attrs``.
+        """Return the trace over ``time_s``, with the name of the scene in ``attrs``.
 
         See `Trace.to_xarray`.
         """
@@ -316,12 +327,12 @@ class Run(engine.Run):
 
 
 def open_run(path: str | Path) -> Run:
-    """Read a run from its folder, as `Run.load`."""
+    """Read a run from its folder; see `Run.load`."""
     return Run.load(path)
 
 
 def assessed_run(run: Run | str | Path) -> "AssessedRun":
-    """Return the data of a run, or of the run in a folder, that an assessment reads."""
+    """Return the data that an assessment needs, from a run or from the folder of a run."""
     from tissue.evaluation.assessment import AssessedRun
 
     run = run if isinstance(run, Run) else Run.load(run)
@@ -339,32 +350,33 @@ def report(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a run as one HTML file that needs no network.
+    """Write a report on a run as one HTML file that needs no network.
 
-    It shows figures, forces, and the bone or organ in 3D over time.
+    The report shows figures and forces of the run, and the bone or organ in 3D over time.
 
     Parameters
     ----------
     run
-        Run, or the folder that it was saved to.
+        Run, or the folder of a saved run.
     out
         HTML file to write; default ``report.html`` in the run's folder.
     against
-        Reference run, or its folder: the report then contains the assessment of `tissue.assess`.
+        Reference run, or its folder. If it is given, the report contains the assessment of
+        `tissue.assess`.
     overwrite
-        Replace an existing file.
+        Whether to replace an existing file.
     progress
-        Called with the present work.
+        Function that is called with the name of the current work.
 
     Returns
     -------
-    The file.
+    Path of the file.
 
     Raises
     ------
     InputError
-        If ``out`` is missing for a run that was not saved, the folder holds no run or damaged
-        files, the file exists, or the reference is of another task.
+        If ``out`` is not given for a run that was not saved, the folder holds no run or damaged
+        files, the file exists, or the reference run belongs to another task.
     """
     from tissue.evaluation.assessment_files import assessed_section
     from tissue.show.report.report import NAME, write_report

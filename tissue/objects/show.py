@@ -1,4 +1,4 @@
-"""Run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
+"""3D view of a run: a window in a script, an interactive view in a notebook, or a still picture."""
 
 import warnings
 from contextlib import suppress
@@ -22,9 +22,9 @@ __all__ = ["Picture", "show_folder", "with_empty_hidden"]
 
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
-"""Modules of pyvista for interactive views in a notebook: the extra ``notebook``.
+"""Modules of pyvista for interactive views in a notebook, from the extra ``notebook``.
 
-The first is used by pyvista 0.49, the second by older versions.
+pyvista 0.49 uses the first module, older versions the second one.
 """
 
 
@@ -39,11 +39,13 @@ def is_interactive() -> bool:
 
 
 WIDE_PX = 800
-"""Largest width of a picture in a notebook [px]."""
+"""Largest width of a picture in a notebook [pixels]."""
 
 
 class Picture:
-    """Still picture: a notebook shows it, ``array`` has its pixels, `save` writes it.
+    """Still picture, which a notebook shows.
+
+    ``array`` contains the pixels, and `save` writes the picture to a file.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ class Picture:
 
     @property
     def array(self) -> Bytes:
-        """Red, green and blue of its pixels, 0 to 255, shape (height, width, 3)."""
+        """Red, green and blue of the pixels, 0 to 255, shape (height, width, 3)."""
         from matplotlib.image import imread
 
         return np.rint(255.0 * imread(BytesIO(self._png), format="png")[..., :3]).astype(np.uint8)
@@ -77,14 +79,14 @@ class Picture:
 
 GHOSTS = "vtkGhostType"
 HIDDEN = 32
-"""Cell array by which VTK hides cells, and its bit for hidden ones.
+"""Cell array with which VTK hides cells, and the bit of hidden cells in this array.
 
-The bit is vtkDataSetAttributes::HIDDENCELL.
+The bit is ``vtkDataSetAttributes::HIDDENCELL``.
 """
 
 
 def with_empty_hidden(data: Any) -> Any:
-    """Hide voxels that are less than half full from filters and pictures.
+    """Hide voxels that are less than half full, so filters and pictures ignore these voxels.
 
     A mesh is returned unchanged.
     """
@@ -98,7 +100,7 @@ def with_empty_hidden(data: Any) -> Any:
 def show_folder(
     folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None
 ) -> Any:
-    """Show the run of a folder with the chosen moment, field, layers and scale.
+    """Show the run of a folder with the chosen time, field, layers and scale.
 
     See `tissue.objects.run.Run.show`.
     """
@@ -107,7 +109,7 @@ def show_folder(
 
     notebook = in_notebook()
     if interactive is None:
-        # A window needs a display, and a notebook the packages of its viewer.
+        # A window needs a display, and a notebook needs the packages of the interactive view.
         interactive = screenshot is None and (
             is_interactive() if notebook else display_problem() is None
         )
@@ -134,7 +136,7 @@ def show_folder(
 
 
 def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
-    """Return the interactive view of a notebook, drawn by this process."""
+    """Return the interactive view for a notebook; this process draws it."""
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.window import Window
     from tissue.simulation.run_folder import SavedRun

@@ -1,4 +1,4 @@
-"""Simulation of a scene: `tissue.simulate`, which `tissue run` calls too."""
+"""Simulation of a scene: `tissue.simulate`, which `tissue run` also calls."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -45,34 +45,35 @@ def simulate(
     compute
         Warp device, ``cpu`` or ``cuda:0``.
     cores
-        Processor cores to use; default all. The trace does not depend on it.
+        Processor cores to use; default all. The trace does not depend on their number.
     out
-        Folder that receives the trace during the run, so a killed run keeps its rows. Without it
-        the run stays in memory until `Run.save`.
+        Folder that receives the trace during the run, so the rows are kept if the process is
+        killed. Without a folder the run stays in memory until `Run.save` is called.
     overwrite
-        Replace a run that ``out`` already holds.
+        Whether to replace a run that ``out`` already holds.
     progress
-        Whether to show a bar, or a function called with the present work and its share; default a
-        bar in a notebook.
+        Whether to show a progress bar, or a function that is called with the name of the current
+        work and its completed share. The default is a bar in a notebook.
     allow_unstable
-        Whether to run a device even if its coupling is judged unstable.
+        Whether to run a device even if the check predicts that its coupling is unstable.
     max_memory_GB
         Memory that a file of the scene may take [GB]; default half of the free memory.
     device
-        Device to use instead of the scene's device, within the limits of the scene's device;
-        default a simulated device or a registered real one. See
-        `tissue.simulation.simulate.simulate`.
+        Device object to use instead of the device that the scene names; the limits of the scene's
+        device apply to it. The default is a simulated device, or the real device that was
+        registered for the name. See `tissue.simulation.simulate.simulate`.
     on_tick
-        Called after every tick of 1 ms with its number and its row of the trace, a mapping from
-        column to value; the run ends if it returns False. Its duration adds to the time between two
-        ticks. A `tissue.simulation.simulate.RunObserver` is called at the start and the end too.
+        Function that is called after every tick of 1 ms with the number of the tick and its row of
+        the trace, a mapping from column to value. The run ends if the function returns False. The
+        duration of the function is added to the time between two ticks. A
+        `tissue.simulation.simulate.RunObserver` is also called at the start and at the end.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, the scene cannot be built, the tool never touches, a
-        device's coupling is unstable, or ``out`` holds another run. If the device fails, the error
-        is a `DeviceError`.
+        If a key has no effect in the scene, the scene cannot be built, the tool never touches the
+        tissue, the coupling of a device is unstable, or ``out`` holds another run. If the device
+        fails, the error is a `DeviceError`.
     """
     observer = OnTick(on_tick) if callable(on_tick) else on_tick
     with memory_limit(max_memory_GB), reporting(progress) as report:
@@ -82,7 +83,7 @@ def simulate(
         prioritised = None
         played_on = device.device if isinstance(device, SafeDevice) else device
         if getattr(played_on, "real_time", False):
-            # A real device needs ticks on time; other runs go as fast as they can.
+            # A real device needs ticks on time. Other runs are as fast as possible.
             prioritised = Prioritised()
             observer = Observers(prioritised, observer or RunObserver(), Paced())
         run = engine.simulate(
@@ -109,7 +110,7 @@ def simulate_live(
     max_memory_GB: float | None = None,
     **settings: Unpack[RunSettings],
 ) -> Run:
-    """Simulate a scene in real time, in a window, in a browser or with a device.
+    """Simulate a scene in real time: in a window, in a browser or with a device.
 
     Parameters
     ----------
@@ -132,7 +133,9 @@ def simulate_live(
 
 
 def _with_fidelity(scene: Scene, report: Progress) -> tuple[Scene, dict[str, str]]:
-    """Return the scene with the settings that meet its requirement, and the note on them."""
+    """Return the scene with settings that meet its fidelity requirement, and a note on these
+    settings.
+    """
     if scene.fidelity is None:
         return scene, {}
     from tissue.evaluation.charts.frontier import with_fidelity
@@ -142,7 +145,7 @@ def _with_fidelity(scene: Scene, report: Progress) -> tuple[Scene, dict[str, str
 
 
 def _shown(run: runs.Run, notes: dict[str, str]) -> Run:
-    """Return a finished run for users, with its notes and its pictures."""
+    """Return a finished run as a `tissue.Run`, with its notes and pictures."""
     run.parts.notes |= notes
     run.draw = draw_pictures
     return Run(run)

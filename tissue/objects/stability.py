@@ -1,4 +1,4 @@
-"""Stability of a wall on a haptic device, predicted and simulated: `tissue.stability`."""
+"""Stability of a virtual wall on a haptic device, predicted and simulated: `tissue.stability`."""
 
 from dataclasses import dataclass
 
@@ -27,9 +27,9 @@ __all__ = [
 def wall_loop(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None
 ) -> WallLoop:
-    """Return the loop that holds a device against a rigid wall.
+    """Return the loop of a device that a hand holds against a rigid virtual wall.
 
-    ``dataclasses.replace`` changes its tick, delay and so on.
+    Use ``dataclasses.replace`` to change the tick, the delay and other fields of the loop.
 
     Parameters
     ----------
@@ -38,29 +38,30 @@ def wall_loop(
     stiffness_N_m
         Stiffness of the wall [N/m].
     hand
-        Hand that holds the device: novice, intermediate, expert or a registered one; None for no
-        hand. Its reflex is left out, see `reflex_N_m` and `reflex_s` of `WallLoop`.
+        Hand that holds the device: ``novice``, ``intermediate``, ``expert`` or a registered hand;
+        None for no hand. The reflex of the hand is not included; see `reflex_N_m` and `reflex_s` of
+        `WallLoop`.
 
     Raises
     ------
     InputError
-        If device or hand is unknown, or the stiffness is out of range.
+        If the device or the hand is unknown, or the stiffness is out of range.
     """
     loop = _numbers(device).loop(stiffness_N_m)
     return loop if hand is None else in_hands(loop, [hand_parameters(hand).grip[:3]])[0]
 
 
 def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
-    """Compute the growth of a perturbation between 45 and 85 % of a run of the loop.
+    """Compute the growth factor of a perturbation between 45 and 85 % of a run of the loop.
 
-    Above 1 the perturbation grows, below 1 it decays.
+    If the factor is above 1, the perturbation grows; if it is below 1, the perturbation decays.
 
     Parameters
     ----------
     loop
-        Loop from `wall_loop`; it runs as on a device, sample by sample.
+        Loop from `wall_loop`. It is simulated sample by sample, as on a device.
     seconds
-        Length of the run [s].
+        Duration of the run [s].
     """
     ticks = round(seconds / loop.tick_s / loop.model_ticks) * loop.model_ticks
     return float(growth_while_running([loop], np.array([loop.stiffness_N_m]), ticks=ticks)[0])
@@ -68,13 +69,13 @@ def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
 
 @dataclass(frozen=True)
 class Knock(WallRun):
-    """Record of a hand on the wall z = 0, tick by tick.
+    """Motion of a hand on the wall z = 0, tick by tick.
 
     Attributes
     ----------
     given_J
-        Total energy from the motors to the hand, lag included [J]; negative if the motors absorbed
-        energy.
+        Total energy that the motors delivered to the hand, with the lag of the motors [J]. It is
+        negative if the motors absorbed energy.
     """
 
     given_J: float
@@ -83,17 +84,18 @@ class Knock(WallRun):
 def knock(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str
 ) -> Knock:
-    """Simulate a hand that holds a device on a wall and is jerked off it.
+    """Simulate a hand that holds a device on a virtual wall and is pulled off the wall.
 
     The hand holds the device 5 mm deep. After 0.8 s a force of 2 N pulls it off the wall for 20 ms.
-    The hand has neither noise nor tremor, so any motion after the jerk comes from the loop.
+    The hand has neither noise nor tremor, so any motion after the pull comes from the loop.
 
     Parameters
     ----------
     device, stiffness_N_m, hand
         As for `wall_loop`.
     renderer
-        Law by which the wall is played: penalty, passivity, proxy or a registered one.
+        Law with which the wall is rendered: ``penalty``, ``passivity``, ``proxy`` or a registered
+        law.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Comparison of force rendering methods over many simulated trials: `tissue.study`.
 
-The command `tissue study run` does the same.
+The command `tissue study run` calls these functions.
 """
 
 from pathlib import Path
@@ -16,9 +16,10 @@ __all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]
 def register(plan: Plan, out: str | Path) -> StudyFolder:
     """Register a plan before its first trial.
 
-    ``plan.toml`` holds measures, tests, exclusions, seeds and power.
+    Write ``plan.toml``, which contains measures, tests, exclusions, seeds and power.
 
-    `run` registers the plan if this was not done. A plan that was edited since is refused.
+    `run` registers the plan if it is not registered yet. A plan that was edited after registration
+    is refused.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ def register(plan: Plan, out: str | Path) -> StudyFolder:
     Raises
     ------
     InputError
-        If the folder holds another study, or a plan that was edited.
+        If the folder holds another study, or a plan that was edited after registration.
     """
     folder = StudyFolder(Path(out))
     folder.begin(plan)
@@ -45,36 +46,36 @@ def run(
     retry: bool = False,
     progress: Progress | None = None,
 ) -> StudyFolder:
-    """Run the trials of a plan that its folder does not hold yet.
+    """Run the trials of a plan that are not yet in the folder of the study.
 
-    ``.table("T2")`` of the result has the figures.
+    The method ``table("T2")`` of the result returns the figures of task T2.
 
-    Call it under ``if __name__ == "__main__":`` in a script, because its worker processes import
-    the script.
+    In a script, call this function under ``if __name__ == "__main__":``, because the worker
+    processes import the script.
 
     Parameters
     ----------
     plan
         Plan of the study.
     out
-        Folder of the study; a study that is partly done is continued.
+        Folder of the study. A study that is partly done is continued.
     workers
-        Number of processes; default one a core. The figures do not depend on it.
+        Number of processes; default one per core. The figures do not depend on this number.
     retry
         Whether to run failed trials again.
     progress
-        Called with the present work and its completed share.
+        Function that is called with the name of the current work and its completed share.
 
     Raises
     ------
     InputError
-        If the folder holds another study, or workers are lost repeatedly.
+        If the folder holds another study, or worker processes end unexpectedly again and again.
     """
     return run_study(plan, Path(out), workers=workers, retry=retry, report=progress or silent)
 
 
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan; its figures equal the study's to the last bit.
+    """Run one trial of a plan; its figures are bit for bit those in the study.
 
     Parameters
     ----------
@@ -86,6 +87,6 @@ def trial(plan: Plan, name: str) -> Trial:
     Raises
     ------
     InputError
-        If the plan can have no such trial.
+        If the plan does not contain this trial.
     """
     return run_trial(plan, TrialKey.named(name))

@@ -1,4 +1,4 @@
-"""Tools that press, as objects: the shapes that a scene's `tool.kind` names."""
+"""Pressing tools as objects, with the shapes that `tool.kind` of a scene can name."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 __all__ = ["PressingTool", "ball", "flat_punch", "probe_from_file"]
 
 SIZES_MM = (0.5, 100.0)
-"""Range of the diameter of a scene's probe [mm]."""
+"""Smallest and largest diameter of a probe in a scene [mm]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PressingTool:
-    """Rigid tool that presses; `ball`, `flat_punch` and `probe_from_file` make one."""
+    """Rigid pressing tool; `ball`, `flat_punch` and `probe_from_file` return one."""
 
     probe: Probe
     name: str
@@ -42,7 +42,9 @@ class PressingTool:
 
     @property
     def surface(self) -> pyvista.PolyData:
-        """Surface in the tool's frame [mm]: the tip at the origin, z from the tip to the shank."""
+        """Surface in the frame of the tool [mm]. The tip is at the origin; z points from the tip to
+        the shank.
+        """
         from tissue.show.figures.tool_mesh import tool_surface
 
         drawn = tool_surface(self.probe)
@@ -51,7 +53,7 @@ class PressingTool:
 
 
 def ball(*, diameter_mm: float) -> PressingTool:
-    """Return a rigid ball.
+    """Return a rigid ball as a pressing tool.
 
     >>> import tissue
     >>> tissue.ball(diameter_mm=12)
@@ -61,7 +63,7 @@ def ball(*, diameter_mm: float) -> PressingTool:
 
 
 def flat_punch(*, diameter_mm: float) -> PressingTool:
-    """Return the flat end of a rigid cylinder with a rounded edge.
+    """Return a rigid cylinder with a flat end and a rounded edge.
 
     The edge radius is a tenth of the cylinder's radius, at most 0.5 mm.
 
@@ -75,14 +77,14 @@ def flat_punch(*, diameter_mm: float) -> PressingTool:
 def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
     """Read a rigid tool of any shape from a closed surface.
 
-    Its origin is the tip, and its z axis runs to the shank.
+    In the frame of the file, the origin is the tip, and the z axis points to the shank.
 
     Parameters
     ----------
     file
-        STL, OBJ, PLY, VTK or VTP.
+        Path of an STL, OBJ, PLY, VTK or VTP file.
     scale_mm
-        Millimetres per unit of the file.
+        Millimetres per unit of length in the file.
 
     Raises
     ------

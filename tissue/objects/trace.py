@@ -1,4 +1,4 @@
-"""Trace and timing for notebooks: columns by name, also as pandas, xarray and HTML."""
+"""Trace and timing for notebooks: columns that convert to pandas, xarray and HTML."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -18,26 +18,27 @@ if TYPE_CHECKING:
 __all__ = ["Trace", "needed"]
 
 SHOWN_ROWS = 5
-"""Number of first and of last rows that a notebook shows."""
+"""Number of rows that a notebook shows at the start and at the end of a trace."""
 
 
 class Trace(dict[str, NDArray[Any]], Table):
-    """Columns by name over the ticks, one row a tick: ``run.trace["force_z_N"]``.
+    """Columns of a run, keyed by name, with one row per tick: ``run.trace["force_z_N"]``.
 
-    The unit ends a column's name. A trace is a ``dict``, so ``pandas.DataFrame(run.trace)`` is the
-    table. The column ``layer`` holds names.
+    The name of a column ends with its unit. A trace is a ``dict``, so
+    ``pandas.DataFrame(run.trace)`` returns a table. The column ``layer`` contains names.
 
     Parameters
     ----------
     table
-        Table of the engine.
+        Table from the simulation engine.
 
     Attributes
     ----------
     columns
         Names of the columns.
     rows
-        Values, shape (ticks, columns); ``layer`` as an index into ``layer_names``, -1 for none.
+        Values, shape (ticks, columns). The column ``layer`` contains indices into ``layer_names``,
+        and -1 for no layer.
     layer_names
         Names of the layers.
     """
@@ -50,7 +51,8 @@ class Trace(dict[str, NDArray[Any]], Table):
         return Table.__getitem__(self, name)  # raises an error that lists the known columns
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return a table with one row a tick, layers as categories, and units in the names.
+        """Return a table with one row per tick. Layers are categories, and column names contain
+        units.
 
         Raises
         ------
@@ -66,7 +68,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         return pandas.DataFrame(columns).rename_axis(index="tick")
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return a data set with a variable for each column over the dimension ``time_s``.
+        """Return an xarray data set with a variable for each column, over the dimension ``time_s``.
 
         Each variable has its unit as the attribute ``units``.
 
@@ -93,7 +95,7 @@ class Trace(dict[str, NDArray[Any]], Table):
 
     def _repr_html_(self) -> str:
         count = len(self.rows)
-        # A single row is shown, not replaced by dots.
+        # A single hidden row is shown instead of dots.
         cut = count > 2 * SHOWN_ROWS + 1
         picked = (
             [*range(SHOWN_ROWS), *range(count - SHOWN_ROWS, count)] if cut else list(range(count))
@@ -109,19 +111,20 @@ class Trace(dict[str, NDArray[Any]], Table):
 
 
 def needed(name: str, *, extra: str) -> Any:
-    """Import and return a module that an extra installs.
+    """Import and return a module that an optional extra installs.
 
     Raises
     ------
     InputError
-        If it is not installed; the message shows the command that installs it.
+        If the module is not installed. The message shows the command that installs it.
     """
     from importlib import import_module
 
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
-        # It is installed, but a package that it imports is missing: another fault, shown as it is.
+        # The module is installed, but a package that it imports is missing. This error is shown
+        # unchanged.
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
         raise InputError(
@@ -130,7 +133,7 @@ def needed(name: str, *, extra: str) -> Any:
 
 
 def _attributes(column: str) -> dict[str, str]:
-    """Return name and unit of a column as attributes of xarray."""
+    """Return the name and the unit of a column as attributes for xarray."""
     words, unit = field_label(column)
     return {"long_name": words, **({"units": unit} if unit else {})}
 

@@ -1,4 +1,4 @@
-"""Force on a human scale: intensity, threshold, estimate and command for an observer."""
+"""Perceptual scaling of force: intensity, threshold, estimate and command for an observer."""
 
 from tissue.perception.perceived import Perception
 

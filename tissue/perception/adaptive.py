@@ -1,6 +1,7 @@
-"""Estimation of one person's parameters.
+"""Estimation of the perception parameters of one person.
 
-The threshold is estimated by adaptive comparisons (QUEST+), Stevens' law by magnitude estimation.
+The threshold is estimated from adaptive comparisons (QUEST+), and Stevens' law from magnitude
+estimation.
 """
 
 from dataclasses import dataclass
@@ -25,73 +26,75 @@ __all__ = [
 ]
 
 EDGE_MASS = 0.05
-"""Posterior mass in the outermost cells above which the prior decides, not the data.
+"""Posterior mass in the outermost cells above which the prior dominates the data.
 
-The cells are those of the Weber fraction's grid.
+The cells are those of the grid of Weber fractions.
 """
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
-"""Smaller forces of the pairs [N], and number of steps at each of them.
+"""Base forces, the smaller forces of the pairs [N], and number of steps at each base force.
 
-The forces lie below, above and far above the low-force term. With one base force in place of three,
-or with 12 or 50 steps, the RMS error of the threshold of 300 simulated observers after 80 trials
-changes from 20 % to between 19 and 21 %.
+The base forces are below, above and far above the low-force term. The RMS error of the threshold of
+300 simulated observers after 80 trials is 20 %. With one base force instead of three, or with 12 or
+50 steps, it is between 19 and 21 %.
 """
 STEPS = (0.005, 1.5)
-"""Smallest and largest step of a pair, as shares of the base force plus `LOW_FORCE_N`.
+"""Smallest and largest step of a pair, divided by the base force plus `LOW_FORCE_N`.
 
-They lie below and above the thresholds of the prior, 0.015 to 0.6 of that sum.
+The thresholds of the prior are between these values: 0.015 to 0.6 of this sum.
 """
 LOW_FORCE_N = 0.2
-"""Low-force term of Weber's law, for the choice of steps and as the median of the prior [N].
+"""Low-force term of Weber's law for the steps, and median of its prior [N].
 
-It lies between 0.1 and 0.3 N, as in `tissue/materials/perception.toml` (low confidence).
+The range in `tissue/materials/perception.toml` is 0.1 to 0.3 N (low confidence).
 """
 LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
-"""Largest lapse of the grid, exponent of its cell growth, and Beta parameters of the lapse prior.
+"""Largest lapse rate of the grid, exponent of its cell growth, and Beta parameters of the prior.
 
-Cells of equal width (exponent 1) bias the threshold by -4 %. Exponents of 2.5 and 4, and largest
-lapses of 0.1 and 0.4, bias it by 1.4 % or less (300 simulated observers, 80 trials).
+With cells of equal width (exponent 1) the bias of the threshold is -4 %. With exponents of 2.5 and
+4, and largest lapse rates of 0.1 and 0.4, the bias is 1.4 % or less (300 simulated observers, 80
+trials).
 """
 
 
 MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
-"""Forces that the observer rates with numbers [N]: equal ratios over a desktop device's range."""
+"""Forces that the observer rates with numbers [N], in equal ratios."""
 PRIOR_MEAN = (0.0, 1.4)
-"""Prior mean of ln alpha and of beta: between palm pressure (1.1) and muscle force (1.7)."""
+"""Prior means of ln alpha and beta; beta is between palm pressure (1.1) and muscle force (1.7)."""
 PRIOR_WEIGHT = 1.0 / 16.0
-"""Prior precision of ln alpha and of beta, in units of the precision of one report.
+"""Prior precision of ln alpha and beta, relative to the precision of one reported number.
 
-At a scatter of 0.25 their standard deviation is 1.
+For a scatter of 0.25 the prior standard deviation is 1.
 """
 PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
-"""Inverse-gamma prior of sigma^2: mean 0.12, a scatter of about 0.3."""
+"""Parameters of the inverse-gamma prior of sigma^2, with mean 0.12, a scatter of about 0.3."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdPrior:
-    """Prior of Weber fraction, low-force term and lapse before the first trial, on a grid.
+    """Prior of Weber fraction, low-force term and lapse rate before the first trial, on a grid.
 
-    The Weber fraction is log-normal between two bounds. The low-force term is log-normal around 0.2
-    N (factor 1.65) within 0.05 to 0.8 N. The lapse is Beta(0.5, 5) up to 0.2: the mean of the
-    Beta(1, 10) of Schuett et al. (2016), with half its weight. Cells of the Weber fraction are
-    equal in its logarithm. Cells of the lapse are narrow at small lapses: a grid without observers
-    who hardly lapse estimates their thresholds 12 % too low.
+    The Weber fraction has a log-normal prior between two bounds. The low-force term has a
+    log-normal prior around 0.2 N (factor 1.65) within 0.05 to 0.8 N. The prior of the lapse rate is
+    Beta(0.5, 5) up to 0.2. It has the mean of the Beta(1, 10) of Schuett et al. (2016), with half
+    of the weight. Cells of the Weber fraction have equal width in its logarithm. Cells of the lapse
+    rate are narrow at small rates. Otherwise the thresholds of observers with few lapses would be
+    estimated 12 % too low.
 
     Attributes
     ----------
     weber
-        Median of the Weber fraction. 7 % is the value of Pang, Tan and Durlach (1991); at low
-        forces the fraction is up to four times larger.
+        Median of the Weber fraction. The default of 7 % is from Pang, Tan and Durlach (1991). At
+        low forces the fraction is up to four times larger.
     weber_log_spread
-        Standard deviation of its logarithm.
+        Standard deviation of the logarithm of the Weber fraction.
     lowest, highest
         Bounds of the Weber fraction.
     cells, offset_cells, lapse_cells
-        Size of the grid.
+        Number of cells for Weber fraction, low-force term and lapse rate.
     """
 
     weber: float = 0.09
@@ -106,11 +109,11 @@ class ThresholdPrior:
         require_positive("weber", self.weber, "use 0.09")
         require_positive("weber_log_spread", self.weber_log_spread, "use 0.6")
         require_positive("lowest", self.lowest, "use 0.015")
-        # A fraction of 10 or more means that it was given in percent.
+        # A fraction of 10 or more was probably given in percent.
         if not self.lowest < self.highest < 10.0:
             raise InputError("highest", f"be in ({self.lowest:g}, 10)", self.highest, "use 0.6")
-        # `edge_mass` reads two cells at each bound, which must be different ones. A thousand bounds
-        # the memory of the likelihoods.
+        # `edge_mass` reads two cells at each bound, and these must be different cells. The limit of
+        # 1000 cells bounds the memory of the likelihoods.
         for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
             require_range(name, getattr(self, name), least, 1000, "see the defaults")
 
@@ -126,13 +129,12 @@ class ThresholdPrior:
         return np.sqrt(edges[1:] * edges[:-1])
 
     def parameters(self) -> tuple[Array, Array, Array, Array]:
-        """Return Weber fractions, low-force terms [N], lapses and prior masses of the grid.
+        """Return Weber fractions, low-force terms [N], lapse rates and prior masses of the grid.
 
         Each array has shape (n,).
         """
         offsets = (
-            # LOW_FORCE_N divided and multiplied by 4, nearly three standard deviations of the
-            # prior.
+            # From LOW_FORCE_N / 4 to 4 LOW_FORCE_N, nearly three standard deviations of the prior.
             np.geomspace(0.05, 0.8, self.offset_cells)
             if self.offset_cells > 1
             else np.array([LOW_FORCE_N])
@@ -141,8 +143,8 @@ class ThresholdPrior:
         lapses = 0.5 * (lapse_edges[1:] + lapse_edges[:-1])
         masses = (
             norm.pdf(np.log(self.webers / self.weber), scale=self.weber_log_spread)[:, None, None]
-            # ln 1.65 = 0.5, so that the range 0.1 to 0.3 N of the literature is about one standard
-            # deviation to each side.
+            # ln 1.65 = 0.5. The range 0.1 to 0.3 N of the literature is then about plus and minus
+            # one standard deviation.
             * norm.pdf(np.log(offsets / LOW_FORCE_N), scale=0.5)[:, None]
             * np.diff(beta.cdf(lapse_edges, *LAPSE_PRIOR))
         )
@@ -163,7 +165,8 @@ def comparisons(
     bases_N
         Smaller forces of the pairs [N].
     force_limit_N
-        Largest force of the device; no pair exceeds it [N]. The default is that of a Touch.
+        Largest force of the device [N]; no force of a pair is larger. The default is the limit of a
+        Touch.
     """
     bases = np.repeat(bases_N, STEP_COUNT)
     steps = np.tile(np.geomspace(*STEPS, STEP_COUNT), len(bases_N)) * (bases + LOW_FORCE_N)
@@ -172,13 +175,13 @@ def comparisons(
 
 
 class AdaptiveThreshold:
-    """Posterior of observers' thresholds, and the most informative next comparisons.
+    """Posterior of observers' thresholds, and choice of the most informative comparisons.
 
-    The smallest expected entropy is the largest mutual information of answer and parameters:
-    H(answer) minus the mean entropy of the answer at known parameters. The likelihoods of the
-    comparisons at the grid's points (rows and columns of a matrix) and their entropies are computed
-    in advance. A trial then costs two matrix-vector products. The choice is that of QUEST+ (Watson,
-    2017); the arrangement is this project's.
+    The chosen comparison has the smallest expected entropy of the posterior. This is the largest
+    mutual information of answer and parameters: H(answer) minus the mean entropy of the answer for
+    known parameters. The likelihoods of the comparisons at the points of the grid, and their
+    entropies, are computed in advance as matrices. A trial then takes two matrix-vector products.
+    The rule is that of QUEST+ (Watson, 2017); the form of the computation is that of this project.
 
     Parameters
     ----------
@@ -187,14 +190,14 @@ class AdaptiveThreshold:
     stimuli
         Base forces and steps [N] of the possible pairs; default `comparisons()`.
     observers
-        Number of observers that answer in parallel, each with its own posterior.
+        Number of observers that answer in parallel. Each observer has a posterior.
 
     Attributes
     ----------
     base_N, step_N
-        The comparisons, each of shape (n,).
+        Base forces and steps of the possible comparisons [N], each of shape (n,).
     posterior
-        Masses of the grid's points, shape (points, observers).
+        Probability masses of the points of the grid, shape (points, observers).
     """
 
     def __init__(
@@ -217,15 +220,15 @@ class AdaptiveThreshold:
     def propose(self) -> NDArray[np.intp]:
         """Return the index of the most informative comparison, shape (observers,).
 
-        It has the smallest expected entropy of the posterior.
+        This comparison has the smallest expected entropy of the posterior.
         """
-        # A share of 1 by rounding would have the entropy 0 log 0, which is NaN.
+        # If rounding made a share equal to 1, its entropy 0 log 0 would be NaN.
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
     def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
-        """Update with one answer of each observer, right or wrong, to its comparison."""
+        """Update with one answer of each observer, right or wrong, to the asked comparison."""
         likelihood = self._right[np.asarray(asked)].T
         self.posterior *= np.where(np.asarray(correct), likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)
@@ -235,16 +238,16 @@ class AdaptiveThreshold:
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
-        """Return the mean and log standard deviation of the threshold at a base force [N].
+        """Return the geometric mean and log spread of the threshold at a base force [N].
 
-        The second value is the standard deviation of its logarithm. Each has shape (observers,).
+        The log spread is the standard deviation of the logarithm. Each has shape (observers,).
         """
         return self._log_moments(self._weber * (base_N + self._offset))
 
     def weber(self) -> tuple[Array, Array]:
-        """Return the geometric mean and log standard deviation of the Weber fraction.
+        """Return the geometric mean and log spread of the Weber fraction.
 
-        The second value is the standard deviation of its logarithm. Each has shape (observers,).
+        The log spread is the standard deviation of the logarithm. Each has shape (observers,).
         """
         return self._log_moments(self._weber)
 
@@ -253,22 +256,22 @@ class AdaptiveThreshold:
         return self._log_moments(self._offset)[0]
 
     def _log_moments(self, values: Array) -> tuple[Array, Array]:
-        """Return geometric mean and standard deviation of the logarithm of a positive quantity.
+        """Return the geometric mean of a positive quantity and the spread of its logarithm.
 
-        `values` holds the quantity at the grid's points.
+        `values` holds the quantity at the points of the grid.
         """
         logs = np.log(values)
         mean = logs @ self.posterior
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
     def lapse(self) -> Array:
-        """Return the mean of the lapse, shape (observers,)."""
+        """Return the mean of the lapse rate, shape (observers,)."""
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
         """Return quantiles of the Weber fraction, shape (shares, observers).
 
-        They are linear in its logarithm within a cell.
+        Within a cell the quantiles are interpolated linearly in the logarithm.
         """
         edges = np.log(self.prior.weber_edges)
         below = np.vstack(
@@ -277,11 +280,12 @@ class AdaptiveThreshold:
         return np.exp(np.column_stack([np.interp(shares, column, edges) for column in below.T]))
 
     def edge_mass(self) -> tuple[Array, Array]:
-        """Return the posterior mass in the two cells at each bound of the Weber fraction.
+        """Return the posterior mass in the two outermost cells at each bound of the Weber fraction.
 
-        The first array belongs to the lower bound, the second to the upper; shapes (observers,).
+        The first array belongs to the lower bound, the second array to the upper bound, each of
+        shape (observers,).
         """
-        # Two of the default cells span 12 % of the Weber fraction.
+        # Two of the default cells cover 12 % of the Weber fraction.
         masses = self.weber_masses()
         return masses[:2].sum(axis=0), masses[-2:].sum(axis=0)
 
@@ -297,7 +301,7 @@ class MagnitudePosterior:
     mean
         Mean of (ln alpha, beta), shape (2,).
     precision
-        Their precision in units of 1 / sigma^2, shape (2, 2).
+        Precision of (ln alpha, beta) in units of 1 / sigma^2, shape (2, 2).
     shape, scale
         Shape and scale of the inverse-gamma posterior of sigma^2.
     """
@@ -314,7 +318,7 @@ class MagnitudePosterior:
 
     def log_sigma(self) -> tuple[float, float]:
         """Return the mean and variance of ln sigma."""
-        # half and a quarter of those of ln sigma^2
+        # half of the mean and a quarter of the variance of ln sigma^2
         return 0.5 * float(np.log(self.scale) - digamma(self.shape)), 0.25 * float(
             polygamma(1, self.shape)
         )
@@ -326,9 +330,9 @@ class MagnitudePosterior:
 
 
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
-    """Compute the posterior after some reports; without reports it is the prior.
+    """Compute the posterior from reported numbers; without numbers it is the prior.
 
-    The factor alpha depends on the observer's use of numbers and cannot be separated from it.
+    The factor alpha includes the observer's use of numbers, which cannot be separated from it.
 
     Parameters
     ----------

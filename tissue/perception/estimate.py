@@ -1,7 +1,7 @@
-"""Estimates of a force: the most probable one behind an observation (E7), and the recursion (E8).
+"""Estimates of a force: most probable force for an observation, and recursive filter.
 
-No scene needs them; they are the paper's, with its corrections. `tests/verification` holds them
-against a grid and against the filter's steady state.
+No scene uses these estimates. They are the equations of the paper with corrections.
+`tests/verification` compares them with a grid and with the steady state of the filter.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ __all__ = ["LocalLevel", "log_posterior", "map_force_N"]
 Level = TypeVar("Level", float, NDArray[np.float64])
 
 MOST_STEPS = 200
-"""Number of steps after which bisection alone has shrunk a bracket to rounding."""
+"""Number of steps after which bisection alone has reduced a bracket to rounding."""
 
 
 def log_posterior(
@@ -42,18 +42,19 @@ def map_force_N(
     median_N: ArrayLike | None = None,
     log_spread: ArrayLike | None = None,
 ) -> Array:
-    """Estimate the force [N] of largest posterior density, for any real observation (E7).
+    """Estimate the force [N] of largest posterior density, for any real observation.
 
-    Observations may be zero or negative. In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y -
-    e^u) e^u / r^2 either falls, rises and falls again, or only falls. The pieces are separated by
-    at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w = e^u. Every falling piece with a
-    root of g has one maximum. Each maximum is found by Newton's method within its bracket. The
-    higher maximum is returned.
+    Observations may be zero or negative. The logarithm of the density has the slope g(u) = -(u - m)
+    / s^2 - 1 + (y - e^u) e^u / r^2 in u = ln F. This slope either decreases everywhere, or it
+    decreases, increases and decreases again. The intervals are separated by at most two points, the
+    roots of 2 w^2 - y w + r^2 / s^2 in w = e^u. Every interval with decreasing g and a root of g
+    has one maximum of the density. Each maximum is found by Newton's method within a bracket. The
+    force of the higher maximum is returned.
 
     Parameters
     ----------
     seen_N
-        Observation [N], any real numbers; all arguments broadcast.
+        Observation [N], any real numbers. All arguments are broadcast.
     noise_N
         Standard deviation of the observation [N], positive.
     median_N, log_spread
@@ -62,7 +63,7 @@ def map_force_N(
 
     Returns
     -------
-    Positive forces [N], of the broadcast shape.
+    Positive forces [N], with the broadcast shape.
 
     Raises
     ------
@@ -83,9 +84,9 @@ def map_force_N(
     y, r, m, s = (each.ravel() for each in (y, r, m, s))
     turn = m - s * s  # mode of the prior
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Both summands of g fall beyond the larger of ln y and the prior's mode, and rise below the
-        # smaller: all roots lie in between. For y <= 0 the likelihood only pushes down, and its
-        # size at the mode bounds how far.
+        # Above the larger of ln y and the mode of the prior, g is negative; below the smaller one,
+        # g is positive. All roots are therefore between them. For y <= 0 the term of the likelihood
+        # is always negative, and its size at the mode gives the lower bound.
         highest = np.where(y > 0.0, np.maximum(np.log(y), turn), turn)
         reach = np.exp(turn)
         lowest = np.where(
@@ -93,8 +94,8 @@ def map_force_N(
             np.minimum(np.log(y), turn),
             turn - s * s * ((np.abs(y) + reach) / r) * (reach / r),
         )
-        # Roots of 2 w^2 - y w + r^2 / s^2: the larger directly, the smaller from their product r^2
-        # / (2 s^2), which avoids cancellation.
+        # Roots of 2 w^2 - y w + r^2 / s^2. The larger root is computed directly, and the smaller
+        # root from the product r^2 / (2 s^2) of the two roots, which avoids cancellation.
         inner = np.sqrt(y * y - 8.0 * (r / s) ** 2)
         two = (y > 0.0) & np.isfinite(inner)
         high_turn = np.where(two, np.log(0.25 * (y + inner)), np.inf)
@@ -110,9 +111,9 @@ def map_force_N(
 
 
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
-    """Return the zero of the slope within brackets on which it falls.
+    """Return the zero of the slope within brackets in which the slope decreases.
 
-    For a bracket without a zero it is an end of the bracket.
+    For a bracket without a zero, return an end of the bracket.
     """
     low = low.copy()
     high = high.copy()
@@ -127,7 +128,7 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
             newton = u - slope / bend
         inside = (newton > low) & (newton < high)
         after = np.where(inside, newton, 0.5 * (low + high))
-        # Some tens of roundings of a double.
+        # The tolerance is some tens of rounding errors of a double.
         done = np.abs(after - u) <= 1e-14 * (1.0 + np.abs(u))
         u = after
         if done.all():
@@ -137,14 +138,14 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
 
 @dataclass(frozen=True, kw_only=True)
 class LocalLevel:
-    """Level that wanders by a variance q a step and is observed with a variance r.
+    """Filter for a random walk with variance q per step, observed with variance r.
 
-    Source: Kalman 1960; E8::
+    Source: Kalman 1960::
 
         P = sigma^2 + q,   G = P / (P + r),   level += G (seen - level),   sigma^2 = G r
 
-    The printed sigma^2 = q r / (q + r) leaves the last variance out of P. It gives 0.5 at q = r =
-    1, where the filter's steady state is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
+    The formula printed in the paper, sigma^2 = q r / (q + r), omits the last variance in P. For q =
+    r = 1 it gives 0.5, but the steady state of the filter is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
 
     Attributes
     ----------
@@ -156,12 +157,12 @@ class LocalLevel:
     noise: float
 
     def __post_init__(self) -> None:
-        # 1e12: a bound that rejects infinity.
+        # The bound 1e12 rejects infinity.
         require_range("wander", self.wander, 0.0, 1e12, "use 0 for a level that stays")
         require_positive("noise", self.noise, "use the variance of one observation")
 
     def step(self, level: Level, variance: float, seen: Level) -> tuple[Level, float]:
-        """Return the level, or many levels, and the variance after one more observation."""
+        """Return the level and the variance after one more observation; also for many levels."""
         predicted = variance + self.wander
         gain = predicted / (predicted + self.noise)
         return level + gain * (seen - level), gain * self.noise

@@ -1,6 +1,6 @@
-"""Hierarchical model of many observers as one population, by Hamiltonian Monte Carlo.
+"""Hierarchical model of many observers as one population, with Hamiltonian Monte Carlo.
 
-It includes diagnostics of convergence.
+The module includes diagnostics of convergence.
 """
 
 from dataclasses import dataclass
@@ -35,15 +35,15 @@ HYPER = (
 )
 """Parameters of the population.
 
-They are means and standard deviations between people, and the mean of sigma squared.
+They are the means and the standard deviations over people, and the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
-"""Shape of the inverse-gamma law of sigma squared over people.
+"""Shape of the inverse-gamma distribution of sigma squared over people.
 
-People differ by a third of sigma squared (assumed, see perception.toml).
+The standard deviation over people is a third of sigma squared (assumed, see perception.toml).
 """
 CHAINS = 2
-"""Number of chains of a fit; at least two are needed for a comparison."""
+"""Number of chains of a fit; the convergence check needs at least two chains."""
 R_HAT = 1.01
 ESS = 400.0
 """Largest R-hat and smallest effective sample size of a converged fit (Vehtari et al., 2021)."""
@@ -51,17 +51,17 @@ ESS = 400.0
 
 @dataclass(frozen=True)
 class PopulationTrials:
-    """Trials of many observers, end to end.
+    """Trials of many observers, concatenated.
 
     Attributes
     ----------
     observers
-        Number of people.
+        Number of observers.
     who_compared, base_N, step_N, right
-        For each comparison: index of the person, smaller force and difference [N], and True for a
-        right answer.
+        For each comparison: index of the observer, smaller force [N], difference to the larger
+        force [N], and True for a right answer.
     who_rated, force_N, number
-        For each reported number: index of the person, force [N], number.
+        For each reported number: index of the observer, force [N], and number.
     """
 
     observers: int
@@ -74,9 +74,10 @@ class PopulationTrials:
     number: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
-        """Return the comparisons in summary.
+        """Return a summary of the comparisons.
 
-        They are person, base and step [N], number of trials and number of right answers.
+        The arrays are observer, base force and step [N], number of trials, and number of right
+        answers.
         """
         rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
         unique, which = np.unique(rows, axis=0, return_inverse=True)
@@ -92,11 +93,12 @@ class PopulationFit:
     Attributes
     ----------
     draws
-        By name, shape (chains, draws) for the population (`HYPER`), (chains, draws, observers) for
-        alpha, beta, kappa, offset_N, lapse and sigma of each person.
+        Draws as a dictionary by name. The shape is (chains, draws) for the population (`HYPER`),
+        and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma of each
+        observer.
     r_hat, ess
-        Split R-hat and effective sample size of each of `HYPER`, and the worst over the people's
-        parameters as ``people``.
+        Split R-hat and effective sample size for each of `HYPER`, and under the name ``people`` the
+        worst value of the observers' parameters.
     divergences
         Number of divergent transitions.
     """
@@ -107,7 +109,7 @@ class PopulationFit:
     divergences: int
 
     def problems(self) -> list[str]:
-        """Return the reasons against trusting the fit as sentences; empty for a sound fit."""
+        """Return reasons why the fit should not be used, as sentences; empty for a good fit."""
         found = []
         worst = max(self.r_hat, key=lambda name: np.nan_to_num(self.r_hat[name], nan=np.inf))
         least = min(self.ess, key=lambda name: self.ess[name])
@@ -126,9 +128,9 @@ class PopulationFit:
         return found
 
     def interval(self, name: str) -> tuple[float, float, float]:
-        """Return lower end, median and upper end of a parameter's central 95 % interval.
+        """Return lower end, median and upper end of the central 95 % interval of a parameter.
 
-        The parameter is one of the population's.
+        The parameter belongs to the population.
         """
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high
@@ -142,28 +144,29 @@ def fit_hierarchy(
     draws: int = 600,
     progress: bool = False,
 ) -> PopulationFit:
-    """Sample the posterior of the population and of each person by NUTS in NumPyro.
+    """Sample the posterior of the population and of each observer with NUTS in NumPyro.
 
     Source: Hoffman and Gelman, 2014.
 
-    Between people, ln alpha, beta, ln kappa and ln offset are normal, sigma squared is
-    inverse-gamma, and lapses are Beta(1, 10). The means over people have wide priors around
-    published values, the standard deviations half-normal priors. Thresholds are written as offsets
-    from the mean, for a simple geometry where a person's trials inform little. Factor and exponent
-    are not, because every person's trials inform them well.
+    Over observers, ln alpha, beta, ln kappa and ln offset have normal distributions, sigma squared
+    has an inverse-gamma distribution, and lapse rates have the distribution Beta(1, 10). The means
+    have wide priors around published values, and the standard deviations have half-normal priors.
+    Thresholds are parametrised as offsets from the mean (non-centred), because the trials of one
+    observer contain little information about them. Factor and exponent are parametrised directly
+    (centred), because the trials of every observer contain enough information.
 
     Parameters
     ----------
     trials
-        Trials of three people or more.
+        Trials of three observers or more.
     seed
-        Seed of the draws.
+        Seed of the random draws.
     warm_up, draws
-        Number of draws a chain for tuning, and number of draws that are kept. For eight people of
-        60 comparisons and 12 numbers, 600 draws have an effective sample size of 444 to 499, 300
-        draws one of 230. A warm-up of 300 is enough there.
+        Number of draws per chain for tuning, and number of draws that are kept. For eight observers
+        with 60 comparisons and 12 numbers each, the effective sample size is 444 to 499 with 600
+        draws, and 230 with 300 draws. A warm-up of 300 draws is enough in this case.
     progress
-        Show a bar for each chain.
+        True to show a progress bar for each chain.
 
     Raises
     ------
@@ -178,7 +181,7 @@ def fit_hierarchy(
         raise InputError(
             "population", "be fitted by numpyro", "none", f"run {install_command('perception')}"
         ) from None
-    # NumPyro's default acceptance, 0.8, leaves the effective sample size at 362, below ESS.
+    # With NumPyro's default acceptance of 0.8, the effective sample size is 362, below ESS.
     run = MCMC(
         NUTS(partial(_model, trials.observers), target_accept_prob=0.9),
         num_warmup=warm_up,
@@ -221,21 +224,21 @@ def _model(
     def person(
         name: str, mean: "Distribution", spread: "Distribution", *, is_well_known: bool
     ) -> "JaxArray":
-        """Sample a normal parameter of each person around the population's mean.
+        """Sample a normally distributed parameter of each observer around the population's mean.
 
-        Where trials are few, it is written as an offset from the mean.
+        Unless the parameter is well known, it is parametrised as an offset from the mean.
         """
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)
         with numpyro.plate(f"{name}_people", observers):
-            # Written around the mean, thresholds of eight people give 256 divergences and an
-            # effective sample size of 6.
+            # With a centred parametrisation, the thresholds of eight observers give 256 divergences
+            # and an effective sample size of 6.
             if is_well_known:
                 return numpyro.sample(f"{name}_person", law.Normal(centre, width))
             return centre + width * numpyro.sample(f"{name}_offset", law.Normal(0.0, 1.0))
 
-    # Means: the priors of `tissue.perception.adaptive`. The half-normal scales are larger than the
-    # spreads over people in perception.toml, so that trials decide.
+    # The means have the priors of `tissue.perception.adaptive`. The half-normal scales are larger
+    # than the spreads over people in perception.toml, so that the trials determine the result.
     log_alpha = person("log_alpha", law.Normal(0.0, 1.0), law.HalfNormal(0.5), is_well_known=True)
     beta = person("beta", law.Normal(1.4, 0.5), law.HalfNormal(0.4), is_well_known=True)
     log_kappa = person(
@@ -244,7 +247,7 @@ def _model(
     log_offset = person(
         "log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), is_well_known=False
     )
-    # a scatter of 0.24, within 0.15 and 0.4 with a probability of two thirds
+    # a scatter of 0.24, with two thirds of the probability between 0.15 and 0.4
     variance = numpyro.sample("variance", law.LogNormal(np.log(0.06), 1.0))
     with numpyro.plate("people", observers):
         squared = numpyro.sample(
@@ -260,11 +263,11 @@ def _model(
     felt = log_alpha[rater] + beta[rater] * log_force
     numpyro.sample("numbers", law.Normal(felt, sigma[rater]), obs=log_number)
     who, base_N, step_N, asked, right = counts
-    # Observers who lapse guess: half of these answers are right, so that 2 lapse of the trials are
-    # blind.
+    # An observer who lapses guesses, and half of the guesses are right. The share of guesses is
+    # therefore twice the lapse rate.
     distance = D_PRIME_75 * step_N / (kappa[who] * (base_N + offset_N[who]))
     blind = 2.0 * jnp.minimum(lapse[who], 0.5)
     share = 0.5 * blind + (1.0 - blind) * ndtr(distance / np.sqrt(2.0))
-    # A share of exactly 1 has the log-likelihood minus infinity at a wrong answer, without a
+    # With a share of exactly 1, the log-likelihood of a wrong answer is minus infinity and has no
     # gradient.
     numpyro.sample("answers", law.Binomial(asked, jnp.clip(share, 1e-6, 1.0 - 1e-6)), obs=right)

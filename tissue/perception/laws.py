@@ -1,7 +1,7 @@
 """Psychophysical laws for intensity and threshold.
 
-They are Stevens' power law, Weber's law with a low-level term, and two-interval psychometric
-functions.
+The laws are Stevens' power law, Weber's law with a low-force term, and psychometric functions for
+two intervals.
 """
 
 from dataclasses import dataclass
@@ -29,20 +29,20 @@ __all__ = [
 ]
 
 D_PRIME_75 = 0.9538725524089894
-"""Distance d' of two intervals for 75 % right answers: sqrt(2) Phi^-1(0.75)."""
+"""Sensitivity d' for 75 % right answers in two intervals: sqrt(2) Phi^-1(0.75)."""
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
-    """Return the share of right answers 1/2 + (1/2 - lapse) share in two intervals.
+    """Return the share of right answers with lapses, 1/2 + (1/2 - lapse) share.
 
     Source: Wichmann and Hill, 2001.
 
     Parameters
     ----------
     share
-        Share of stimuli that is felt rightly without guesses and lapses, in [0, 1], any shape.
+        Share of stimuli that are felt correctly, without guesses and lapses, in [0, 1], any shape.
     lapse
-        Share of strong stimuli that is answered wrongly, in [0, 1/2).
+        Share of strong stimuli with a wrong answer, in [0, 1/2).
     """
     return 0.5 + (0.5 - np.asarray(lapse, dtype=float)) * np.asarray(share, dtype=float)
 
@@ -64,9 +64,9 @@ def two_interval(
 ) -> Array:
     """Return the share of right answers when an observer chooses the larger of two forces.
 
-    The forces are `base_N` and `base_N + step_N`. The distance d' increases with the step. It is
-    0.954 (75 %) at the threshold weber (base + offset), which is Weber's law with its term for low
-    forces. Arguments broadcast.
+    The forces are `base_N` and `base_N + step_N`. The sensitivity d' increases with the step. It is
+    0.954 (75 %) at the threshold weber (base + offset), which is Weber's law with a term for low
+    forces. The arguments are broadcast.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def two_interval(
     offset_N
         Low-force term of Weber's law [N].
     lapse
-        Share of strong stimuli that is answered wrongly.
+        Share of strong stimuli with a wrong answer.
     """
     threshold = np.asarray(weber) * (np.asarray(base_N) + np.asarray(offset_N))
     return with_lapse(
@@ -87,19 +87,21 @@ def two_interval(
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity:
-    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) of a person with uncertain parameters.
+    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) for a person with uncertain parameters.
 
-    The posterior of (ln alpha, beta) is normal. With x = ln F, m = E[ln alpha] + E[beta] x and v =
-    Var[ln alpha + beta x], which is quadratic in x, the posterior predictive has closed moments::
+    The posterior of (ln alpha, beta) is normal. Let x = ln F, m = E[ln alpha] + E[beta] x and v =
+    Var[ln alpha + beta x], which is quadratic in x. The moments of the posterior predictive
+    distribution are::
 
         E[S]   = exp(m + v / 2)
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
-    The scatter is relative and Gaussian, whereas a fit of reported numbers has it in ln S. Both are
-    equal to first order. With sigma squared inverse-gamma over people, the mean of a log-normal
-    scatter does not exist. Its contribution to E[S], a factor exp(sigma^2 / 2), is equal for all
-    forces, so ratios do not depend on it. The unit of intensity is the reference observer's
-    intensity at 1 N.
+    Here the scatter is relative and Gaussian. In a fit of reported numbers the scatter is in ln S.
+    The two are equal to first order. A log-normal scatter is not used here, because its mean does
+    not exist if sigma squared has an inverse-gamma distribution over people. It would contribute
+    the factor exp(sigma^2 / 2) to E[S], which is equal for all forces, so that ratios of
+    intensities do not depend on it. The unit of intensity is the reference observer's intensity at
+    1 N.
 
     Attributes
     ----------
@@ -117,14 +119,14 @@ class Intensity:
     scatter: float = 0.0
 
     def expected(self, force_N: ArrayLike) -> Array:
-        """Return E[S] for sizes of force [N] of any shape; 0 at 0."""
+        """Return E[S] for magnitudes of force [N] of any shape; it is 0 for zero force."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             mean = np.exp(self.log_alpha + self.beta * x + 0.5 * self._variance(x))
         return np.where(np.isfinite(x), mean, 0.0)
 
     def spread(self, force_N: ArrayLike) -> Array:
-        """Return the standard deviation of S for sizes of force [N] of any shape; 0 at 0."""
+        """Return the standard deviation of S for magnitudes of force [N] of any shape."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             relative = np.expm1(self._variance(x)) * (1.0 + self.scatter) + self.scatter
@@ -132,10 +134,10 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Return the force [N] with a given expected intensity, for any shape; 0 for 0.
+        """Return the force [N] with a given expected intensity, for any shape.
 
-        ln E[S] is quadratic in ln F with curvature Var[beta] >= 0. The branch that rises with the
-        force is used.
+        ln E[S] is a quadratic function of ln F with the curvature Var[beta] >= 0. The branch that
+        increases with the force is used. The force is 0 for zero intensity.
 
         Raises
         ------
@@ -149,9 +151,9 @@ class Intensity:
         with np.errstate(divide="ignore", invalid="ignore"):
             above = np.log(wanted) - a
             root = b * b + 2.0 * c * above
-            # Root of c x^2 / 2 + b x = above, in the form that does not cancel for a small c.
+            # Root of c x^2 / 2 + b x = above, in a form without cancellation for small c.
             found = np.exp(2.0 * above / (b + np.sqrt(root))) if c > 0.0 else np.exp(above / b)
-        # Below the minimum of the parabola ln E[S] no force has this intensity.
+        # No force has an intensity below the minimum of the parabola ln E[S].
         if b <= 0.0 or not (root[wanted > 0.0] >= 0.0).all():
             raise InputError(
                 "beta",
@@ -168,59 +170,60 @@ class Intensity:
 
 
 def intensity_of(observer: Observer) -> Intensity:
-    """Return the intensity law of an observer with its uncertainty."""
+    """Return the intensity law of an observer, with uncertainty."""
     (alpha, both), (_, beta) = observer.covariance[:2, :2].tolist()
     return Intensity(
         log_alpha=float(observer.mean[0]),
         beta=float(observer.mean[1]),
         variances=(max(alpha, 0.0), both, max(beta, 0.0)),
-        # Mean of a log-normal sigma^2, limited to e^100, so that the moments stay finite where a
-        # wide posterior leaves the scatter unknown.
+        # Mean of a log-normal sigma^2. It is limited to e^100, so that the moments are finite for a
+        # wide posterior with an unknown scatter.
         scatter=exp(min(2.0 * observer.mean[5] + 2.0 * observer.covariance[5, 5], 100.0)),
     )
 
 
 def _logarithm(force_N: ArrayLike) -> Array:
-    """Return ln F for sizes of force; minus infinity for no force."""
+    """Return ln F for magnitudes of force; minus infinity for zero force."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(force_N))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weber:
-    """Threshold kappa (level + offset), discriminated in 75 % of two-interval trials (E6).
+    """Threshold kappa (level + offset), with 75 % right answers in two-interval trials.
 
-    Weber's law alone, kappa level, has a threshold of zero at a level of zero, so every change
-    would be felt there. The offset is the level at which the threshold, as a share of the level,
-    has doubled. Both are positive, so every threshold is positive.
+    Weber's law alone, kappa level, has a threshold of zero at a level of zero, so that every change
+    would be felt there. The offset is the level at which the ratio of threshold to level is twice
+    kappa. kappa and offset are positive, so that every threshold is positive.
 
     Attributes
     ----------
     kappa
         Weber's fraction.
     offset
-        Low-level term, in the unit of the level: N, N m or N/m.
+        Term for low levels, in the unit of the level: N, N m or N/m.
     """
 
     kappa: float
     offset: float
 
     def __post_init__(self) -> None:
-        # Bounds that reject a fraction in percent and a wrong unit of the offset; people have 0.05
-        # to 0.23, and 0.006 N m to 10 N/m (perception.toml).
+        # The bounds reject a fraction in percent and a wrong unit of the offset. Values of people
+        # are 0.05 to 0.23 for the fraction, and from 0.006 N m to 10 N/m for the offset
+        # (perception.toml).
         require_range("kappa", self.kappa, 1e-4, 1.0, "use 0.07 for force")
         require_range("offset", self.offset, 1e-6, 1e6, "use 0.2 for force in N")
 
     def threshold(self, level: ArrayLike) -> Array:
-        """Return the smallest change that is felt at sizes of any shape, in their unit."""
+        """Return the smallest change that is felt at levels of any shape, in their unit."""
         return self.kappa * (np.asarray(level, dtype=float) + self.offset)
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
-    """Return an observer's threshold of force [N], at a quantile of the Weber fraction's posterior.
+    """Return an observer's force threshold, at a quantile of the Weber fraction's posterior.
 
-    A quantile below one half gives a threshold that is rather too small than too large. At 0.1 the
-    person's own threshold lies above it with a probability of 90 %.
+    With a quantile below one half, the threshold is more probably too small than too large. At 0.1,
+    the true threshold of the person is larger with a probability of 90 %. The unit is N.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(
@@ -229,18 +232,18 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
 
 
 NODES = 4097
-"""Nodes of a table.
+"""Number of nodes of a table.
 
 Over five decades the error of log-linear interpolation is below 1e-6 for every observer whose
-exponent is known to 0.5.
+exponent has a standard deviation of at most 0.5.
 """
 
 
 class LogTable:
-    """Positive function of force, tabulated over ln F and interpolated linearly in its logarithm.
+    """Table of a positive function of force; its logarithm is interpolated linearly in ln F.
 
-    Exact for a power law. Below the first node it falls linearly to zero; above the last it
-    continues linearly.
+    The interpolation is exact for a power law. Below the first node the function decreases linearly
+    to zero. Above the last node it continues linearly.
 
     Parameters
     ----------
@@ -272,45 +275,47 @@ class LogTable:
 
 
 class ForceMap:
-    """Command by E5: the force whose expected intensity for this observer matches the reference.
+    """Map to the force whose expected intensity for this observer matches the reference.
 
-    The reference is the reference observer's intensity at gain x force.
+    The reference is the intensity that the reference observer has at gain x force.
 
-    Stevens' law is homogeneous, so a common factor on all forces keeps every ratio of intensities.
-    No other law does. The stated law for a device's range is therefore a factor. ``knee_N`` is the
-    strongest force that the device plays uncompressed. The factor is 1 where the observer needs no
-    more force than the reference at ``knee_N``. Where the observer needs more force, the factor is
-    below 1, so that exactly ``knee_N`` is commanded there. Up to the knee then
+    Stevens' law is homogeneous: a common factor of all forces keeps every ratio of intensities, and
+    no other function does. Therefore ``gain``, a common factor, fits the forces into the range of
+    the device. ``knee_N`` is the strongest force that the device plays uncompressed. The factor is
+    1 if the observer needs no more force than the reference observer at ``knee_N``. If the observer
+    needs more force, the factor is below 1, so that exactly ``knee_N`` is commanded there. Up to
+    the knee::
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
-    Beyond it `tissue.haptics.loop.filters.ForceRange` compresses, and reports it.
+    Above the knee, `tissue.haptics.loop.filters.ForceRange` compresses the force and reports this.
 
-    Neither law has been measured far below the observer's low-force term. Below this term the map
-    continues in a straight line to zero. The line also bounds the slope of the map there, so that
-    the stiffness at the start of a contact is finite.
+    Stevens' law and Weber's law have not been measured far below the observer's low-force term. At
+    low forces the map is a straight line to zero. The line also bounds the slope of the map, so
+    that the stiffness at the start of a contact is finite.
 
     Parameters
     ----------
     reference, observer
-        Observer whose intensity is matched, and observer who feels the command.
+        Observer whose intensity is the reference, and observer who feels the command.
     lowest_N, knee_N
         Upper end of the straight line [N], above 0, and the strongest force that the device plays
-        uncompressed [N], above that end.
+        uncompressed [N], above ``lowest_N``.
 
     Attributes
     ----------
     gain
-        The common factor.
+        Common factor of all forces.
     table, intensity, spread
-        Command [N] over force, and mean and standard deviation of intensity over command.
+        Tables: command [N] as a function of force, and mean and standard deviation of the intensity
+        as functions of the command.
     steepest
-        Largest slope of the map: the largest factor on a contact's stiffness in the loop.
+        Largest slope of the map. It is the largest factor of a contact's stiffness in the loop.
 
     Raises
     ------
     InputError
-        If the observer's posterior is too wide for the map to rise with the force.
+        If the observer's posterior is so wide that the map does not increase with the force.
     """
 
     def __init__(
@@ -321,8 +326,8 @@ class ForceMap:
         need = float(observer.force_N(reference.expected(knee_N)))
         most = float(reference.force_N(observer.expected(knee_N)))
         self.gain = 1.0 if need <= knee_N else most / knee_N
-        # Forces a hundred times the knee are left to the straight line: they are compressed to the
-        # device's limit in any case.
+        # Above a hundred times the knee, the table continues in a straight line. Such forces are
+        # compressed to the device's limit in any case.
         self.forces_N: Array = np.geomspace(lowest_N, 100.0 * knee_N, NODES)
         commands = self._exact(self.forces_N)
         slopes = np.diff(commands) / np.diff(self.forces_N)
@@ -336,17 +341,17 @@ class ForceMap:
         within = int(np.searchsorted(self.forces_N, knee_N))
         self.steepest = float(max(slopes[:within].max(), commands[0] / lowest_N))
         self.table = LogTable(self.forces_N, commands)
-        # A thousandth of the knee, some mN, is below the threshold at zero, kappa offset = 14 mN.
+        # A thousandth of the knee, a few mN, is below the threshold at zero, kappa offset = 14 mN.
         felt = np.geomspace(1e-3 * knee_N, 100.0 * knee_N, NODES)
         self.intensity = LogTable(felt, observer.expected(felt))
-        # An observer known exactly, without scatter, has a spread of 0, whose logarithm the table
-        # cannot hold.
+        # For an observer who is known exactly and has no scatter, the spread is 0. The table cannot
+        # store the logarithm of 0.
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Return the force sizes to command [N] for force sizes at the device [N].
+        """Return the magnitudes to command [N] for magnitudes of the force at the device [N].
 
-        The result is exact, for arrays of any shape.
+        The result is exact and not interpolated, for arrays of any shape.
         """
         forces = np.asarray(force_N, dtype=float)
         first = self.forces_N[0]
@@ -354,7 +359,7 @@ class ForceMap:
         return np.where(forces < first, straight, self._exact(np.maximum(forces, first)))
 
     def _exact(self, force_N: ArrayLike) -> Array:
-        """Return the inverse by closed form, without the straight line."""
+        """Return the map in closed form, without the straight line."""
         return self._observer.force_N(
             self._reference.expected(self.gain * np.asarray(force_N, dtype=float))
         )

@@ -1,4 +1,4 @@
-"""Observers of force: posterior of one person, its file format, and the population."""
+"""Observers of force: posterior of one person, file format, and population."""
 
 import json
 from collections.abc import Mapping
@@ -32,10 +32,10 @@ __all__ = [
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Names of an observer's parameters.
 
-They are Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and
+They are Stevens' factor and exponent, Weber's fraction and low-force term [N], lapse rate, and
 relative scatter of a reported intensity. The intensity is S = alpha (F / 1 N)^beta (1 + sigma e),
-with e of unit variance. A change of kappa (F + offset) is discriminated in 75 % of two-interval
-trials without lapses.
+with a random e of unit variance. For a change of kappa (F + offset), 75 % of answers in
+two-interval trials are right, without lapses.
 """
 BOUNDS = {
     "alpha": (1e-3, 1e3),
@@ -45,26 +45,26 @@ BOUNDS = {
     "lapse": (1e-6, 0.5),
     "sigma": (1e-4, 2.0),
 }
-"""Plausible medians of a person. A median outside is an error of units or of a fit."""
+"""Bounds of plausible medians of a person. A median outside means a wrong unit or a bad fit."""
 FORMAT = "tissue observer"
 VERSION = 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
-"""Largest standard deviation of a coordinate. A larger one means that the fit failed."""
+"""Largest standard deviation of a coordinate. A larger value means that the fit failed."""
 REPORTED_N = 2.0
-"""Force at which a threshold is reported [N]."""
+"""Force at which the threshold of an observer is reported [N]."""
 ROUNDING = 1e-5
-"""Relative tolerance of the plain numbers of a file, which have six digits."""
+"""Relative tolerance for the plain numbers in a file, which have six digits."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """Normal posterior of one person's parameters.
+    """Observer: normal posterior of one person's parameters.
 
     The coordinates are (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma). In these
-    coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6),
-    lapses lie between 0 and 1.
+    coordinates every draw is a possible person: factor, thresholds and scatter are positive, and
+    lapse rates are between 0 and 1.
 
     Attributes
     ----------
@@ -73,10 +73,10 @@ class Observer:
     mean
         Mean of the coordinates, shape (6,), in the order of `PARAMETERS`.
     covariance
-        Their covariance, shape (6, 6), symmetric and without negative eigenvalues; zeros for a
-        person known exactly.
+        Covariance of the coordinates, shape (6, 6), symmetric and without negative eigenvalues;
+        zeros if the parameters are known exactly.
     trials
-        Number of trials that the posterior is based on; 0 for a prior.
+        Number of trials on which the posterior is based; 0 for a prior.
 
     Raises
     ------
@@ -106,8 +106,9 @@ class Observer:
         for index, (name, (low, high)) in enumerate(BOUNDS.items()):
             median = float(_from(name, mean[index]))
             require_range(name, median, low, high, "calibrate again, forces in N")
-        # A covariance of zeros belongs to a person known exactly. 1e-9 of the largest entry covers
-        # the rounding of a covariance that was computed from draws and written as decimals.
+        # A covariance of zeros means exactly known parameters. A tolerance of 1e-9 of the largest
+        # entry allows for rounding, because a covariance may be computed from draws and written in
+        # decimals.
         scale = max(float(np.abs(covariance).max()), 1e-300)
         is_symmetric = np.abs(covariance - covariance.T).max() <= 1e-9 * scale
         if not is_symmetric or np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
@@ -119,7 +120,7 @@ class Observer:
             )
         widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
         require_range("standard deviation", widest, 0.0, WIDEST, "run more trials")
-        # 1e9: a bound that rejects a misread file.
+        # The bound 1e9 rejects a damaged file.
         require_range("trials", self.trials, 0, 1e9, "give the number of trials")
         mean.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "mean", mean)
@@ -134,9 +135,9 @@ class Observer:
         trials: int = 0,
         **medians: float,
     ) -> "Observer":
-        """Return an observer with given medians and independent spreads of its coordinates.
+        """Return an observer with given medians and independent spreads of the coordinates.
 
-        The medians of all `PARAMETERS` are needed.
+        ``medians`` must have all `PARAMETERS`.
         """
         mean = np.array([TO_COORDINATE[parameter](medians[parameter]) for parameter in PARAMETERS])
         spreads = [(spread or {}).get(parameter, 0.0) for parameter in PARAMETERS]
@@ -144,16 +145,16 @@ class Observer:
 
     @classmethod
     def from_draws(cls, name: str, draws: Mapping[str, Array], *, trials: int) -> "Observer":
-        """Return the normal posterior with the mean and covariance of draws.
+        """Return an observer whose posterior has the mean and the covariance of draws.
 
-        `draws` holds an array of shape (n,) by parameter name.
+        `draws` is a dictionary from parameter name to an array of shape (n,).
         """
         rows = np.array([TO_COORDINATE[parameter](draws[parameter]) for parameter in PARAMETERS])
         return cls(name=name, mean=rows.mean(axis=1), covariance=np.cov(rows), trials=trials)
 
     @property
     def alpha(self) -> float:
-        """Median of Stevens' factor: intensity at 1 N, in units of the reference observer's."""
+        """Median of Stevens' factor: intensity at 1 N, relative to the reference observer."""
         return exp(self.mean[0])
 
     @property
@@ -173,36 +174,36 @@ class Observer:
 
     @property
     def lapse(self) -> float:
-        """Median share of strong stimuli that is answered wrongly."""
+        """Median of the lapse rate, the share of strong stimuli with a wrong answer."""
         # in the order of PARAMETERS
         return float(expit(self.mean[4]))
 
     @property
     def sigma(self) -> float:
-        """Median relative scatter of a reported intensity."""
+        """Median of the relative scatter of a reported intensity."""
         # in the order of PARAMETERS
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the possible values of every parameter, each of shape (count,), drawn together."""
+        """Return joint draws of all parameters, as arrays of shape (count,) by name."""
         values, vectors = np.linalg.eigh(self.covariance)
-        # A matrix root instead of Cholesky's, because the covariance may be singular. Eigenvalues
-        # of zero may be negative by rounding.
+        # A matrix square root is used instead of Cholesky's factor, because the covariance may be
+        # singular. Rounding may make eigenvalues of zero negative.
         root = vectors * np.sqrt(values.clip(0.0))
         drawn = self.mean + rng.standard_normal((count, 6)) @ root.T
         return {name: _from(name, drawn[:, k]) for k, name in enumerate(PARAMETERS)}
 
 
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
-    """Write an observer as JSON, in one step.
+    """Write an observer to a JSON file; an incomplete file never appears.
 
-    The file holds the posterior and, for a reader, the medians in plain numbers with units. An
+    The file holds the posterior and, for human readers, the medians as plain numbers with units. An
     existing file is replaced only if `overwrite` is set.
 
     Raises
     ------
     InputError
-        If the file exists and may not be replaced.
+        If the file exists and must not be replaced.
     """
     require_new_file(path, overwrite=overwrite)
     stored = {
@@ -226,8 +227,9 @@ def read_observer(path: Path) -> Observer:
     Raises
     ------
     InputError
-        If the file is missing, is no observer, is of another version, or holds impossible numbers.
-        The plain numbers of a file may be left out, but must not contradict the posterior.
+        If the file is missing, does not hold an observer, has another version, or holds impossible
+        numbers. The plain numbers of a file may be missing, but they must not contradict the
+        posterior.
     """
     calibrate = "write one with tissue calibrate --out"
     require_regular(path)
@@ -274,12 +276,12 @@ def _plain_numbers(observer: Observer, force_N: float) -> dict[str, float]:
 
 
 def _require_agreement(observer: Observer, stored: Mapping[str, object]) -> None:
-    """Check that the plain numbers of a file, where it has any, follow from its posterior."""
+    """Check that the plain numbers of a file, if there are any, agree with its posterior."""
     force_N = _number(stored.get("threshold_at_N", REPORTED_N))
     for name, computed in _plain_numbers(observer, force_N).items():
         given = stored.get(name, computed)
         if not isclose(_number(given), computed, rel_tol=ROUNDING):
-            # 40 letters: enough for any number
+            # 40 characters are enough for any number
             raise InputError(
                 f"{name} is {str(given)[:40]}, but the mean gives {computed:g}. Delete {name} from "
                 "the file, or calibrate again."
@@ -287,40 +289,40 @@ def _require_agreement(observer: Observer, stored: Mapping[str, object]) -> None
 
 
 def _number(value: object) -> float:
-    """Return a number of a file, or NaN for another value."""
+    """Return a number of a file, or NaN if the value is not a number."""
     return float(value) if isinstance(value, int | float) else nan
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:
-    """Return the value at a coordinate."""
+    """Return the value of a parameter at a coordinate."""
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
     return np.asarray(
-        # Limited below the overflow of a double: a wide posterior may draw such a coordinate.
+        # The coordinate is limited to avoid an overflow: a wide posterior may give very large
+        # draws.
         coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300)))
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Distribution of the parameters over people.
+    """Population: distribution of the parameters over people.
 
-    alpha is log-normal with mean 1, beta is normal, and sigma squared is inverse-gamma. The mean of
-    alpha is 1, because the unit of intensity is free: it is the average intensity at 1 N. Weber's
-    fraction and low-force term are log-normal, so that thresholds are positive (E6). The lapse is
-    logit-normal.
+    alpha has a log-normal distribution with mean 1, beta a normal distribution, and sigma squared
+    an inverse-gamma distribution. The mean of alpha is 1, because the unit of intensity is chosen
+    as the average intensity at 1 N. Weber's fraction and low-force term have log-normal
+    distributions, so that thresholds are positive. The lapse rate has a logit-normal distribution.
 
     Attributes
     ----------
     beta, kappa, offset_N, lapse
-        Medians of Stevens' exponent, Weber's fraction, its low-force term [N] and the share of
-        lapses.
+        Medians of Stevens' exponent, Weber's fraction, low-force term [N] and lapse rate.
     sigma
-        Relative scatter of reported intensities: root of the mean of sigma squared.
+        Relative scatter of reported intensities: square root of the mean of sigma squared.
     alpha_log_spread, beta_spread, kappa_log_spread, offset_log_spread, lapse_logit_spread
-        Standard deviations over people.
+        Standard deviations over people, in the coordinates of `Observer`.
     sigma_shape
-        Shape of the inverse-gamma law, above 2.
+        Shape of the inverse-gamma distribution, above 2.
     """
 
     beta: float
@@ -336,7 +338,7 @@ class Population:
     sigma_shape: float
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the parameters of `count` random people, by parameter name, (count,) each."""
+        """Return the parameters of `count` random people, as arrays of shape (count,) by name."""
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {
@@ -350,10 +352,10 @@ class Population:
         }
 
     def observer(self) -> Observer:
-        """Return an observer for an unknown person: the population in the coordinates of an
-        observer.
+        """Return the population as an observer, for an unknown person.
 
-        The conversion is exact except for sigma: mean and variance of its logarithm are kept.
+        The conversion is exact except for sigma, of which mean and variance of the logarithm are
+        kept.
         """
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         mean = [
@@ -378,20 +380,20 @@ class Population:
 
 
 def population() -> Population:
-    """Return the population of ``perception.toml``."""
+    """Return the population defined in ``perception.toml``."""
     known = {name: entry.value for name, entry in constants("perception", "force").items()}
     return Population(**{name: known[name] for name in Population.__dataclass_fields__})
 
 
 def population_observer() -> Observer:
-    """Return an observer for an unknown person: the population."""
+    """Return the population of ``perception.toml`` as an observer, for an unknown person."""
     return population().observer()
 
 
 def reference_observer() -> Observer:
-    """Return the reference observer: the population's medians, known exactly, and alpha 1.
+    """Return the reference observer: exactly the medians of the population, with alpha 1.
 
-    The intensities of other observers are matched to it.
+    The intensities of other observers are matched to the reference observer.
     """
     people = population()
     given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}

@@ -1,4 +1,4 @@
-"""Perceptual scaling in each tick: force map, deadband, and a person's estimate of the force."""
+"""Perceptual scaling in each tick: force map, deadband, and estimate of the force by a person."""
 
 from math import exp, inf, sqrt
 from typing import Protocol
@@ -13,35 +13,35 @@ __all__ = ["Deadband", "PerceivedForce", "Perception", "PerceptionMaker", "Sense
 
 
 class Perception(Protocol):
-    """Map from a force to be felt to the force to command, for one observer.
+    """Perception model: it computes the force to command for one observer.
 
-    The direction does not change. `step` is called once a tick and costs microseconds.
+    The direction of the force is kept. `step` is called once a tick and takes microseconds.
     """
 
     estimated_N: float
-    """Estimate of the force that the observer feels, after the recursive update [N]."""
+    """Observer's estimate of the felt force, after the recursive update [N]."""
     perceived: float
-    """Mean intensity of the commanded force, in units of the reference observer's."""
+    """Mean intensity of the commanded force, relative to the reference observer at 1 N."""
     perceived_spread: float
     """Standard deviation of the intensity of the commanded force."""
     steepest: float
-    """Largest slope of command over force, a factor on the stiffness of a wall for stability."""
+    """Largest slope of the command as a function of force; it multiplies the wall stiffness."""
     sentence: str
     """Description of the observer and of the scaling, reported before a run."""
     above: bool
-    """True if the last change was above the observer's threshold, and so was rendered."""
+    """True if the last change was above the observer's threshold and was rendered."""
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to command [N] for a force at the device [N], shapes (3,)."""
+        """Return the force to command [N] for a force at the device [N], each of shape (3,)."""
         ...
 
     def pause(self) -> None:
-        """Reset after a missing sample: command nothing, and count the next force as a change."""
+        """Reset after a missing sample: command no force, and play the next force as a change."""
         ...
 
 
 class PerceptionMaker(Protocol):
-    """Factory of perceptual scalings for a device."""
+    """Factory of perception models for a device."""
 
     def __call__(
         self,
@@ -52,14 +52,14 @@ class PerceptionMaker(Protocol):
         tick_s: float,
         friction_N: float,
     ) -> Perception:
-        """Return a new perception.
+        """Return a new perception model.
 
         Parameters
         ----------
         argument
-            Text after the colon of a name such as ``observer:FILE``; empty without a colon.
+            Text after the colon in a name such as ``observer:FILE``; empty without a colon.
         rng
-            Random generator of the noise in the observer's sense.
+            Random generator for the noise of the observer's sense.
         force_limit_N, friction_N
             Largest force and Coulomb friction of the device [N].
         tick_s
@@ -69,48 +69,50 @@ class PerceptionMaker(Protocol):
 
 
 REST_SHARE = 0.5
-"""Share of the threshold at zero below which zero is played.
+"""Ratio to the threshold at zero below which zero force is played.
 
-A force returns to zero at half of the threshold and leaves zero at all of it. Noise around one of
-the two values therefore does not switch the force on and off.
+The played force becomes zero below half of the threshold, and leaves zero above the whole
+threshold. Noise around one of the two values therefore does not switch the force on and off.
 """
 BLOCK = 512
 """Number of ticks whose random numbers are drawn at once.
 
-One number costs 0.9 us alone and 0.13 us in a block. A block of 512 costs 70 us in one tick.
+A number takes 0.9 us if it is drawn alone, and 0.13 us in a block. A block of 512 takes 70 us in
+one tick.
 """
 
 
 class Deadband:
-    """Deadband: keep the held vector until its distance to the wanted vector exceeds the threshold.
+    """Deadband: the played vector changes only if the wanted vector differs by a threshold.
 
-    The threshold is evaluated at the held size. Then the wanted vector is taken.
+    The threshold is evaluated at the magnitude of the played vector. If the distance between the
+    two vectors exceeds the threshold, the wanted vector is played.
 
-    The distance is that of vectors, so a change of direction counts as well as a change of size. At
-    a change the wanted vector itself is played, never a sum of steps, so errors cannot accumulate:
-    at every tick the error is below the threshold. Noise within the threshold of the held vector is
-    not played at all.
+    The distance is a distance of vectors, so that it includes changes of direction and of
+    magnitude. At a change the wanted vector itself is played, and not a sum of steps. Errors
+    therefore cannot accumulate: in every tick the error is below the threshold. Noise within the
+    threshold is not played.
 
-    A vector below half of the threshold at zero is played as zero, so that no force pulls in free
-    air.
+    A vector below half of the threshold at zero is played as zero, so that there is no force in
+    free space.
 
-    A force that is held while it should fall gives energy to the device. Over a cycle it gives the
-    energy of a Coulomb friction of half the threshold with the wrong sign. A larger friction of the
-    device, or the damping of a hand, dissipates it.
+    If the played force is constant while the wanted force decreases, the device receives energy. In
+    a cycle this is the energy of a Coulomb friction of half the threshold with the opposite sign. A
+    larger friction of the device, or the damping of a hand, dissipates this energy.
 
     Parameters
     ----------
     law
-        Threshold of the size.
+        Threshold as a function of the magnitude.
     widest
-        Upper bound of the distance, in the unit of the vector, for any threshold; 0 or more.
+        Upper bound of the threshold, in the unit of the vector; 0 or more.
 
     Attributes
     ----------
     held
         Vector that is played, shape (3,).
     changed
-        True if the last vector was beyond the threshold, and so is played.
+        True if the last wanted vector exceeded the threshold and is played.
     """
 
     def __init__(self, law: Weber, *, widest: float = inf) -> None:
@@ -124,7 +126,7 @@ class Deadband:
         self.changed = False
 
     def step(self, x: float, y: float, z: float) -> bool:
-        """Update with the wanted vector; return True if `held` has changed."""
+        """Update with the wanted vector; return True if `held` changed."""
         size = sqrt(x * x + y * y + z * z)
         if rest := size < REST_SHARE * self._least:
             x = y = z = size = 0.0
@@ -133,7 +135,7 @@ class Deadband:
             self._fresh
             or (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > self._allowed * self._allowed
         )
-        # A wanted force of zero is played although it is within the threshold of the held force.
+        # A wanted force of zero is played even if it is within the threshold of the played force.
         if not (self.changed or (rest and (a or b or c))):
             return False
         self._fresh = False
@@ -145,7 +147,7 @@ class Deadband:
         return True
 
     def forget(self) -> None:
-        """Count the next vector as a change."""
+        """Play the next vector as a change, whatever its distance is."""
         self._fresh = True
 
 
@@ -164,18 +166,19 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 
 
 class Sense:
-    """Estimate of a force by a person: noisy observations, averaged by the steady filter.
+    """Estimate of a force by a person: noisy observations, averaged by a steady filter.
 
-    The person observes the force once a tick. The gain 1 - exp(-T / tau) follows from the time over
-    which force is averaged. The noise of an observation makes the estimate of a constant force
-    scatter by the threshold: a change of one threshold is d' = 0.954 from no change. For this gain
-    G and scatter s an observation has the variance r = s^2 (2 - G) / G, and the filter assumes that
-    the force wanders by q = G^2 r / (1 - G) a tick.
+    The person observes the force once a tick. The gain is G = 1 - exp(-T / tau), where tau is the
+    time over which the person averages force. The noise of an observation is chosen so that the
+    scatter s of the estimate of a constant force corresponds to the threshold: for a change of one
+    threshold, d' is 0.954. With this gain and scatter, an observation has the variance r = s^2 (2 -
+    G) / G. The filter assumes a random walk of the force with the variance q = G^2 r / (1 - G) per
+    tick.
 
     Attributes
     ----------
     force_N
-        The estimate [N]; a size, never below 0.
+        Estimate of the force's magnitude [N], 0 or more.
     """
 
     def __init__(
@@ -202,24 +205,24 @@ class Sense:
 
 
 class PerceivedForce:
-    """Perceptual scaling that implements `tissue.perception.perceived.Perception`.
+    """Perception model that implements `tissue.perception.perceived.Perception`.
 
     Parameters
     ----------
     law
-        Command for a force, and the intensity of a command.
+        Map from force to command, and intensity of a command.
     deadband
-        Deadband that holds the command until its change can be felt.
+        Deadband: the command is constant until a change can be felt.
     sense
-        The observer's estimate of the command.
+        Observer's estimate of the command.
     sentence
         Description of the observer and of the scaling, reported before a run.
 
     Attributes
     ----------
     steepest
-        Largest slope of command over force. For stability, the stiffness of a wall is multiplied by
-        this factor.
+        Largest slope of the command as a function of force. In the stability check, the stiffness
+        of a virtual wall is multiplied by this slope.
     """
 
     def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:
@@ -232,12 +235,12 @@ class PerceivedForce:
         self.above = False
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to command [N], shape (3,); the array is overwritten by the next step.
+        """Return the force to command [N], shape (3,); the next step overwrites this array.
 
         Raises
         ------
         InputError
-            If the force is not finite; nothing has changed then.
+            If the force is not finite. The state is not changed then.
         """
         x, y, z = force_N.tolist()
         size = sqrt(x * x + y * y + z * z)
@@ -245,7 +248,7 @@ class PerceivedForce:
             raise InputError(
                 "force", "be finite", force_N, "use a SampleGuard, which removes such samples"
             )
-        # Zero has no direction: any factor leaves it zero.
+        # A force of zero has no direction; any factor gives zero.
         share = self.law.table.at(size) / size if size > 0.0 else 1.0
         deadband = self.deadband
         if deadband.step(share * x, share * y, share * z):
@@ -258,6 +261,6 @@ class PerceivedForce:
         return deadband.held
 
     def pause(self) -> None:
-        """Reset after a missing sample: command nothing, and count the next force as a change."""
+        """Reset after a missing sample: command no force, and play the next force as a change."""
         self.deadband.forget()
         self.above = False

@@ -1,4 +1,4 @@
 """Prediction of force and state some milliseconds ahead.
 
-It contains lifted linear operators and the simple predictors that serve as baselines.
+The package has linear operators on delay coordinates, and simple predictors as baselines.
 """

@@ -1,9 +1,11 @@
 """Delay-coordinate (Hankel) Koopman operator of a device and its coupling.
 
-A delay embedding (Takens 1981) of displacement and stretch gives the coordinates. The operator over
-each number of ticks is a linear map, fitted directly (Brunton, Brunton, Proctor, Kaiser & Kutz
-2017). Powers of the map over one tick had a larger error: they left 0.22 of the excess error of the
-zero-order hold on the wall 4 ms ahead, the direct maps 0.19.
+The coordinates are a delay embedding (Takens 1981) of the displacement of the device and the
+stretch of the coupling. For each number of ticks ahead, a linear map is fitted directly (Brunton,
+Brunton, Proctor, Kaiser & Kutz 2017). Powers of the map for one tick had a larger error. Errors are
+compared as excess errors, sqrt(e^2 - e0^2) with the lower bound e0 of the error e, relative to the
+zero-order hold. In the scene `wall`, 4 ms ahead, this ratio is 0.22 with powers and 0.19 with
+direct maps.
 """
 
 from collections.abc import Iterable
@@ -21,38 +23,43 @@ __all__ = ["COORDINATES", "DELAYS", "HORIZON", "DelayOperator", "DelayPath", "Mo
 DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
 """Delays of the coordinates [ticks].
 
-Nine delays replace 81. On unseen hands 4 ms ahead they left 0.19 of the excess error of zero-order
-hold on the wall and 0.31 in palpation. All delays up to 80 left 0.19 and 0.36, all up to 40 left
-0.22 and 0.41.
+Nine delays replace 81 delays. For simulated hands that were not in the training data, 4 ms ahead,
+the ratio of the excess error to that of the zero-order hold is 0.19 in `wall` and 0.31 in
+palpation. With all delays up to 80 it is 0.19 and 0.36, and with all delays up to 40 it is 0.22 and
+0.41.
 """
 COORDINATES = 2 * len(DELAYS) - 1
-"""Number of coordinates of an axis: displacements between delays, and stretches at the delays."""
+"""Number of coordinates of an axis: displacements between delays, and stretches at delays."""
 HORIZON = 20
-"""Largest number of ticks ahead. It covers 16 ms of latency and the path to the motor, 18.1 ticks.
+"""Largest number of ticks ahead.
+
+It is enough for 16 ms of latency and the path to the motor, in total 18.1 ticks.
 
 The prediction for a longer time is that for the horizon.
 """
 RIDGE = 1e-6
-"""Ridge penalty as a share of the mean square of each coordinate.
+"""Ridge penalty, relative to the mean square of each coordinate.
 
-It keeps the weights small where neighbouring delays are equal within an encoder step. A penalty of
-1e-3 was worse on all scenes, by 0.02 of the excess error of zero-order hold in palpation.
+It keeps the weights small if neighbouring delays differ by less than an encoder step. A penalty of
+1e-3 was worse in all scenes. In palpation the ratio of the excess error to that of the zero-order
+hold was larger by 0.02.
 """
 KEPT_LEADS = 16
-"""Number of leads whose maps are kept: a loop uses one lead, and the next tick."""
+"""Number of prediction horizons whose maps are kept; a loop uses its horizon and one tick."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Second moments of coordinates and targets: sufficient statistics of a least-squares fit.
+    """Second moments of coordinates and targets, the sufficient statistics of a linear fit.
 
     Attributes
     ----------
     coordinates
-        Mean of z zᵀ over all axes and ticks, shape (COORDINATES, COORDINATES) [m2].
+        Mean of z zᵀ over all axes and ticks, with the coordinates z, shape (COORDINATES,
+        COORDINATES) [m2].
     targets
-        Mean of z yᵀ, shape (COORDINATES, 2 HORIZON). A target y has the displacement after 1 to
-        `HORIZON` ticks, then the change of the stretch.
+        Mean of z yᵀ, shape (COORDINATES, 2 HORIZON). The targets y are the displacements after 1 to
+        `HORIZON` ticks, then the changes of the stretch.
     """
 
     coordinates: Array
@@ -60,7 +67,7 @@ class Moments:
 
     @classmethod
     def pooled(cls, parts: Iterable["Moments"]) -> "Moments":
-        """Return the mean of moments after scaling them to one power of the displacements.
+        """Return the mean of several moments, scaled to the same power of the displacements.
 
         The power is the geometric mean of all powers.
         """
@@ -79,7 +86,7 @@ class Moments:
         return float(np.diag(self.coordinates)[: len(DELAYS) - 1].sum())
 
     def weights(self) -> Array:
-        """Return the weights of the targets, shape (2 HORIZON, COORDINATES).
+        """Return the weights that predict the targets, shape (2 HORIZON, COORDINATES).
 
         Raises
         ------
@@ -102,18 +109,19 @@ class Moments:
 
 @dataclass(frozen=True)
 class DelayOperator:
-    """Operator of an axis, fitted to recorded runs.
+    """Operator that predicts displacement and stretch of an axis, fitted to recorded runs.
 
-    All axes use one operator on displacements and stretches, without an offset. The prediction is
-    therefore invariant to translation and rotation, and does not depend on the scale of the forces.
+    All axes use the same operator on displacements and stretches, without an offset. The prediction
+    is therefore invariant to translation and rotation. It does not depend on the scale of the
+    forces.
 
     Attributes
     ----------
     moments
         Moments of the training data.
     growth
-        Mean square of the scaled coordinates, all axes together, above which a motion is outside
-        the training range.
+        Mean square of the scaled coordinates of all axes above which a motion is outside the
+        training range.
     """
 
     moments: Moments
@@ -121,7 +129,7 @@ class DelayOperator:
 
 
 def coordinates(position_m: Array, stretch_m: Array) -> Array:
-    """Return the coordinates of positions and stretches at `DELAYS`, shape (COORDINATES, ...).
+    """Return the coordinates from positions and stretches at `DELAYS`, (COORDINATES, ...).
 
     Both arguments have shape (delays, ...), newest first.
     """
@@ -129,7 +137,7 @@ def coordinates(position_m: Array, stretch_m: Array) -> Array:
 
 
 class DelayPath:
-    """Displacement of a device and stretch of its coupling, by a delay operator.
+    """Predictor of a device's displacement and its coupling's stretch with a delay operator.
 
     Parameters
     ----------
@@ -139,7 +147,7 @@ class DelayPath:
 
     def __init__(self, operator: DelayOperator) -> None:
         self._weights = operator.moments.weights()
-        # The mean of squares over all coordinates is compared with the growth.
+        # The mean square over all coordinates is compared with `growth`.
         scale = np.sqrt(COORDINATES * np.diag(operator.moments.coordinates))
         self._inverse = 1.0 / scale[:, None]
         self._growth = operator.growth
@@ -152,19 +160,19 @@ class DelayPath:
 
     @property
     def trusted(self) -> bool:
-        """True if all delays are known and the motion is in the range of training."""
+        """True if all delays are known and the motion is within the training range."""
         if self._is_empty or self._missing:
             return False
         scaled = (self._coordinates * self._inverse).ravel()
         return float(scaled.dot(scaled)) <= self._growth
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update with the device's position and the coupling's stretch in a tick, shape (3,).
+        """Update with device position and coupling stretch in a tick, shape (3,).
 
-        The first state fills all delays, as if the device had been still. At the start of a run it
-        was. After a pause, the path is not trusted until all delays are measured. `filtered_m` is
-        the position that the coupling uses, if it is not the measured one. A trained operator has
-        learnt the difference.
+        The first state fills all delays, as if the device had been at rest. At the start of a run
+        this is true. After a pause, the path is not trusted until all delays are measured.
+        `filtered_m` is the position that the coupling uses, if it is not the measured position. A
+        trained operator includes the difference between these positions.
         """
         recent = self._recent
         self._missing = max(self._missing - 1, 0)
@@ -183,7 +191,7 @@ class DelayPath:
         return displacement
 
     def displacements_m(self, ticks: int) -> Array:
-        """Predict the displacements after 1 to a number of ticks, shape (ticks, 3)."""
+        """Predict the displacements after 1, 2, ... up to a number of ticks, shape (ticks, 3)."""
         found = self._weights[: min(ticks, HORIZON)].dot(self._coordinates)
         if ticks > HORIZON:
             found = np.concatenate((found, np.repeat(found[-1:], ticks - HORIZON, axis=0)))
@@ -195,12 +203,12 @@ class DelayPath:
         return stretch
 
     def pause(self) -> None:
-        """Clear all delays: they are filled anew from the next tick on."""
+        """Clear all delays; they are filled again from the next tick on."""
         self._is_empty = True
         self._missing = DELAYS[-1] + 1
 
     def _map(self, ticks: float) -> Array:
-        """Return the weights of displacement and change of stretch, shape (2, COORDINATES)."""
+        """Return the weights for displacement and change of stretch, shape (2, COORDINATES)."""
         found = self._maps.get(ticks)
         if found is None:
             # Between two whole ticks the weights are interpolated.

@@ -1,4 +1,4 @@
-"""Guard that replaces a predictor by a fallback while its predictions cannot be trusted."""
+"""Guard that uses a fallback while the predictions of a predictor cannot be trusted."""
 
 from collections import deque
 from collections.abc import Callable
@@ -16,60 +16,61 @@ __all__ = ["Guarded", "GuardedMaker", "Judged", "Observes", "Outside"]
 
 Triple = tuple[float, float, float]
 BLEND = 10
-"""Ticks over which the force fades from one predictor to the other, without a step that is felt."""
+"""Number of ticks in which the force fades from one predictor to the other."""
 ABSURD = 1e6
-"""Limit of plausible values of a device [m, m/s or N]."""
+"""Largest plausible value of a device [m, m/s or N]."""
 MEMORY = 0.98
-"""Factor per tick on past prediction errors: about 50 ticks, a touch and its aftermath."""
+"""Factor per tick of past prediction errors: about 50 ticks, the length of a first contact."""
 WORSE = 1.5
-"""Largest ratio of a trusted predictor's error to the fallback's error.
+"""Largest ratio of a trusted predictor's error to the error of the fallback.
 
 Smaller differences are noise. The value is a prior, not a measurement.
 """
 LEAST_N = 3e-3
-"""Error that never counts as worse [N]: less than a tenth of any device's friction, 0.04 N."""
+"""Error that is always accepted [N]: below a tenth of the lowest device friction, 0.04 N."""
 LONG_MEMORY = 0.999
-"""Factor per tick on past errors in the comparison with the zero-order hold: about a second.
+"""Factor per tick of past errors in the comparison with the zero-order hold: about 1 s.
 
-The comparison sums the cost or gain of the predictor over that time.
+In this time, the comparison sums the squared errors of the predictor minus those of the hold.
 """
 MOST_DEBT = 20.0
-"""Largest cost of a predictor beyond the zero-order hold that is counted, in units of `LEAST_N`^2.
+"""Largest sum in the comparison with the zero-order hold, in units of `LEAST_N`^2.
 
-Three seconds without cost compensate it.
+Three seconds with equal errors reduce this sum to an accepted value.
 """
 PROBATION = 50
-"""Ticks for which a predictor must be trusted before it is used again, as many as errors count."""
+"""Ticks for which a predictor must be trusted before it is used again; see `MEMORY`."""
 
 
 class Judged(Predictor, Protocol):
-    """Predictor that reports if it can be trusted."""
+    """Predictor that reports whether it can be trusted."""
 
     @property
     def trusted(self) -> bool:
-        """True if a prediction now is within the range of the training data."""
+        """True if the present prediction is within the range of the training data."""
         ...
 
 
 class Guarded:
-    """Predictor with a fallback: the force fades between both without a step.
+    """Predictor with a fallback; the force fades between the two without a jump.
 
-    The force is the fallback's force plus a share of the difference between both forces. The
-    predictor loses trust in three cases: it reports that it is not trusted; its recent predictions
-    have missed the measured force by more than the fallback's predictions; or over a longer time a
-    zero-order hold would have missed the force by less. False touches count in the last case. Then
-    the share falls from 1 to 0 over some ticks. It rises as slowly after a period of trust. The
-    difference is bounded. Where it is not finite, the last difference is kept. A handover therefore
-    changes the force by at most the bound over those ticks.
+    The force is the force of the fallback plus a share of the difference between the two forces.
+    The predictor loses trust in three cases. First, it reports that it is not trusted. Second, the
+    recent errors of its predictions are larger than those of the fallback. Third, over a longer
+    time its errors are larger than those of a zero-order hold; this includes predicted contacts
+    that did not happen. Then the share falls from 1 to 0 in `BLEND` ticks. It increases at the same
+    rate after a period of trust. The difference is limited. If it is not finite, the last
+    difference is used. A change between the predictors therefore changes the force by at most this
+    limit.
 
     Parameters
     ----------
     inner
         The predictor to guard.
     instead
-        Fallback predictor while the inner one is not trusted.
+        Fallback predictor, used while the inner predictor is not trusted.
     reach_N
-        Largest difference between both forces [N].
+        Largest difference between the two forces [N].
     """
 
     residual_N = 0.0
@@ -92,14 +93,14 @@ class Guarded:
         self._over_held = 0.0
 
     def meet(self, contact: Contact) -> None:
-        """Pass the contact to the predictors that use it."""
+        """Pass the contact to each of the two predictors that uses it."""
         for each in self._shown:
             each.meet(contact)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Pass the sample to both predictors and update the trust.
+        """Pass the sample to the two predictors, and update the trust.
 
-        A sample that is not finite or not plausible counts as missing.
+        A sample that is not finite or not plausible is treated as missing.
         """
         if not (_sane(position_m) and _sane(velocity_m_s) and (force_N is None or _sane(force_N))):
             self.pause()
@@ -114,7 +115,7 @@ class Guarded:
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
         primary, other = self._missed
-        # The errors are mean squares, so the limits are squared.
+        # The errors are mean squares, so that the limits are squared.
         worse = not (primary <= WORSE**2 * other + LEAST_N**2 and self._over_held <= LEAST_N**2)
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
@@ -126,7 +127,7 @@ class Guarded:
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
-        """Return the blend of both forces, by the share."""
+        """Return the force of the fallback plus the share of the difference."""
         # Three scalars are faster than arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
@@ -134,8 +135,8 @@ class Guarded:
         v = v - y
         w = w - z
         size = u * u + v * v + w * w
-        # A force that is not finite is replaced by the last difference. A larger difference than
-        # the device's force limit is shortened to it.
+        # If a force is not finite, the last difference is used. A difference larger than the
+        # device's force limit is shortened to this limit.
         if not isfinite(size):
             u, v, w = self._difference
         elif size > self._reach**2:
@@ -155,7 +156,8 @@ class Guarded:
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
             kept = self._kept[0]
-            # The prediction was due between the last two observed forces: interpolate between them.
+            # The time of the prediction is between the last two observed forces, so that they are
+            # interpolated.
             back = (len(self._kept) - self._lead) / self._age
             bx, by, bz = self._seen
             fx = fx + back * (bx - fx)
@@ -167,8 +169,8 @@ class Guarded:
             self._over_held = min(
                 self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2
             )
-            # A contact is absent, begins or ends if the fallback or the measured force is zero.
-            # Such ticks do not compare the predictors.
+            # If the fallback's force or the measured force is zero, there is no contact, or the
+            # contact begins or ends. The predictors are not compared in such ticks.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary
                 self._missed[1] += (1.0 - MEMORY) * other
@@ -176,7 +178,7 @@ class Guarded:
         self._age = 0
 
     def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
-        """Store both predictions until the force that they predict is observed."""
+        """Store the two predictions until the predicted force is observed."""
         self._asked = True
         if ticks != self._lead:
             self._lead = ticks
@@ -184,14 +186,14 @@ class Guarded:
         self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:
-        """Pause both predictors and discard their pending predictions."""
+        """Pause the two predictors, and discard predictions that are not compared yet."""
         self._kept.clear()
         self.inner.pause()
         self.instead.pause()
 
 
 def _sane(vector: Array) -> bool:
-    """Return True if the three numbers are finite and of plausible size."""
+    """Return True if the three numbers are finite and plausible."""
     x, y, z = vector.tolist()
     return abs(x) < ABSURD and abs(y) < ABSURD and abs(z) < ABSURD
 
@@ -199,30 +201,30 @@ def _sane(vector: Array) -> bool:
 class Observes(Protocol):
     """Minimal interface of a force predictor.
 
-    Three optional members are used where they exist. ``pause()`` is called after a missing sample.
-    ``trusted`` is false while the prediction should not be played. ``meet(contact)`` receives the
-    contact of the tool in a tick (`tissue.prediction.predictor.Contact`). The predictor is copied
-    and probed before a run, to check the stability of the loop: its response to a small change must
-    fade within half a second. `predict` must not change the predictor. It is called more than once
-    a tick.
+    Three optional members are used if they exist. ``pause()`` is called after a missing sample.
+    ``trusted`` is False while the prediction should not be played. ``meet(contact)`` receives the
+    contact of the tool in a tick (`tissue.prediction.predictor.Contact`). Before a run, the
+    predictor is copied and probed to check the stability of the loop. Its response to a small
+    change must decay within half a second. `predict` is called more than once a tick, and must not
+    change the predictor.
     """
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
 
-        The force acts on the device. It is None in a tick without a force.
+        The force acts on the device. The force is None in a tick without a force.
         """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Predict the force a number of ticks after the last observation [N], shape (3,)."""
+        """Return the predicted force some ticks after the last observation [N], shape (3,)."""
         ...
 
 
 class Outside:
-    """Complete predictor around one that has only `observe` and `predict`.
+    """Complete predictor that wraps a predictor with only `observe` and `predict`.
 
-    Its last error is the force it expected one tick ahead minus the observed force.
+    Its last error is the force that it predicted one tick ahead minus the observed force.
 
     Parameters
     ----------
@@ -245,9 +247,9 @@ class Outside:
 
     @property
     def trusted(self) -> bool:
-        """Trust as the predictor reports it.
+        """True if the predictor reports that it is trusted.
 
-        A predictor without ``trusted`` is always trusted, and only the guard judges it.
+        A predictor without ``trusted`` is always trusted; only the guard then checks its errors.
         """
         return bool(getattr(self.inner, "trusted", True))
 
@@ -273,24 +275,25 @@ class Outside:
         return force
 
     def pause(self) -> None:
-        """Pause a predictor that has the method."""
+        """Pause the predictor if it has the method ``pause``."""
         if self._pause is not None:
             self._pause()
 
 
 class GuardedMaker:
-    """Factory of an external predictor under the guard.
+    """Factory of an external predictor with a guard.
 
     The fallback of the guard is the zero-order hold.
 
     Parameters
     ----------
     name
-        Its name.
+        Name of the predictor.
     make
-        Function that makes it, called with the data trained for the scene, or without arguments.
+        Function that makes the predictor. It is called with the data trained for the scene, or
+        without arguments.
     trained
-        Call `make` with the trained data.
+        True to call `make` with the trained data.
     """
 
     def __init__(self, name: str, make: Callable[..., Any], *, trained: bool = False) -> None:

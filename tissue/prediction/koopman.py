@@ -1,4 +1,4 @@
-"""Force prediction from the past of device and coupling, without the law of the tissue."""
+"""Force prediction from recent motion of device and coupling, without the tissue's law."""
 
 from math import sqrt
 
@@ -11,30 +11,33 @@ from tissue.prediction.predictor import Contact
 __all__ = ["Koopman"]
 
 LEAST_DEPTH_M = 2e-4
-"""Smallest depth at which a contact's stiffness is estimated [m]: four encoder steps.
+"""Smallest depth at which the stiffness of a contact is estimated [m]: four encoder steps.
 
-A surface that moves by more than this depth counts as a new surface.
+A surface that moves by more than this depth is treated as a new surface.
 """
 
 RELEASED = 20
-"""Ticks without force after which a contact ends.
+"""Number of ticks without force after which a contact ends.
 
-A shorter gap is chatter of a cut, which leaves no surface.
+A shorter time without force is chatter of a cut, which leaves no surface.
 """
 REMEMBERED = 0.95
-"""Factor per tick on past forces in the estimate of their direction: a decaying force has none."""
+"""Factor per tick of past forces in the estimate of the force's direction.
+
+Past forces are needed, because a force that has decayed has no direction.
+"""
 
 
 class Koopman:
-    """Force prediction from recent displacements and stretches of a device, without the tissue.
+    """Force predictor that uses recent displacements and stretches of a device.
 
-    The force is the coupling's stiffness times the stretch that the operator predicts. A predicted
-    force that opposes the present force is replaced by zero.
+    The predicted force is the coupling's stiffness times the stretch that the operator predicts. A
+    predicted force in the direction opposite to the present force is replaced by zero.
 
-    A device that has been free for some ticks has zero force until its path reaches the surface of
-    the last contact. The surface is the plane through the end of that contact, normal to its force.
-    The plane is used only if the contact also began there. Beyond the plane, the tissue has the
-    stiffness of that contact.
+    If a device has been free for some ticks, the predicted force is zero until the predicted path
+    reaches the surface of the last contact. This surface is the plane through the end of that
+    contact, normal to the contact force. The plane is used only if the contact also began there.
+    Behind the plane, the tissue has the stiffness of the last contact.
 
     Parameters
     ----------
@@ -62,16 +65,16 @@ class Koopman:
         return self._spring > 0.0 and self.path.trusted
 
     def meet(self, contact: Contact) -> None:
-        """Store the coupling's stiffness; the tissue's law is not used."""
+        """Store the coupling's stiffness. The law of the tissue is not used."""
         self._spring = contact.spring_N_m
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device and the force.
+        """Update with device position and force.
 
-        In a tick without a force, the last contact gives the force at the new device position. The
-        operator's own prediction is not fed back: a predicted stretch together with measured
-        displacements is no trajectory of the operator. Where a tissue answers every tenth tick,
-        such a stretch grew beyond all bounds within seconds.
+        In a tick without a force, the force at the new device position is computed from the last
+        contact. The prediction of the operator is not used as an observation: a predicted stretch
+        together with measured displacements is not a trajectory of the operator. With a tissue that
+        responds every tenth tick, such a stretch grew without bound within seconds.
         """
         if self._spring == 0.0:
             if force_N is not None:
@@ -96,7 +99,7 @@ class Koopman:
             self._begun = position_m.copy()
             self._surface = position_m.copy()
         elif touched and not touches:
-            # Contact ended at the start of a tick's motion. Where it ended deeper than it began,
+            # The contact ended at the start of a tick's motion. If it ended deeper than it began,
             # the tissue has been cut.
             self._surface = self._position.copy()
             self._known = abs(float(self._normal @ (self._surface - self._begun))) < LEAST_DEPTH_M
@@ -115,17 +118,17 @@ class Koopman:
             return self._force.copy()
         if any(self._force.tolist()):
             stretch = self.path.stretch_m(ticks)
-            # Tissue does not pull: a stretch in the other direction means that the contact has
+            # Tissue does not pull. A stretch in the other direction means that the contact has
             # ended.
             return self._spring * stretch if float(stretch @ self._force) > 0.0 else np.zeros(3)
         return self._touched_N(self._position + self.path.displacement_m(ticks))
 
     def pause(self) -> None:
-        """Clear the window, so that it is filled anew."""
+        """Clear the delays of the path, so that they are filled again."""
         self.path.pause()
 
     def _moved_N(self, position_m: Array) -> Array:
-        """Return the force on a device that has moved since the tissue's last answer."""
+        """Return the force on a device that has moved since the last response of the tissue."""
         if not any(self._answer.tolist()):
             return self._touched_N(position_m)
         into = float(self._normal @ (self._answered - position_m))
@@ -133,9 +136,9 @@ class Koopman:
         return force if float(force @ self._answer) > 0.0 else np.zeros(3)
 
     def _touched_N(self, at_m: Array) -> Array:
-        """Return the force on a free device beyond the surface of the last contact.
+        """Return the force on a free device behind the surface of the last contact.
 
-        It is zero if no surface is known.
+        The force is zero if no surface is known.
         """
         if not self._known or self._free < RELEASED:
             return np.zeros(3)

@@ -1,6 +1,6 @@
-"""Force of the tissue's own law at the predicted device position.
+"""Force prediction with the law of the tissue at the predicted device position.
 
-Where the tissue gives no slope of its law, the slope is learnt in contact.
+If the tissue does not provide the slope of its law, the slope is estimated in contact.
 """
 
 from dataclasses import replace
@@ -16,41 +16,43 @@ from tissue.prediction.predictor import Contact, CuttingLaw
 __all__ = ["ContactSlope", "LookAhead"]
 
 NOISE_M = 1e-6
-"""Deviation of a force, over the coupling's stiffness, from a linear law in a tick [m].
+"""Deviation of a force from a linear law in a tick, divided by the coupling's stiffness [m].
 
-Its causes are curvature and friction.
+The causes of this deviation are curvature and friction.
 """
 DRIFT_PER_M = 50.0
 """Increase of a slope's variance per metre of motion.
 
-A slope of 1 is unknown again after 20 mm, a slope of 0.1 after 0.2 mm. Of 0.5 to 500, values from
-50 on differ little: on palpation they leave 0.40 to 0.68 of the excess error of the zero-order
-hold, and 0.5 leaves 0.72.
+A slope of 1 is unknown again after 20 mm, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500
+were compared in palpation, by the ratio of the excess error to that of the zero-order hold. From 50
+on, the results are similar: 0.40 to 0.68. With 0.5 the ratio is 0.72.
 """
 LAW_SHARE = 0.8
-"""Weight of the law of a tool that cuts in the mean with the predicted stretch.
+"""Weight of a cutting tool's law in the mean of law and predicted stretch.
 
-The errors of both are partly independent. Shares of the excess error of the zero-order hold 4 ms
-ahead with weights of 0.5, 0.8 and 1: caries 0.63, 0.60 and 0.58, glenoid 0.65, 0.63 and 0.61,
-milling 0.40, 0.41 and 0.48, molar 0.37, 0.34 and 0.33, pedicle 0.49, 0.51 and 0.53.
+The errors of law and stretch are partly independent. The ratios of the excess error to that of the
+zero-order hold, 4 ms ahead, are for weights of 0.5, 0.8 and 1: 0.63, 0.60 and 0.58 in caries; 0.65,
+0.63 and 0.61 in glenoid; 0.40, 0.41 and 0.48 in milling; 0.37, 0.34 and 0.33 in molar; 0.49, 0.51
+and 0.53 in pedicle.
 """
 JUMP_M = 5e-4
-"""Change of a force over the coupling's stiffness in a tick, above which it is a jump [m].
+"""Change of a force in a tick, divided by the coupling's stiffness, that is a jump [m].
 
-It corresponds to a device speed of 0.5 m/s against a rigid tissue, faster than any hand.
+It corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand is that fast.
 """
 UNKNOWN = 1.0
-"""Variance of an unknown slope; the slope is 1 for a tissue as stiff as the coupling."""
+"""Variance of an unknown slope; the slope of a tissue as stiff as the coupling is 1."""
 
 
 class ContactSlope:
     """Estimate of the matrix S of df = -S dp, shape (3, 3).
 
-    The force f is divided by the coupling's stiffness, so f and the position p are both in metres.
+    The force f is divided by the coupling's stiffness, so that f and the position p are in metres.
 
-    S is a random walk, corrected by the changes of every tick (recursive least squares). Forgetting
-    counts motion, not time, so the estimate of a resting tool stays. No direction is preferred: the
-    estimate turns with the motion.
+    S is modelled as a random walk, and is corrected with the changes of every tick (recursive least
+    squares). The variance increases with the motion and not with time, so that the estimate of a
+    resting tool is kept. No direction is preferred: if the motion is rotated, the estimate is
+    rotated too.
     """
 
     def __init__(self) -> None:
@@ -59,7 +61,7 @@ class ContactSlope:
         self._before: tuple[Array, Array] | None = None
 
     def observe(self, tip_m: Array, force_m: Array) -> None:
-        """Update with a tick in contact; a zero force ends the contact."""
+        """Update with position and force of a tick; a zero force ends the contact."""
         if not any(force_m.tolist()):
             self.pause()
             return
@@ -72,7 +74,7 @@ class ContactSlope:
                 gain = along / (NOISE_M**2 + float(moved.dot(along)))
                 self.matrix -= (changed + self.matrix.dot(moved))[:, None] * gain
                 self._spread -= gain[:, None] * along
-                # every fourth entry of a 3 x 3 matrix: its diagonal
+                # every fourth entry of a 3 x 3 matrix is on its diagonal
                 self._spread.flat[::4] += DRIFT_PER_M * sqrt(square)
                 self._bound()
         self._before = tip_m.copy(), force_m.copy()
@@ -83,9 +85,9 @@ class ContactSlope:
         self._spread = UNKNOWN * np.eye(3)
 
     def _bound(self) -> None:
-        """Limit the spread to the spread of an unknown slope.
+        """Limit the variance to that of an unknown slope.
 
-        Its trace is limited, so that no direction is preferred.
+        The trace of the covariance is limited, so that no direction is preferred.
         """
         size = sum(self._spread.flat[::4].tolist())
         # trace of UNKNOWN times the unit matrix
@@ -94,23 +96,23 @@ class ContactSlope:
 
 
 class LookAhead:
-    """Force at the predicted device position, from linearised coupling and tissue.
+    """Force predictor with linearised coupling and tissue at the predicted device position.
 
-    Both are linear about the last tick.
+    Coupling and tissue are linearised about the last tick.
 
-    With the coupling's stiffness k, the tool's tip p, the tissue's force f on it and that force's
-    slope -df/dp = K, a device at x has its tool at p', where k (x - p') + f - K (p' - p) = 0.
-    The force on the device is k (p' - x). A tissue force that would pull is replaced by zero. A
-    free tool reaches the surface after the gap that the tissue provides, and then presses the
-    stiffness of that surface. If the tissue provides no slope, the slope is learnt
-    (`ContactSlope`).
+    Let k be the coupling's stiffness, p the tip of the tool, f the force of the tissue on the tool,
+    and K = -df/dp its slope. If the device is at x, the tool is at p' with k (x - p') + f - K (p' -
+    p) = 0. The force on the device is k (p' - x). A tissue force that would pull is replaced by
+    zero. A free tool reaches the surface after the distance that the tissue provides, and is then
+    pushed back with the stiffness of that surface. If the tissue provides no slope, the slope is
+    estimated (`ContactSlope`).
 
-    A tool that cuts has its own balance of inertia, coupling and cutting force (`CuttingLaw`). It
-    is stepped along the predicted path of the device, with the present edges in the tissue. On the
-    exact path in milling this leaves 0.13 of the excess error of the zero-order hold 4 ms ahead.
-    With a force that does not change with the velocity it leaves 0.38. The result is a mean with
-    the stretch that the path predicts, see `LAW_SHARE`. Between two answers of the tissue, this
-    stretch is used alone.
+    A tool that cuts has its own balance of inertia, coupling and cutting force (`CuttingLaw`). This
+    balance is integrated along the predicted path of the device, with the cutting elements that are
+    in the tissue now. With the exact path in milling, 4 ms ahead, the ratio of the excess error to
+    that of the zero-order hold is 0.13. It is 0.38 if the force does not change with the velocity.
+    The result is averaged with the stretch that the path predicts, see `LAW_SHARE`. Between two
+    responses of the tissue, only this stretch is used.
 
     The coupling's damper force is assumed constant up to the end of the path.
 
@@ -119,9 +121,10 @@ class LookAhead:
     path
         Predictor of the device's path.
     slopes
-        Slopes of the tissue's force that are used: ``none``, ``given`` by the tissue, or ``learnt``
-        where none is given. In contact without a slope, the stretch that the path predicts is used.
-        Friction and rupture of a needle or a blade have no slope that lasts.
+        Slopes of the tissue's force that are used: ``none``; ``given``, those that the tissue
+        provides; or ``learnt``, which also estimates slopes that the tissue does not provide. In
+        contact without a slope, the stretch that the path predicts is used. Friction and rupture
+        under a needle or a blade have no constant slope.
     """
 
     residual_N = 0.0
@@ -173,7 +176,7 @@ class LookAhead:
             self._stiffness = contact.stiffness_N_m / spring
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device, and with the force in ticks with a tissue answer."""
+        """Update with the device, and with the force in ticks with a tissue response."""
         contact = self._contact
         if contact is None:
             if force_N is not None:
@@ -194,7 +197,7 @@ class LookAhead:
         else:
             self._force = self._expected
         stretch = self._force / contact.spring_N_m
-        # The device position in front of the tool; behind a filter it is not the measured one.
+        # The device position that the tool follows; with a filter it is not the measured position.
         filtered = None
         if contact.cutting is not None and self._answered:
             filtered = contact.tip_m - stretch
@@ -202,7 +205,10 @@ class LookAhead:
         self._expected = self._next(contact)
 
     def _next(self, contact: Contact) -> Array:
-        """Return the force expected in the next tick: of a tool that cuts, by the stretch alone."""
+        """Return the force expected in the next tick.
+
+        For a tool that cuts, only the predicted stretch is used.
+        """
         if contact.cutting is None:
             return self.predict(1.0)
         return contact.spring_N_m * self.path.stretch_m(1.0)
@@ -218,7 +224,7 @@ class LookAhead:
             if not self._answered or self._slopes == "none":
                 return predicted
             by_law = self._cut(self._contact, law, ticks)
-            # Without a force of the tissue, the law is exact.
+            # Without a force of the tissue, the law has no error.
             share = LAW_SHARE if any(self._contact.force_N.tolist()) else 1.0
             return predicted + share * (by_law - predicted)
         if not self._has_slope and any(self._force.tolist()):
@@ -234,19 +240,20 @@ class LookAhead:
         self._slope.pause()
 
     def _cut(self, contact: Contact, law: CuttingLaw, ticks: float) -> Array:
-        """Return the force on the device after a number of ticks of a tool that cuts [N]."""
+        """Return the force of a tool that cuts on the device, after a number of ticks [N]."""
         spring = contact.spring_N_m
         count = ceil(ticks)
         inertia = law.mass_kg / law.tick_s
         device = self._position + self.path.displacements_m(count)
-        # The first displacement is from a measured position to an estimated one, so its rate is not
-        # the velocity.
+        # The first displacement is from a measured position to an estimated position, so that its
+        # rate is not the velocity.
         speeds = np.concatenate((self._velocity[None], np.diff(device, axis=0) / law.tick_s))
         constant = spring * contact.force_N - law.slope_N_s_m.dot(law.velocity_m_s)
         driving = spring * device + law.damping_N_s_m * speeds + constant
         falling = inertia + spring * law.tick_s + law.damping_N_s_m
         *_, inverse, _ = dgesv(falling * self._unit - law.slope_N_s_m, self._unit)
-        # State: velocity, then position of the tool. A tick is onward · state + pushed.
+        # The state is the velocity and the position of the tool. A tick computes onward · state +
+        # pushed.
         onward = np.empty((6, 6))
         onward[:3, :3] = inertia * inverse
         onward[:3, 3:] = -spring * inverse

@@ -1,4 +1,4 @@
-"""Delay operator that adapts to the running contact by recursive least squares."""
+"""Delay operator that adapts to the present contact by recursive least squares."""
 
 import numpy as np
 from scipy.signal import savgol_coeffs
@@ -9,39 +9,39 @@ from tissue.prediction.delays import COORDINATES, HORIZON, DelayOperator, DelayP
 __all__ = ["AdaptivePath"]
 
 MEMORY = 1000.0
-"""Ticks after which a tick counts 1/e in the fit."""
+"""Number of ticks after which the weight of a tick in the fit is 1/e."""
 PRIOR = 0.3
-"""Weight of the starting operator in the fit, relative to a run of the same power as in training.
+"""Weight of the initial operator in the fit, relative to a run with the power in training.
 
-With it, the fit is solvable at rest and returns to the starting operator.
+This weight makes the fit solvable at rest. The fit then returns to the initial operator.
 """
 SMOOTHED = 8
-"""Ticks to either side over which the target position is smoothed by a parabola.
+"""Number of ticks on each side over which a parabola smooths the target position.
 
-It removes most of the encoder steps from the target.
+This removes most of the effect of encoder steps on the target.
 """
 INTERVAL = 32
-"""Ticks between two solutions of the fit: it costs 30 us, which one tick in 32 pays."""
+"""Number of ticks between two solves of the fit. A solve takes 30 us in its tick."""
 
 
 class AdaptivePath(DelayPath):
-    """Delay path whose operator is fitted again in the loop.
+    """Delay path whose operator is fitted again during the run.
 
     The moments of the last ticks are summed with exponential forgetting (recursive least squares in
-    information form). The moments of the starting operator flow in at a constant rate, so that the
-    sum is bounded and positive definite whatever the motion is. All axes share the fit, which is
-    therefore invariant to rotation. The cost of a tick and the memory are constant.
+    information form). The moments of the initial operator are added at a constant rate. The sum is
+    therefore bounded and positive definite for any motion. All axes share the fit, so that it is
+    invariant to rotation. Time per tick and memory are constant.
 
     Parameters
     ----------
     operator
-        Operator to start from.
+        Initial operator.
     """
 
     def __init__(self, operator: DelayOperator) -> None:
         super().__init__(operator)
         start = operator.moments
-        # Moments of three axes over the memory, and their targets, side by side.
+        # Moments of the coordinates of three axes, and of their targets, in adjacent columns.
         targets = start.coordinates @ self._weights.T
         self._start = 3.0 * PRIOR * np.hstack((start.coordinates, targets))
         self._sums = MEMORY * (1.0 + 1.0 / PRIOR) * self._start
@@ -55,9 +55,9 @@ class AdaptivePath(DelayPath):
         self._good = 0
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update the window, and the fit by the oldest kept tick, whose targets are now known.
+        """Update the window, and add the oldest kept tick, whose targets are now known, to the fit.
 
-        Targets are displacements to later positions that the coupling uses.
+        The targets are displacements to later positions that the coupling uses.
         """
         super().observe(position_m, stretch_m)
         past = self._past
@@ -78,11 +78,11 @@ class AdaptivePath(DelayPath):
         self._age += 1
         self._sums *= 1.0 - 1.0 / MEMORY
         self._sums += self._start
-        # A motion outside the training range would outweigh all others for seconds.
+        # A motion outside the training range would dominate the fit for seconds.
         self._good = self._good + 1 if self.trusted else 0
         if self._good > len(past):
             seen = past[-1]
-            # From the first tick to the last: the newest smoothed tick is the last.
+            # From the first to the last tick; the newest smoothed tick is the last.
             targets = (later[::-1] - places[-1]).transpose(1, 0, 2).reshape(2 * HORIZON, 3)
             self._sums += seen.dot(np.concatenate((seen, targets)).T)
         if self._age % INTERVAL == 0:

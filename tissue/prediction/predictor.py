@@ -1,4 +1,4 @@
-"""Interface of a force predictor in a loop, the contact that it may use, and simple predictors."""
+"""Interface of force predictors, data of a contact that they may use, and simple predictors."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -25,39 +25,41 @@ __all__ = [
 
 
 class Predictor(Protocol):
-    """Predictor of the force on a device some ticks ahead of the last observation.
+    """Predictor of the force on a device some ticks after the last observation.
 
-    Once a tick `observe` receives the device position and velocity and, in ticks with a tissue
-    answer, the force. Then `predict` returns the expected force. Both have a fixed cost.
+    Once a tick, `observe` receives the device position and velocity, and in ticks with a tissue
+    response the force. Then `predict` returns the predicted force. The time of each call is
+    constant.
     """
 
     residual_N: float
-    """Size of the last one-tick error [N]: expected minus measured newest force."""
+    """Magnitude of the last one-tick error [N]: predicted minus measured newest force."""
     is_primary: bool
-    """True if the last predicted force is the predictor's own, not its fallback's."""
+    """True if the last predicted force is that of the predictor and not of its fallback."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
 
-        The force acts on the device. It is None in a tick without a force.
+        The force acts on the device. The force is None in a tick without a force.
         """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Predict the force a number of ticks after the last observation [N], shape (3,).
+        """Return the predicted force some ticks after the last observation [N], shape (3,).
 
-        Zero ticks give the present force. The number of ticks need not be whole, because the delay
-        of a force on its path to the motor is not, see `tissue.haptics.loop.sampled_loop`.
+        For zero ticks it is the present force. The number of ticks need not be a whole number,
+        because the delay of a force on its path to the motor is not one, see
+        `tissue.haptics.loop.sampled_loop`.
         """
         ...
 
     def pause(self) -> None:
-        """Pause after a missing sample: the next sample does not follow the last."""
+        """Reset after missing samples, because the next sample does not follow the last."""
         ...
 
 
 class Hold:
-    """Zero-order hold: the baseline that keeps the last force."""
+    """Zero-order hold, the baseline: the predicted force is the last force."""
 
     residual_N = 0.0
     is_primary = True
@@ -77,11 +79,11 @@ class Hold:
         return self._force
 
     def pause(self) -> None:
-        """Do nothing: the hold does not depend on the ticks between forces."""
+        """Do nothing: the zero-order hold does not depend on the ticks between forces."""
 
 
 CONTACT_WIDTH = 36
-"""Number of values of a contact in a recording."""
+"""Number of values that a recording stores for a contact."""
 
 
 @dataclass
@@ -99,7 +101,7 @@ class CuttingLaw:
     velocity_m_s
         Velocity v of the tool, shape (3,).
     slope_N_s_m
-        Change S of the tissue's force with the velocity, shape (3, 3).
+        Derivative S of the tissue's force with respect to the velocity, shape (3, 3).
     mass_kg, damping_N_s_m
         Mass m of the tool and damper b of the coupling.
     tick_s
@@ -115,7 +117,7 @@ class CuttingLaw:
 
 @dataclass
 class Contact:
-    """A tool coupled to a device by a spring, and the local law of the tissue.
+    """Tool that is coupled to a device by a spring, and local law of the tissue.
 
     All values are in metres and newtons at the device.
 
@@ -124,20 +126,21 @@ class Contact:
     spring_N_m
         Stiffness of the coupling.
     tip_m
-        Position of the tool [m], shape (3,). Where no force acts on the tool, it is at the device.
+        Position of the tool [m], shape (3,). If no force acts on the tool, it is at the device.
     force_N
-        Force of the tissue on the tool there, shape (3,).
+        Force of the tissue on the tool at this position, shape (3,).
     stiffness_N_m
-        Decrease of that force with the tool's position, -dF/dx [N/m], shape (3, 3); None where the
-        tissue does not provide it.
+        Stiffness -dF/dx of the tissue at the tool [N/m], shape (3, 3). None if the tissue does not
+        provide it.
     gap_m, normal
-        Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
-        provide it, and the unit direction out of the surface, shape (3,).
+        Distance of a free tool from the tissue's surface [m], infinite if the tissue does not
+        provide it. Unit normal out of the surface, shape (3,).
     surface_N_m
-        Stiffness of the surface at the gap, along the normal [N/m]; infinite if it is not known.
+        Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
+        known.
     cutting
-        Law of a tool that cuts; None for any other tool. No force pushes a tool that cuts back to
-        its earlier position.
+        Law of a tool that cuts; None for any other tool. The tissue does not push a tool that cuts
+        back to an earlier position.
     """
 
     spring_N_m: float
@@ -188,30 +191,31 @@ class Contact:
 
 @runtime_checkable
 class SeesContact(Protocol):
-    """Predictor that receives the contact of a tick before it observes the tick."""
+    """Predictor that receives the contact of a tick before `observe` is called."""
 
     def meet(self, contact: Contact) -> None:
-        """Store the contact of the next observation, not by reference."""
+        """Copy the contact of the next observation."""
         ...
 
 
 WINDOW = 10
-"""Ticks over which a slope is estimated.
+"""Number of ticks over which a slope is estimated.
 
-Of 3 to 30 it is the best value on the recorded wall at 4 to 8 ms, except for a window of 8. It is
-better than 8 on the slower scenes. A shorter window mistakes an encoder step for a slope.
+Values from 3 to 30 were compared. In recordings of `wall`, 4 to 8 ms ahead, only a window of 8 is
+better. In the slower scenes 10 is better than 8. With a shorter window an encoder step looks like a
+slope.
 """
 LONGEST_WINDOW = 1000
-"""Longest window of a slope [ticks]: 1 s, longer than any contact keeps its slope."""
+"""Longest window of a slope [ticks]: 1 s. The slope of a contact is not constant for so long."""
 JERKINESS = 1e-3
-"""Variance of the force's third difference over the variance of its noise.
+"""Variance of the force's third difference divided by the variance of its noise.
 
-Of 1e-8 to 1e-2 it is the best value on the recorded wall.
+It is the best of the values from 1e-8 to 1e-2 in recordings of `wall`.
 """
 
 
 class Linear:
-    """Straight line through the newest force and the force one window of ticks before it."""
+    """Predictor by a straight line through the newest force and the force one window before."""
 
     residual_N = 0.0
     is_primary = trusted = True
@@ -232,7 +236,7 @@ class Linear:
         missed = force_N - self.predict(0)
         self.residual_N = sqrt(missed.dot(missed))
         seen.append((self._clock, force_N.copy()))
-        # One force at least as old as the window is kept, so that the line spans all of it.
+        # One force at least as old as the window is kept, so that the line covers the whole window.
         while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
             seen.popleft()
         since, first = seen[0]
@@ -244,14 +248,14 @@ class Linear:
         return force + (self._clock - since + ticks) * self._slope
 
     def pause(self) -> None:
-        """Restart the line from the newest force, because its points must belong together."""
+        """Restart the line from the newest force, because samples are missing."""
         self._seen = deque([(self._clock, self._seen[-1][1])])
         self._slope = np.zeros(3)
 
 
 @lru_cache
 def kalman_gains(ticks: int, jerkiness: float) -> Array:
-    """Return the steady Kalman gains for force, its rate and its second rate, shape (3,).
+    """Return the steady Kalman gains for force, first and second derivative, shape (3,).
 
     A force is observed every `ticks` ticks. The process is F''' = white noise. The gains solve the
     discrete Riccati equation (Kalman 1960).
@@ -260,7 +264,7 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
     step = float(ticks)
     onward = np.array([[1.0, step, 0.5 * step**2], [0.0, 1.0, step], [0.0, 0.0, 1.0]])
-    # A third rate that is constant over the step changes force, rate and second rate by these.
+    # Changes of force, first and second derivative by a constant third derivative during the step.
     noise = np.array([step**3 / 6.0, step**2 / 2.0, step])
     look = np.array([[1.0, 0.0, 0.0]])
     spread = solve_discrete_are(
@@ -271,7 +275,7 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
 
 class Kalman:
-    """Steady Kalman filter for a force of constant acceleration.
+    """Predictor by a steady Kalman filter for a force with a constant second derivative.
 
     The process and the observations have white noise.
     """
@@ -281,14 +285,14 @@ class Kalman:
 
     def __init__(self, jerkiness: float = JERKINESS) -> None:
         self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
-        # Force, rate and second rate one tick later, in units of ticks.
+        # Force, first and second derivative one tick later, in units of ticks.
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state = np.zeros((3, 3))
         self._since = 0
         self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Advance by a tick and correct by the force; the device is not used."""
+        """Advance by a tick, and correct with the force; the device is not used."""
         state = self._state = self._onward.dot(self._state)
         self._since += 1
         if force_N is not None:
@@ -299,14 +303,14 @@ class Kalman:
             self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
-        """Return the force on the parabola.
+        """Return the force on the parabola of force, first and second derivative.
 
-        At 0 ticks after an observed force, it is that force.
+        For 0 ticks after an observed force, it is that force.
         """
         if ticks == 0 and self._since == 0:
             return self._force
         return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state
 
     def pause(self) -> None:
-        """Reset the rates, which belong to the earlier motion."""
+        """Reset the derivatives, because they belong to the earlier motion."""
         self._state[1:] = 0.0

@@ -1,4 +1,4 @@
-"""Trained predictors of a scene, and their file: arrays and one line of JSON, without any code."""
+"""Trained predictors of a scene, and their file of arrays and one line of JSON."""
 
 import json
 from dataclasses import dataclass, field
@@ -20,18 +20,18 @@ from tissue.prediction.delays import COORDINATES, DELAYS, HORIZON, DelayOperator
 __all__ = ["VALIDATED_AT", "Trained", "general_operator", "is_trained", "shipped_file"]
 
 SHIPPED = Path(__file__).parent / "trained"
-"""Folder of the predictors that ship with the engine, one file a scene."""
+"""Folder of the predictors that are part of the package, one file for each scene."""
 VALIDATED_AT = 6
-"""Lead in whole ticks at which predictors are compared in training.
+"""Prediction horizon in whole ticks at which predictors are compared in training.
 
-It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path to the motor, see
-`tissue.simulation.builders.loop.lead_ticks`.
+It is the horizon for 4 ms of latency. On a Touch, including the path to the motor, this is 6.11
+ticks, see `tissue.simulation.builders.loop.lead_ticks`.
 """
 FORMAT = "tissue predictor"
 VERSION = 4
 """Version of the file."""
 SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 * HORIZON)}
-"""Arrays of a file: the moments of the training data, see `tissue.prediction.delays.Moments`."""
+"""Shapes of the arrays of a file, the moments in `tissue.prediction.delays.Moments`."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Trained:
     operator
         Delay operator of displacement and stretch of an axis [m], see `tissue.prediction.delays`.
     fallback
-        Name of the predictor used outside the training range: the best predictor without an
-        operator.
+        Name of the predictor that is used outside the training range. It is the best predictor
+        without an operator.
     facts
         Numbers and names that describe training and validation.
     """
@@ -57,9 +57,10 @@ class Trained:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def loses(self, kind: str, other: str) -> bool:
-        """Return True if another predictor had a smaller error than a predictor in validation.
+        """Return True if ``other`` had a smaller error than ``kind`` in validation.
 
-        The errors are compared at the validated horizon nearest to a loop's usual lead.
+        The errors are compared at the validated horizon that is nearest to the usual horizon of a
+        loop.
         """
         if "validation" not in self.facts:
             return False
@@ -69,12 +70,12 @@ class Trained:
         return bool(errors[kind][at] > errors[other][at])
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the predictors to a file, which appears completely or not at all.
+        """Write the predictors to a file; an incomplete file never appears.
 
         Raises
         ------
         InputError
-            If the file exists and may not be written over, or its folder is missing.
+            If the file exists and must not be overwritten, or if its folder is missing.
         """
         path = Path(path)
         require_new_file(path, overwrite=overwrite)
@@ -106,8 +107,7 @@ class Trained:
         Raises
         ------
         InputError
-            If the file is missing, damaged, of another version, or of another scene than the given
-            one.
+            If the file is missing or damaged, has another version, or belongs to another scene.
         """
         path = Path(path)
         what = "predictor file"
@@ -162,16 +162,16 @@ def shipped_file(scene: str) -> Path:
 
 
 def is_trained(scene: str, file: str = "") -> bool:
-    """Return True if a trained predictor is known for a scene.
+    """Return True if a trained predictor exists for a scene.
 
-    It is the scene's own file, or one that ships with the engine.
+    It is the scene's own file, or a file that is part of the package.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
 @cache
 def general_operator(*, without: str = "") -> DelayOperator:
-    """Return the operator fitted to the training data of all shipped predictors together.
+    """Return the operator fitted to the training data of all built-in predictors.
 
     Every scene has the same weight. The data of the scene ``without`` are left out.
     """

@@ -37,7 +37,7 @@ class CutAnatomy(Part):
     kind: str
 
     source: ClassVar[str] = "procedural"
-    """Origin of the shape, as used in messages."""
+    """Origin of the shape, as named in messages."""
     reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear", "heat")
     """Tables of a scene that apply to this anatomy."""
 
@@ -276,7 +276,7 @@ class Tooth(CutAnatomy):
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface files by layer, for the layers that have one."""
+        """Surface files, keyed by layer."""
         return {}
 
 
@@ -335,7 +335,7 @@ class MolarSurfaces(ToothSite, Drilled):
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface files by layer, for the layers that have one."""
+        """Surface files, keyed by layer."""
         files = {name: getattr(self, f"{name}_file") for name in LAYERS}
         return {name: file for name, file in files.items() if file is not None}
 

@@ -40,16 +40,19 @@ __all__ = [
 ]
 
 FORMAT = 2
-"""Version of the scene file format; the form of a file without it shows its version."""
-OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
-"""Keys of the table [device] that were at the top level of a file of version 0.2.
+"""Version of the scene file format.
 
-Overrides may give them in this form.
+The version of a file that does not contain it is recognised from its keys.
+"""
+OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
+"""Keys of the table [device] that were at the top level in version 0.2.
+
+Overrides may give these keys without ``device.``.
 """
 KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
-"""Keys of every scene that a run saved before files had a version.
+"""Keys that are in every scene file of a run that was saved before files had a version.
 
-Such a file contained all defaults.
+Such a file contains all defaults.
 """
 REMOVED = {
     "organ": {
@@ -59,7 +62,7 @@ REMOVED = {
         "law_edge_ratio": 1.4,
     }
 }
-"""Removed keys of version 0.2 by table, with the values that had no effect."""
+"""Removed keys of version 0.2, keyed by table, with values that had no effect."""
 
 
 class OldSceneWarning(UserWarning):
@@ -77,16 +80,17 @@ def full_key(key: str, value: object = None) -> str:
 
 
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
-    """Return the table of a scene file in the current form, and True if a run wrote the file.
+    """Convert the table of a scene file to the current form; also return whether a run wrote the
+    file.
 
     Raises
     ------
     InputError
-        If a later version wrote it.
+        If a later version wrote the file.
     """
     was_kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
     stated = {name: table[name] for name in ("format", "tissue") if name in table}
-    # Files of version 0.2 state no version: they count as format 1.
+    # Files of version 0.2 contain no version. They count as format 1.
     require_version("scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out")
     table = {name: value for name, value in table.items() if name not in stated}
     moved = {name: table.pop(name) for name in OF_DEVICE if name in table}
@@ -97,14 +101,15 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
             "read as a table [device]; see "
             "`tissue scenes wall` for the new form.",
             OldSceneWarning,
-            # 3: the caller of `load_scene`.
+            # Level 3 is the caller of `load_scene`.
             stacklevel=3,
         )
         held = dict(name) if isinstance(name, Mapping) else {}
         if isinstance(name, str) and name != "none":
             held = {"kind": name}
         table.pop("device", None)
-        # A run of version 0.2 kept the hand of a scene without a device, where it had no effect.
+        # A run of version 0.2 saved the hand even for a scene without a device, where it had no
+        # effect.
         if held or not was_kept:
             held |= moved
         if held:
@@ -119,7 +124,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
 
 
 def _drop_removed(table: Mapping[str, Any]) -> None:
-    """Drop removed keys with a value that had no effect."""
+    """Remove keys that no longer exist, if their value had no effect."""
     for part, keys in REMOVED.items():
         inner = table.get(part)
         if isinstance(inner, dict):
@@ -131,9 +136,9 @@ def _drop_removed(table: Mapping[str, Any]) -> None:
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
 RECORDED = "recorded"
-"""Device whose address is a file."""
+"""Name of the device whose address is a file."""
 REPLACED_DEVICE = "touch"
-"""Device that the mouse of a live session replaces, for a scene with a coupling but no device."""
+"""Name of the device that the mouse of a live run replaces if the scene names no device."""
 
 
 def library_names() -> list[str]:
@@ -156,7 +161,7 @@ def scene_text(name: str) -> str:
     Raises
     ------
     InputError
-        If there is no such scene.
+        If the scene is unknown.
     """
     if name in library_names():
         return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
@@ -183,11 +188,11 @@ def load_scene(
     source
         Name of a scene, see `scene_names`, or path of a TOML file.
     overrides
-        Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``; ``device``, ``hand``,
-        ``coupling.delay_ms`` and other keys of the device may be given without the table's name.
-        Keys of the scene that lose their effect through an override are left out.
+        Values, keyed by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. Keys of the table
+        ``device`` may be given without its name: ``hand``, ``coupling.delay_ms``. Keys of the scene
+        that lose their effect through an override are removed.
     live
-        True if a mouse replaces the device of a scene without one.
+        True if a mouse moves the tool of a scene that names no device.
 
     Raises
     ------
@@ -219,19 +224,20 @@ def load_scene(
     table, was_kept = converted(table, path)
     table = _absolute(table, folder)
     if was_kept:
-        # A run of version 0.2 wrote all defaults, also of keys without effect.
+        # A run of version 0.2 saved all defaults, even of keys without effect.
         for key in _settled(table)[1]:
             _drop(table, key)
     return _replaced(table, overrides or {}, live=live)
 
 
 def saved_text(scene: Scene) -> str:
-    """Return the TOML of a scene for a run folder, with the versions of format and tissue."""
+    """Return a scene as TOML for a run folder, with the versions of the format and of tissue."""
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
 def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
-    """Return a scene with changed values by dotted key; None resets an entry to its default.
+    """Return a scene in which the values of dotted keys are replaced; None resets a key to its
+    default.
 
     Raises
     ------
@@ -244,11 +250,10 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
 def _replaced(
     table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
 ) -> Scene:
-    """Return the scene of a table with changed values by dotted key.
+    """Return the scene of a table in which the values of dotted keys are replaced.
 
-    Keys of the table that lose their effect through an override are dropped. Keys that had no
-    effect before stay and are refused. Keys without effect in an override also stay and are
-    refused.
+    Keys of the table that lose their effect through an override are removed. Keys that had no
+    effect before are refused, and so are overrides that have no effect.
     """
     try:
         require_shallow(dict(overrides))
@@ -272,7 +277,7 @@ def _replaced(
                 whole, "be given once", f"two values, one of them as {key}", "remove one of them"
             )
         full[whole] = None if (key, value) == ("device", "none") else value
-    # A new kind resets its part, so kinds are placed first, in any order of the overrides.
+    # A new kind resets its part, so kinds are set first, whatever the order of the overrides.
     for key, value in sorted(
         full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")
     ):
@@ -282,14 +287,14 @@ def _replaced(
         and "device" not in table
         and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}
     ):
-        # The mouse stands in for a device, whose keys need a device in the scene.
+        # The mouse replaces a device. Keys of the device need a device in the scene.
         placed["device"] = {"kind": REPLACED_DEVICE} | (placed.get("device") or {})
     if "device.hardware.address" in full:
         placed["device"] = _with_absolute_record(placed["device"], Path.cwd())
     asked = placed.get("device")
     if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
         del placed["device"]  # values of none alone request no device
-    # Of an invalid table no key is known to have had an effect: its own fault is raised.
+    # If the table is invalid, the keys without effect are not known. Its own fault is raised.
     if isinstance(before, InputError):
         return _scene(placed)
 
@@ -305,7 +310,7 @@ def _replaced(
 def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True) -> Scene:
     """Return the scene of a table; see `_settled`.
 
-    An invalid table raises an InputError for its first fault.
+    For an invalid table, the InputError of its first fault is raised.
     """
     found, _ = _settled(table, keep)
     if isinstance(found, InputError):
@@ -316,11 +321,11 @@ def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: T
 def _settled(
     table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: False
 ) -> tuple[Scene | InputError, set[str]]:
-    """Return the scene of a table without the keys that have no effect, and these keys.
+    """Remove keys that have no effect from a table; return its scene and the removed keys.
 
-    Dropping a key can make another one idle, so the table is validated until no key is dropped.
-    Keys that `keep` accepts stay. For an invalid table, the error of its first fault is returned
-    instead of a scene.
+    Another key may lose its effect when a key is removed, so the table is validated until no key is
+    removed. Keys that `keep` accepts are not removed. For an invalid table, the error of its first
+    fault is returned instead of a scene.
     """
     left = _without_nothing(table)
     found = set[str]()
@@ -331,7 +336,8 @@ def _settled(
             faults = error.errors(include_url=False)
         idle = {key for fault in faults for key in idle_keys(fault, left) if not keep(key)}
         if idle <= found:
-            # A misspelt required key gives two faults. The one that names the key is reported.
+            # A misspelt required key causes two faults. The fault that names the misspelt key is
+            # reported.
             first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
             return error_of(first, left), found
         for key in idle:
@@ -360,7 +366,7 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
 
 
 def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the table of a device with the absolute path of a recorded device's file."""
+    """Return the table of a device; the file of a recorded device has an absolute path in it."""
     hardware = device.get("hardware")
     if device.get("kind") != RECORDED or not isinstance(hardware, Mapping):
         return device
@@ -373,7 +379,7 @@ def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any
 def _absolute_path(folder: Path, name: str) -> str:
     """Return the absolute path of a file.
 
-    A loop of links is not resolved. It is refused later.
+    A loop of symbolic links is not resolved; it is refused later.
     """
     try:
         return str((folder / name).resolve())
@@ -382,7 +388,7 @@ def _absolute_path(folder: Path, name: str) -> str:
 
 
 def _require_no_nul(value: object, key: str = "") -> None:
-    """Refuse texts with the character NUL, which file names cannot contain."""
+    """Refuse texts that contain the character NUL, which is not allowed in file names."""
     if isinstance(value, str) and "\0" in value:
         raise InputError(key, "be text without the character NUL", shown(value), "leave it out")
     if isinstance(value, Mapping):
@@ -402,7 +408,7 @@ def _drop(table: dict[str, Any], key: str) -> None:
 
 
 def _without_nothing(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a table without entries that are None."""
+    """Return a table without the entries that are None."""
     inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
     return {k: v for k, v in inner.items() if v is not None}
 
@@ -432,14 +438,14 @@ def _read(path: Path) -> str:
 def parse_override(
     text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2"
 ) -> tuple[str, object]:
-    """Return key and value of ``key=value``.
+    """Return the key and the value of a text ``key=value``.
 
-    The value is read as TOML. A value that is not TOML is a string.
+    The value is read as TOML. If it is not valid TOML, it is used as a string.
 
     Raises
     ------
     InputError
-        If there is no ``=``.
+        If the text contains no ``=``.
     """
     key, sign, value = text.partition("=")
     if not sign or not key:
@@ -451,12 +457,12 @@ def parse_override(
 
 
 def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
-    """Return the values of texts such as ``voxels.spacing_mm=0.2`` by key.
+    """Return the values of texts such as ``voxels.spacing_mm=0.2``, keyed by dotted key.
 
     Raises
     ------
     InputError
-        If a text has no ``=``, or two texts have the same key.
+        If a text contains no ``=``, or two texts have the same key.
     """
     found: dict[str, object] = {}
     for text in texts:
@@ -468,7 +474,7 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set a dotted key in nested tables; a new kind of a part resets that part."""
+    """Set a dotted key in nested tables; a new kind removes the other keys of its part."""
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
@@ -487,7 +493,7 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
                 "see `tissue scenes NAME`",
             )
         table = inner
-    # Devices of all kinds have the same keys, so that a new kind keeps them.
+    # Devices of all kinds have the same keys, so a new kind of device keeps the other keys.
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
         table.clear()
     table[last] = value

@@ -23,7 +23,7 @@ Key = tuple[str, ...]
 
 
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
-    """Return the error for a fault that pydantic found in the table of a model."""
+    """Return the error message for a fault that pydantic found in the table of a model."""
     path = _without_tags(fault["loc"], table, model)
     numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
     names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
@@ -67,7 +67,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
 def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> InputError:
     """Return the error for keys without effect.
 
-    It names all keys that have no effect for the first key's reason.
+    The error names all keys that have no effect for the same reason as the first key.
     """
     first = next(iter(refused.values()))[1]
     given = {
@@ -196,7 +196,7 @@ def _source(part: type[BaseModel]) -> str:
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys that a fault refuses because they have no effect in the scene."""
+    """Return the dotted keys that a fault refuses because the keys have no effect in the scene."""
     names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
     if fault["type"] == "idle_keys":
         return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
@@ -227,21 +227,23 @@ def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """Return a refused value as text, with its decimal point or quotes, which may be the fault."""
+    """Return a refused value as text; decimal point and quotes are shown because they may be the
+    fault.
+    """
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """Return the names that a field accepts; an empty list for any other field."""
+    """Return the names that a field accepts; empty for a field without names."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]
 
 
 def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
-    """Return the values that a field takes, in words."""
+    """Return a text about the values that a field accepts."""
     part = _alternatives(field.annotation)[0]
     bounds = _bounds([*field.metadata, *_limits(field.annotation)])
     if part in (int, float):
@@ -285,7 +287,7 @@ def _bounds(metadata: Iterable[object]) -> str:
 
 
 def _remedy(field: FieldInfo) -> str:
-    """Return an instruction with a valid value: the field's example or default."""
+    """Return an instruction with a valid value: the example or the default of the field."""
     value = field.examples[0] if field.examples else field.default
     if value == "":
         return "put it in quotes"
@@ -301,7 +303,7 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
 
 
 FITTING = (str, int, float, list, tuple, Mapping)
-"""Types of values that a remedy can show."""
+"""Types of values that can be shown in a remedy."""
 
 
 def _toml(value: object) -> str:
@@ -321,7 +323,7 @@ def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> F
 
 
 def _values(field: FieldInfo) -> FieldInfo | None:
-    """Return the field for the values of a table by name; None for any other field."""
+    """Return the field for the values of a mapping; None for a field that is not a mapping."""
     part = _alternatives(field.annotation)[0]
     return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
@@ -338,12 +340,12 @@ def _model_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> t
 
 
 def _by_kind(field: FieldInfo) -> ByKind | None:
-    """Return the mark of a union of tables; None for any other field."""
+    """Return the `ByKind` mark of a union of tables; None for other fields."""
     return next((each for each in field.metadata if isinstance(each, ByKind)), None)
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:
-    """Return the models that a field may hold; an empty list for a plain value."""
+    """Return the models that a field may contain; empty for a plain value."""
     mark = _by_kind(field)
     if mark is not None:
         return list(mark.parts())
@@ -369,7 +371,7 @@ def _alternatives(annotation: object) -> list[object]:
 
 
 def _limits(annotation: object) -> list[object]:
-    """Return the limits that apply to one of several types only."""
+    """Return the limits that apply to only one of several types."""
     return [limit for each in get_args(annotation) for limit in getattr(each, "__metadata__", ())]
 
 
@@ -387,9 +389,10 @@ def _value_at(names: tuple[str, ...], table: Table) -> object:
 def _without_tags(
     location: tuple[int | str, ...], table: Table, model: type[BaseModel]
 ) -> list[int | str]:
-    """Return a fault's location without the steps that pydantic adds.
+    """Return the location of a fault without the steps that pydantic adds.
 
-    These steps are a part's class, or the type of several that a value is not.
+    Such a step is the class of a part, or, for a value of several types, a type that it does not
+    have.
     """
     path = list(location)
     inner: type[BaseModel] | None = model

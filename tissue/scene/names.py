@@ -1,6 +1,7 @@
-"""Names of the parts that a scene's keys choose from, with a registry for each kind of part.
+"""Registries of the parts that the keys of a scene can name, one for each kind of part.
 
-The entries hold the properties of a part. Factories of built-in parts are in the packages above.
+An entry contains the properties of a part. The functions that make built-in parts are in higher
+packages.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,14 +43,14 @@ class AnatomyEntry:
     Attributes
     ----------
     parameters
-        Tables for this tissue in a scene, one for each source of its shape. Their ``kind`` is the
-        entry's name.
+        Classes of the scene tables for this tissue, one for each source of the shape. Their
+        ``kind`` is the name of the entry.
     tool
-        Table of the tools that act on it.
+        Class of the tools for this tissue.
     build, force_N, pictures, faces
         Functions of a registered tissue, see `tissue.register`. They make the parts of a run,
-        estimate the largest force on a scene's scripted motion [N], draw pictures of a run by file
-        name, and return the faces in a window.
+        estimate the largest force on the scripted motion [N], draw pictures of a run (a mapping
+        from file name to function), and return the faces that a window shows.
     """
 
     parameters: tuple[type[Part], ...]
@@ -67,11 +68,11 @@ class CutterEntry:
     Attributes
     ----------
     profile
-        Function of a registered cutter that returns its half section from ``diameter_m`` and the
-        sizes of `keys`: ``length_m`` for ``length_mm``, ``point_angle_rad`` for
-        ``point_angle_deg``.
+        Function that returns the half section of a registered cutter. Its arguments are
+        ``diameter_m`` and the sizes of `keys`: ``length_m`` for the key ``length_mm``,
+        ``point_angle_rad`` for the key ``point_angle_deg``.
     keys
-        Keys of the tool that define its shape, in addition to its diameter.
+        Keys of the tool table that define the shape in addition to the diameter.
     """
 
     profile: Factory | None = None
@@ -85,9 +86,9 @@ class ProbeEntry:
     Attributes
     ----------
     make
-        Function of a registered probe that makes it from its table in a scene.
+        Function that makes a registered probe from its scene table.
     keys
-        Keys of the tool that define its shape.
+        Keys of the tool table that define the shape.
     """
 
     make: Factory | None = None
@@ -101,9 +102,9 @@ class MotionEntry:
     Attributes
     ----------
     parameters
-        Table for this motion in a scene, whose ``kind`` is the entry's name.
+        Class of the scene table for this motion. Its ``kind`` is the name of the entry.
     make
-        Function of a registered motion that makes it from that table and the length of a tick [s].
+        Function that makes a registered motion from this table and the duration of a tick [s].
     """
 
     parameters: type[Part]
@@ -117,11 +118,11 @@ class DeviceEntry:
     Attributes
     ----------
     numbers
-        Values of `tissue.haptics.device.device.DeviceParameters` by name. They are used to judge
-        and simulate the device.
+        Values of `tissue.haptics.device.device.DeviceParameters`, keyed by name, for the stability
+        check and the simulated device.
     make
-        Function of a registered device that opens the real device, given the start position of the
-        tool in the scene [m].
+        Function that opens the real device of a registered device. Its argument is the start
+        position of the tool in the scene [m].
     has_adapter
         True if `tissue.haptics.real` opens the real device.
     """
@@ -143,10 +144,10 @@ class PredictorEntry:
     Attributes
     ----------
     make
-        Function of a registered predictor that makes it from the trained data of the scene and the
-        device's largest force [N]. The data are None for a predictor that is not trained.
+        Function that makes a registered predictor from the trained data of the scene and the
+        largest force of the device [N]. The data are None for a predictor that is not trained.
     trained
-        True if it needs the output of `tissue train`.
+        True if the predictor needs the output of `tissue train`.
     colour, marker
         Colour and marker in charts, in matplotlib's notation.
     """
@@ -170,7 +171,7 @@ CUTTERS: Registry[CutterEntry] = Registry(
     },
     group="tissue.tools",
 )
-"""Rotating cutters by shape."""
+"""Rotating cutters, keyed by shape."""
 
 
 PROBES: Registry[ProbeEntry] = Registry(
@@ -182,23 +183,23 @@ PROBES: Registry[ProbeEntry] = Registry(
     },
     group="tissue.probes",
 )
-"""Smooth tools that press, by shape."""
+"""Smooth pressing tools, keyed by shape."""
 NEEDLES: Registry[Callable[..., Any] | None] = Registry(
     "tool.kind", {"needle": None}, group="tissue.needles"
 )
-"""Needles: functions that return the tissue of a registered needle from ``walls``.
+"""Needles, with functions that return the tissue of a registered needle from ``walls``.
 
 ``walls`` are the membranes below the capsule, from the surface downwards.
 """
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:
-    """Return the values of a data file; later names override earlier ones."""
+    """Return the values of a data file."""
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
 REAL = ("haply", "forcedimension", "sigma-7", "openhaptics", "network", "recorded")
-"""Devices that `tissue.haptics.real` opens; the others of the data file are simulated."""
+"""Devices that `tissue.haptics.real` opens; the other devices of the data file are simulated."""
 DEVICES: Registry[DeviceEntry] = Registry(
     "device",
     {
@@ -213,9 +214,9 @@ HANDS: Registry[Mapping[str, float]] = Registry(
     {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"},
     group="tissue.hands",
 )
-"""Hands that hold a device, as values of `tissue.haptics.hand.hand.HandParameters` by name."""
+"""Hands that hold a device, with values of `tissue.haptics.hand.hand.HandParameters`."""
 GROUPS = HANDS.known
-"""Groups of operators with known hands and known senses, used in studies and in training."""
+"""Groups of people with known hands and known force perception, for studies and training."""
 RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     "renderer",
     {
@@ -225,7 +226,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.renderers",
 )
-"""Rendering laws: functions that return the law of a registered renderer from its wall's loop."""
+"""Rendering laws, with functions that make a registered law from the loop of its wall."""
 
 
 PREDICTORS: Registry[PredictorEntry] = Registry(
@@ -240,7 +241,7 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
     },
     group="tissue.predictors",
 )
-"""Predictors of the force on a device; colours after Okabe and Ito (2008)."""
+"""Predictors of the force on a device, with chart colours after Okabe and Ito (2008)."""
 PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     "perception",
     {
@@ -249,18 +250,18 @@ PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.perceptions",
 )
-"""Perception models that scale the force on a device."""
+"""Perceptual maps, which scale the force on a device."""
 CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
     "cutting.material",
     {name: ("cutting", name) for name in ("bone", "enamel", "dentin", "soft")},
     group="tissue.materials",
 )
-"""Materials for cutting bone: table of `tissue.materials.constants`, and name in it."""
+"""Materials of bone for cutting: table of `tissue.materials.constants`, and name in this table."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
     "organ.material",
     {name: ("soft", name) for name in ("liver", "pressed_liver", "kidney")},
     group="tissue.materials",
 )
-"""Materials of a soft organ: table of `tissue.materials.constants`, and name in it."""
+"""Materials of a soft organ: table of `tissue.materials.constants`, and name in this table."""
 SCENES: Registry[Path] = Registry("scene", {}, group="tissue.scenes")
-"""Files of registered scenes by scene name, without the built-in scenes."""
+"""Files of registered scenes, keyed by scene name; built-in scenes are not included."""

@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 LAYERS = ("capsule", "parenchyma")
-"""Layers that a needle passes in every scene."""
+"""Layers that a needle passes in any scene with a needle."""
 
 
 class SoftAnatomy(Part):
@@ -127,9 +127,9 @@ class SlabAnatomy(WithNodule):
 
 
 def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
-    """Refuse membranes that lie at one depth or have the name of a layer.
+    """Refuse membranes that lie at the same depth or have the name of a layer.
 
-    An empty table gives None.
+    For an empty table, the result is None.
     """
     listed = sorted(depths_mm.items(), key=lambda each: each[1])
     for name, _ in listed:
@@ -233,7 +233,7 @@ LAW_SHAPES = {
     "ogden": ("exponent",),
     "exponential": ("exponential_rate",),
 }
-"""Keys that give a law its shape, in addition to the modulus and Poisson's ratio.
+"""Keys that define the shape of a law, in addition to the modulus and Poisson's ratio.
 
 The first key of a law is required. An exception is the exponential law, whose rate has a built-in
 value for a pressed liver.
@@ -326,7 +326,7 @@ class Organ(Part):
     """
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rule for a material whose constants are not used."""
+        """Yield the rule that refuses a material whose constants are not used."""
         is_stated = self.young_kPa is not None and self.poisson_ratio is not None
         takes_rate = self.law == "exponential" and self.exponential_rate is None
         is_cited = self.capsule or self.gravity or self.viscous or takes_rate

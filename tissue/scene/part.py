@@ -1,7 +1,7 @@
-"""Base class of a scene's tables, marks of their keys, and registries of names for keys.
+"""Base class of scene tables, marks of keys, and registries of names.
 
-`Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` take the
-choices of a key from a registry of named parts.
+`Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` mark
+keys whose choices come from a registry.
 """
 
 import re
@@ -52,7 +52,7 @@ __all__ = [
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 """File name suffixes of surface files.
 
-A file with any other name is an image, or a folder of image slices.
+A file with any other suffix is an image, or a folder of image slices.
 """
 LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
 """Layers of a tooth that have a surface of their own."""
@@ -61,23 +61,23 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Registry of named parts of one kind, in listing order.
+    """Registry of the named parts of one kind, in the order of listing.
 
     Parameters
     ----------
     key
-        Scene key whose value is a name in this registry, as used in messages.
+        Scene key, used in messages, whose value is a name in this registry.
     parts
-        Parts by name. A name such as ``observer:FILE`` matches all texts with another argument
-        after the colon.
+        Parts, keyed by name. A name such as ``observer:FILE`` matches texts with any argument after
+        the colon.
     group
-        Group of entry points by which installed packages offer more parts. The packages are asked
-        for an unknown name, and when the names are listed.
+        Group of entry points through which installed packages offer more parts. The entry points
+        are read when a name is unknown, and when the names are listed.
 
     Attributes
     ----------
     built_in
-        Names of the parts given at construction.
+        Names of the parts that were given at construction.
     """
 
     def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
@@ -86,7 +86,7 @@ class Registry(Generic[T]):
         self._parts = dict(parts)
         self.built_in = frozenset(parts)
         self.on_change: list[Callable[[], object]] = []
-        """Functions called after a part is added or removed."""
+        """Functions that are called after a part is added or removed."""
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)
@@ -110,7 +110,7 @@ class Registry(Generic[T]):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names of the parts known so far, without asking installed packages."""
+        """Names of the parts known so far; the entry points of packages are not read."""
         return tuple(self._parts)
 
     def _why_not(self, name: str, *others: str) -> InputError:
@@ -120,9 +120,9 @@ class Registry(Generic[T]):
         return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
-        """Return the name of the part that a text names, and its argument.
+        """Return the name of the part that a text selects, and the argument in the text.
 
-        For ``observer:a.json`` these are ``observer:FILE`` and ``a.json``.
+        For ``observer:a.json``, the result is ``observer:FILE`` and ``a.json``.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class Registry(Generic[T]):
         raise self._why_not(text, *others)
 
     def _split(self, text: str) -> tuple[str, str] | None:
-        """Return name and argument of a text among the parts known so far; None without a match."""
+        """Return name and argument of a text that matches a known part, or None."""
         for name in self.known:
             head, colon, _ = name.partition(":")
             if text == name and not colon:
@@ -147,9 +147,9 @@ class Registry(Generic[T]):
         return None
 
     def with_file_at(self, text: str, folder: Path) -> str:
-        """Return a text such as observer:a.json with an absolute file path.
+        """Return a text such as ``observer:a.json`` with an absolute file path.
 
-        A relative path starts at ``folder``.
+        A relative path is relative to ``folder``.
         """
         for name in self if ":" in text else ():
             head = name.removesuffix("FILE")
@@ -158,12 +158,12 @@ class Registry(Generic[T]):
         return text
 
     def add(self, name: str, part: T) -> None:
-        """Add a part by a new name.
+        """Add a part under a new name.
 
         Raises
         ------
         InputError
-            If the name is taken.
+            If the name is already used.
         """
         if name in self._parts:
             raise InputError(
@@ -175,12 +175,12 @@ class Registry(Generic[T]):
         self.put(name, part)
 
     def put(self, name: str, part: T) -> None:
-        """Set the part of a name, in place of an existing one."""
+        """Set the part of a name; an existing part is replaced."""
         self._parts[name] = part
         self._changed()
 
     def remove(self, name: str) -> None:
-        """Remove a part that was added, and free its name."""
+        """Remove a part that was added; its name can be used again."""
         self[name]
         del self._parts[name]
         self._changed()
@@ -192,7 +192,7 @@ class Registry(Generic[T]):
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Mark of a text key whose value is a name in a registry or one of some other names.
+    """Mark of a text key whose value is a name in a registry, or one of a few other names.
 
     The value is checked when the scene is validated.
     """
@@ -202,12 +202,12 @@ class OneOf(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names that are currently accepted."""
+        """All names that are accepted now."""
         return (*self.others, *self.table)
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names known so far, without asking installed packages."""
+        """Names known so far; the entry points of packages are not read."""
         return (*self.others, *self.table.known)
 
     def _check(self, name: str) -> str:
@@ -235,7 +235,7 @@ class OneOf(Generic[T]):
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """Return the kinds known so far that a part of a scene describes."""
+    """Return the known kinds that a part class describes."""
     field = part.model_fields["kind"]
     return next(
         (each.known for each in field.metadata if isinstance(each, OneOf)),
@@ -249,11 +249,14 @@ SOURCES = {
     "surface": ("from a surface", "from a file", "from labels"),
     "image": ("from an image", "from labels", "from a file"),
 }
-"""Sources of a shape by the files in its table; the first source that its kind supports is used."""
+"""Sources of a shape, keyed by the files in its table.
+
+The first source that the kind supports is used.
+"""
 
 
 def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the sources of a shape that its table can mean, by its files."""
+    """Return the possible sources of a shape, from the files in its table."""
     file = table.get("file")
     if not isinstance(file, str) or not file:
         has_layers = any(f"{layer}_file" in table for layer in LAYERS)
@@ -265,12 +268,12 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 class ByKind:
     """Mark of a union of tables, from which the key ``kind`` chooses one.
 
-    If a kind has several tables, the source of the shape chooses among them.
+    If a kind has several tables, the table is chosen by the source of the shape.
 
     Attributes
     ----------
     parts
-        Returns the tables that are known so far.
+        Function that returns the tables that are known so far.
     groups
         Groups of entry points that offer more tables.
     """
@@ -279,7 +282,7 @@ class ByKind:
     groups: tuple[str, ...]
 
     def chosen(self, table: Mapping[str, object]) -> "type[BaseModel] | None":
-        """Return the table class for entries with a kind; None for an unknown kind."""
+        """Return the class for a table with a kind; None for an unknown kind."""
         variants = [part for part in self.parts() if table.get("kind") in kinds_of(part)]
         for source in source_of(table):
             for part in variants:
@@ -296,7 +299,7 @@ class ByKind:
         choices = {part.__name__: handler.generate_schema(part) for part in parts}
 
         def tag(value: object) -> str | None:
-            """Return the name of the class for a table; an unknown kind is returned unchanged."""
+            """Return the class name for a table; an unknown kind is returned unchanged."""
             if not isinstance(value, Mapping):
                 return type(value).__name__
             kind = value.get("kind")
@@ -306,10 +309,12 @@ class ByKind:
             return None if kind is None else shown(kind)
 
         def check(value: object, validate: "ValidatorFunctionWrapHandler") -> object:
-            """Validate a value, after asking installed packages for an unknown kind."""
+            """Validate a value; for an unknown kind, read the entry points of installed packages
+            first.
+            """
             if not isinstance(value, Mapping):
                 return validate(value)
-            # An empty name means no file, whatever the default of the table is.
+            # An empty name means no file, even if the table has a default file.
             if value.get("file") == "":
                 value = {name: each for name, each in value.items() if name != "file"}
             kind = value.get("kind")
@@ -328,28 +333,31 @@ class ByKind:
 
 
 READ_BACK = {"written by": "tissue"}
-"""Validation context that accepts keys without effect: a live run gives a wall's tool its reach."""
+"""Validation context that accepts keys without effect.
+
+It is needed because a live run sets the reach of the tool at a wall.
+"""
 LONGEST_PATH = 1000
-"""Largest number of characters of a file path; a longer text is no path that a user wrote."""
+"""Largest number of characters of a file path; a longer text is not treated as a path."""
 FileName = Annotated[str, StringConstraints(max_length=LONGEST_PATH)]
 Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 Rule = tuple[str, bool, str, str]
-"""Keys separated by blanks, True if they have no effect, the condition, and the remedy."""
+"""Keys separated by blanks, True if the keys have no effect, the condition, and the remedy."""
 
 
 class Idle(NamedTuple):
-    """Condition under which a key has no effect, such as ``without a nodule``, and the remedy."""
+    """Condition under which a key has no effect, such as ``without a nodule``, and remedy."""
 
     where: str
     remedy: str
 
 
 def is_given(part: "Part", name: str) -> bool:
-    """Return True if an entry was set to a value other than its default.
+    """Return whether an entry was set to a value other than its default.
 
-    A build checks this for a key that it finds without effect.
+    A build calls this function for a key that turns out to have no effect.
     """
     return (
         name in part.model_fields_set
@@ -358,13 +366,13 @@ def is_given(part: "Part", name: str) -> bool:
 
 
 def is_file_key(name: str) -> bool:
-    """Return True if a key of an anatomy, motion, tool or device names a file."""
+    """Return whether a key of an anatomy, motion, tool or device names a file."""
     return name == "file" or name.endswith("_file")
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Mark of a key that has an effect only together with another key of its part.
+    """Mark of a key that has an effect only together with another key of the same part.
 
     The other key must differ from its default, or have a given value.
 
@@ -383,10 +391,10 @@ class Needs:
     is_absent: bool = False
 
     def why_not(self, part: "Part") -> Idle | None:
-        """Return the reason why the marked key has no effect in a part; None if it has one."""
+        """Return the reason why the marked key has no effect in a part, or None."""
         name = self.key.rpartition(".")[2]
         given = getattr(part, name)
-        # A default stands for no choice: 0 mm has no hole, and an empty name no file.
+        # A default means that nothing was chosen: 0 mm is no hole, and an empty name is no file.
         is_set = bool(given) and given != type(part).model_fields[name].default
         if self.is_absent:
             return Idle(f"with {self.key}", f"remove {self.key}") if is_set else None
@@ -405,20 +413,20 @@ class Needs:
 
 
 class Part(BaseModel):
-    """Frozen table of a scene; a key that is unknown or has no effect is refused."""
+    """Frozen table of a scene; keys that are unknown or have no effect are refused."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys without effect that no single mark expresses."""
+        """Yield the rules on keys without effect that a mark cannot express."""
         yield from ()
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys that have no effect, with the reasons.
+        """Return the keys that have no effect, with the reason for each key.
 
-        Keys of inner tables, and whole inner tables, are dotted.
+        The result may contain dotted keys of inner tables, and names of whole inner tables.
         """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():
@@ -431,20 +439,22 @@ class Part(BaseModel):
         return found
 
     def changed_entries(self, prefix: str = "") -> dict[str, object]:
-        """Return the dotted keys and values that differ from their defaults, without kinds."""
+        """Return the dotted keys whose values differ from the defaults, with these values; kinds
+        are left out.
+        """
         found: dict[str, object] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
             if isinstance(value, Part):
                 inner = value.changed_entries(f"{prefix}{name}.")
-                # An optional table has an effect even if it holds only defaults.
+                # An optional table has an effect even if it contains only defaults.
                 found |= inner or ({f"{prefix}{name}": {}} if field.default is None else {})
             elif name != "kind" and value != field.get_default(call_default_factory=True):
                 found[f"{prefix}{name}"] = value
         return found
 
     def effective_table(self) -> dict[str, Any]:
-        """Return the table for TOML, with its defaults and without keys that have no effect."""
+        """Return the table for TOML, including defaults, without keys that have no effect."""
         table = self.model_dump(mode="json", exclude_none=True)
         idle = self.idle()
         for name in type(self).model_fields:

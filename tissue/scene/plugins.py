@@ -1,4 +1,4 @@
-"""Parts that installed packages offer by entry points.
+"""Parts that installed packages offer through entry points.
 
 Entry points are read once, when a name is unknown or the names are listed.
 """
@@ -32,20 +32,20 @@ OFFERED = {
         "scene",
     )
 }
-"""Function of `tissue.register` for the parts of each group of entry points."""
+"""Names of the functions of `tissue.register`, keyed by group of entry points."""
 _asked: set[str] = set()
 _refused: dict[tuple[str, str], str] = {}
 
 
 class PluginWarning(UserWarning):
-    """Warning about a part of an installed package that cannot be used and is left out."""
+    """Warning about a part of an installed package that is left out because it cannot be used."""
 
 
 def ask_packages(group: str) -> None:
     """Register the parts that installed packages offer in a group of entry points.
 
-    Each group is read once. A part that cannot be used is left out with a `PluginWarning`, see
-    `refusal`. Its name then keeps its earlier part, which is built in or was registered by a call.
+    Each group is read once. A part that cannot be used is left out with a `PluginWarning`; see
+    `refusal`. If another part has the same name, this other part stays registered.
     """
     if not group or group in _asked:
         return
@@ -71,20 +71,22 @@ def ask_packages(group: str) -> None:
 
 
 def refusal(group: str, name: str) -> str | None:
-    """Return the reason why an offered part cannot be used; None if it was not refused."""
+    """Return the reason why an offered part cannot be used, or None."""
     return _refused.get((group, name))
 
 
 def offered_names() -> dict[str, list[str]]:
-    """Return the names of the parts of installed packages by kind, without importing them."""
+    """Return the names of the parts of installed packages, keyed by kind, without importing the
+    parts.
+    """
     return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
 
 
 def _refuse(offer: EntryPoint, cause: str) -> str:
-    """Warn about an offered part that is left out, and return the warning text."""
+    """Warn about an offered part that is left out; return the text of the warning."""
     what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
     sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
-    # 4: the code that used the name, behind `Registry`.
+    # Level 4 is the code that used the name through `Registry`.
     warnings.warn(sentence, PluginWarning, stacklevel=4)
     return sentence
 
@@ -96,7 +98,7 @@ def _package(offer: EntryPoint) -> str:
 
 @cache
 def _offers() -> dict[str, list[EntryPoint]]:
-    """Return the installed entry points by group, for groups with any."""
+    """Return the installed entry points, keyed by group."""
     installed = entry_points()
     found = {group: list(installed.select(group=group)) for group in OFFERED}
     return {group: offers for group, offers in found.items() if offers}

@@ -1,6 +1,6 @@
-"""Registries of the parts that a scene names, one for each kind of part.
+"""Registries of anatomies and motions, and the registries of all kinds of parts.
 
-Choices, messages, loops and charts derive from them. A line in a registry adds a part.
+Choices, messages, loops and charts use these registries. A line in a registry adds a part.
 `tissue.register` and the entry points of installed packages also add parts.
 """
 
@@ -85,7 +85,9 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
     },
     group="tissue.tissues",
 )
-"""Anatomies: the tables of each kind by the source of its shape, and the table of its tools."""
+"""Anatomies: for each kind, the table classes for each source of the shape, and the class of its
+tools.
+"""
 MOTIONS: Registry[MotionEntry] = Registry(
     "motion.kind",
     {
@@ -109,4 +111,4 @@ TABLES: dict[str, tuple[Registry[Any], ...]] = {
     "material": (CUTTING_MATERIALS, ORGAN_MATERIALS),
     "scene": (SCENES,),
 }
-"""Registries in which the names of each kind of part are unique."""
+"""Registries within which a name may be used only once, keyed by kind of part."""

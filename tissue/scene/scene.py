@@ -161,12 +161,12 @@ OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Liter
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
-    """Return the tables of all anatomies that are known so far."""
+    """Return the table classes of all known anatomies."""
     return tuple(part for kind in ANATOMIES.known for part in ANATOMIES[kind].parameters)
 
 
 def motion_parts() -> tuple[type[Part], ...]:
-    """Return the tables of all motions that are known so far."""
+    """Return the table classes of all known motions."""
     return tuple(MOTIONS[kind].parameters for kind in MOTIONS.known)
 
 
@@ -235,7 +235,7 @@ class Scene(Part):
 
     @property
     def bone(self) -> CutAnatomy:
-        """Anatomy of a scene in which a tool cuts."""
+        """Anatomy of the scene, if a tool cuts it."""
         assert isinstance(self.anatomy, CutAnatomy), self.anatomy.kind
         return self.anatomy
 
@@ -252,7 +252,7 @@ class Scene(Part):
 
     @property
     def predictor_file(self) -> str:
-        """File of a trained predictor; empty for the scene's own predictor."""
+        """File of a trained predictor; empty for the predictor that is shipped for the scene."""
         return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
@@ -276,7 +276,7 @@ class Scene(Part):
             raise InputError(
                 "tool.kind", f"be one of {names} for a {kind}", got, "choose one of these"
             )
-        # The wall's model is one spring under the lowest point of a ball.
+        # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
                 "tool.kind", "be sphere-probe for a wall", self.tool.kind, "use a ball"
@@ -298,7 +298,8 @@ class Scene(Part):
                     "anatomy.guide_hole_depth_mm"
                 ),
             )
-        # Fewer than four voxels across show no shape of a tool. The suggestion has twenty.
+        # Fewer than four voxels across a tool do not show its shape. The suggestion has twenty
+        # voxels.
         if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
                 "voxels.spacing_mm",
@@ -312,7 +313,8 @@ class Scene(Part):
     def _stress_fits(self, stress: Stress) -> None:
         spacing = self.voxels.spacing_mm
         ratio = 0.5 * stress.cell_mm / spacing
-        # 0.1 and 0.75 mm are half of the smallest and largest cell; 1e-6 is for rounding.
+        # 0.1 and 0.75 mm are half of the smallest and of the largest cell. 1e-6 allows for
+        # rounding.
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
             least = math.ceil(0.1 / spacing - 1e-6)
             most = math.floor(0.75 / spacing + 1e-6)
@@ -326,11 +328,11 @@ class Scene(Part):
 
     @classmethod
     def read_back(cls, text: str) -> "Scene":
-        """Read a scene from the JSON that this program wrote, including keys without effect."""
+        """Read a scene from JSON that this program wrote; keys without effect are accepted."""
         return cls.model_validate_json(text, context=READ_BACK)
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys that another table leaves without effect."""
+        """Yield the rules on keys that have no effect because of another table."""
         yield from self._anatomy_rules()
         yield from self._tool_rules()
         yield from self._device_rules()
@@ -422,7 +424,7 @@ class Scene(Part):
         return tomli_w.dumps(self.effective_table())
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook with the stated keys, and all keys folded below."""
+        """Return HTML for a notebook: the keys that were set, and all keys in a folded section."""
         import tomli_w
 
         stated = self.model_dump(

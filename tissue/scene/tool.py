@@ -1,6 +1,6 @@
 """Tools and motions of a scene.
 
-Cutters and probes have the keys that their registries in `tissue.scene.names` list.
+The registries in `tissue.scene.names` list the keys of each cutter and probe.
 """
 
 import math
@@ -95,7 +95,7 @@ fingertip.
 
 
 class Shaped(Part):
-    """Tool whose class is created from its registry entry."""
+    """Base of tool classes that are created from registry entries."""
 
     kind: str
     """Shape of the tool."""
@@ -132,7 +132,7 @@ class Tool(Shaped):
         return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
 
     def without_peg(self) -> "Tool":
-        """Return the cutter without its peg, with the default spacing of its elements."""
+        """Return the cutter without its peg, with the default spacing of cutting elements."""
         pegs: dict[str, Any] = {
             name: 0.0
             for name in ("peg_diameter_mm", "peg_length_mm")
@@ -142,7 +142,7 @@ class Tool(Shaped):
 
     @model_validator(mode="after")
     def _spins_and_fits(self) -> "Tool":
-        # So slow a tool would make chips thicker than itself at any feed.
+        # At such a low spin, chips would be thicker than the tool at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
                 "tool.spin_rpm",
@@ -204,21 +204,21 @@ def _shaped(base: type[Shaped], kind: str, keys: tuple[str, ...]) -> type[Shaped
 
 
 def tool_parts() -> "tuple[type[Part], ...]":
-    """Return the classes of all tools that are known so far."""
+    """Return the classes of all known tools."""
     cutters = [_shaped(Tool, kind, CUTTERS[kind].keys) for kind in CUTTERS.known]
     probes = [_shaped(Probe, kind, PROBES[kind].keys) for kind in PROBES.known]
     return (*cutters, *probes, Needle, Blade)
 
 
 def probe_part(**entries: Any) -> Probe:
-    """Return the probe that entries with a kind describe."""
+    """Return a probe from its entries and kind."""
     made = tool_of(entries)
     assert isinstance(made, Probe)
     return made
 
 
 def tool_of(entries: dict[str, Any]) -> Shaped:
-    """Return the cutter or probe that entries with a kind describe."""
+    """Return a cutter or probe from its entries and kind."""
     kind = entries["kind"]
     if kind in CUTTERS:
         return _shaped(Tool, kind, CUTTERS[kind].keys)(**entries)
@@ -276,7 +276,7 @@ class Motion(Part):
 
     @model_validator(mode="after")
     def _axis_has_length(self) -> "Motion":
-        # A vector of rounding errors has no direction.
+        # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
             raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
         return self

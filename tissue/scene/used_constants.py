@@ -1,4 +1,4 @@
-"""Constants that a scene uses, and constants that it states itself."""
+"""Constants that a scene uses, and values that the scene sets instead."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from tissue.scene.tool import Tool
 __all__ = ["Used", "used_constants", "used_of_cutting", "used_of_device"]
 
 Part = tuple[str, str, tuple[str, ...] | None]
-"""Table, material, and names of the constants used; None for all of them."""
+"""Table, material, and names of the used constants; None for all constants of the material."""
 
 
 @dataclass(frozen=True)
 class Used:
-    """A constant of a scene.
+    """Constant that a scene uses.
 
     Attributes
     ----------
@@ -27,12 +27,13 @@ class Used:
     name
         Name of the constant, with its unit.
     cited
-        Value, range, source and confidence, from the scene's own file if it has the constant.
+        Value, range, source and confidence, from the file of the scene if that contains the
+        constant.
     full
-        Full name ``TABLE.MATERIAL.NAME``. For a layer's own cutting constant, the layer replaces
-        the material.
+        Full name ``TABLE.MATERIAL.NAME``. If a layer has a cutting constant of its own, MATERIAL is
+        the layer.
     stated
-        Value that the scene states instead. None uses the value of the tables or of the file.
+        Value that the scene sets instead; None if the scene sets no value.
     """
 
     of: str
@@ -43,10 +44,10 @@ class Used:
 
 
 def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False) -> list[Used]:
-    """Return the constants of a scene's tissue layers, device and hand, in the order of the tables.
+    """Return the constants of a scene's tissue, device and hand, in the order of the tables.
 
-    If all of them are `varied` together, the density exponent also counts in bone of the reference
-    density.
+    If all constants are `varied` together, the density exponent is included even for bone of the
+    reference density.
     """
     return _used(
         scene.constants,
@@ -65,7 +66,7 @@ def used_of_cutting(
 ) -> list[Used]:
     """Return the constants of layers that are cut.
 
-    `bone` is the material of bone. `stated` are values of the caller.
+    `bone` is the material of bone, and `stated` contains values that the caller sets instead.
     """
     parts = _cutting(given, layers, bone, has_reference_density=has_reference_density)
     return _used(given, parts, lambda table, material: stated)
@@ -74,7 +75,7 @@ def used_of_cutting(
 def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used]:
     """Return the constants of a device and of the hand that holds it.
 
-    `device` is None if the caller states the device's numbers.
+    `device` is None if the caller gives the parameters of the device.
     """
     return _used(given, _device(device, hand), lambda table, material: {})
 
@@ -87,7 +88,7 @@ def _used(
     found: list[Used] = []
     for table, material, chosen in parts:
         stated = stated_of(table, material)
-        # A file of constants may state values for a single layer.
+        # A file of constants may contain values for a single layer.
         is_listed = material in listed(table)
         known = given.constants(table, material) if is_listed else given.layer_constants(material)
         of = f"{table}, {material.replace('_', ' ')}"
@@ -100,7 +101,7 @@ def _used(
 
 
 def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]:
-    """Yield the tables and materials of a scene."""
+    """Yield the tables, materials and constants that a scene uses."""
     anatomy = scene.anatomy
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         # At the reference density the exponent has no effect.
@@ -140,7 +141,7 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
 def _incised(anatomy: IncisedAnatomy) -> Iterator[Part]:
     """Yield the constants of a tissue that a blade cuts.
 
-    The elastic constants of liver count only in the drawn block.
+    The elastic constants of liver are used only for the drawn block.
     """
     is_drawn = anatomy.interval_ms > 0.0
     is_skin = anatomy.material == "skin"
@@ -162,9 +163,9 @@ def _device(device: str | None, hand: str) -> Iterator[Part]:
 def _cutting(
     given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool
 ) -> Iterator[Part]:
-    """Yield the cutting constants that layers use, by material or by layer.
+    """Yield the cutting constants that layers use, for each material or layer.
 
-    A layer with its own value of a constant replaces the material.
+    If a layer has a value of its own for a constant, the layer is yielded instead of the material.
     """
     needed = dict[str, dict[str, None]]()
     # At the reference density, every exponent gives the same coefficients.
@@ -180,10 +181,12 @@ def _cutting(
 
 
 def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield the elastic constants of layers under stress and the thermal ones of layers with heat.
+    """Yield the elastic constants of layers if there is stress, and the thermal constants if there
+    is heat.
 
-    The modulus of caries follows from its density and the modulus of dentin. Bone holds the
-    ligament and is rigid. All layers of bone use the thermal constants of the material `bone`.
+    The modulus of caries is computed from its density and the modulus of dentin. The bone that
+    holds the ligament is rigid. All layers of bone have the thermal constants of the material
+    `bone`.
     """
     materials = [thermal_material(layer) for layer in layers]
     for material in dict.fromkeys((*materials, "ligament")):
@@ -199,9 +202,9 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
 
 
 def _has_reference_density(scene: Scene) -> bool:
-    """Return True if all cut material has the reference density of its coefficients.
+    """Return whether all cut material has the reference density of its coefficients.
 
-    Then the power of the density ratio has no effect.
+    If so, the density exponent has no effect.
     """
     if not isinstance(scene.anatomy, BlockAnatomy):
         return False
@@ -212,7 +215,7 @@ def _has_reference_density(scene: Scene) -> bool:
 
 
 def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
-    """Return the values that a scene states in place of a table's constants."""
+    """Return the values that a scene sets instead of the constants of a table."""
     if table == "cutting":
         stated = scene.cutting.model_dump(exclude={"material"})
         if stated["minimum_chip_um"] == 0.0 and stated["size_exponent"] is None:

@@ -1,1 +1,1 @@
-"""Pictures, the viewer and the HTML report of a run."""
+"""Pictures, viewer and HTML report of a run."""

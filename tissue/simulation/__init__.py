@@ -1,1 +1,1 @@
-"""The simulation loop, its run, trace and run folder."""
+"""Simulation loop, and the run, trace and run folder that it produces."""

@@ -1,4 +1,4 @@
-"""Files of a run's bone: voxels, the carved surface, and the carving over time for ParaView."""
+"""Files of the bone of a run: voxels, carved surface, and the carving over time for ParaView."""
 
 import gzip
 from dataclasses import replace
@@ -54,16 +54,16 @@ __all__ = [
 
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
-"""Names that NRRD uses for length units, by their length [mm]."""
+"""Names of length units in NRRD, keyed by the length of the unit [mm]."""
 MOST_FRAMES = 40
-"""Largest number of moments in a file of the carving, the end included.
+"""Largest number of times in a file of the carving, including the end.
 
-With `MOST_TRIANGLES` it bounds the size of the files; both are chosen.
+This number and `MOST_TRIANGLES` limit the size of the files; both values are chosen.
 """
 MOST_TRIANGLES = 40_000
-"""Largest number of triangles of one moment; a larger cut is drawn in blocks of voxels."""
+"""Largest number of triangles at one time; a larger cut is drawn in blocks of voxels."""
 STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
-"""Possible intervals between two moments [s]."""
+"""Possible intervals between two times in a file of the carving [s]."""
 
 
 def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
@@ -74,9 +74,9 @@ def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
     Parameters
     ----------
     volume
-        The bone before the first cut.
+        Bone before the first cut.
     remaining
-        Bone left in every voxel, 255 = full, shape of the volume.
+        Bone left in each voxel, 255 = full, with the shape of the volume.
     """
     import pyvista
 
@@ -95,9 +95,9 @@ def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
 
 
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, Bytes]:
-    """Read the voxels of a run's ``bone.vti`` in the scene's frame.
+    """Read the voxels of ``bone.vti`` of a run, in the frame of the scene.
 
-    Returns the volume before the first cut and the bone left at the end.
+    The function returns the volume before the first cut, and the bone left at the end.
 
     Raises
     ------
@@ -126,10 +126,10 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
 def saved_voxels(
     saved: SavedRun,
 ) -> tuple[VoxelVolume, Bytes, Array | None]:
-    """Read a run's voxels and the tool poses that cut them.
+    """Read the voxels of a run and the tool poses that cut them.
 
-    Returns the volume before the first cut, the bone left at the end, and the poses (None without
-    the file of poses).
+    The function returns the volume before the first cut, the bone left at the end, and the poses.
+    The poses are None if the file of poses does not exist.
 
     Raises
     ------
@@ -150,14 +150,15 @@ def saved_voxels(
     if not poses.is_file():
         return volume, left, None
     cut, origin_m, spacing_m = read_poses(poses)
-    # The image rounds origin and spacing, but the bits of the carving depend on them.
+    # The image file rounds origin and spacing. The exact result of the carving depends on their
+    # last bits.
     return replace(volume, origin_m=origin_m, spacing_m=spacing_m), left, cut
 
 
 def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
     """Return the surface of the bone after the run [mm].
 
-    It has the point array ``removed_depth_mm``, the cell array ``layer``, and normals.
+    The surface has the point array ``removed_depth_mm``, the cell array ``layer``, and normals.
     """
     depth = depth_map(run)
     surface = with_layers(bone_surface(run.volume, run.remaining), run.volume)
@@ -167,13 +168,15 @@ def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
 def write_bone(run: CarvedRun, out: Path) -> None:
     """Write the bone of a finished run.
 
-    ``bone.vti`` holds the voxels in mm with the cell arrays ``remaining`` and ``start`` (uint8, 255
-    = full), ``layer`` (uint8, an index into the field ``layer_names``) and ``density_kg_m3``
-    (uint16); ParaView opens it. ``bone.nrrd`` holds ``remaining`` for 3D Slicer, which reads no
-    .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm, the latter with
-    ``removed_depth_mm`` and ``layer``. No ``bone.stl`` is written when all of the bone was removed.
+    ``bone.vti`` (for ParaView) holds the voxels in mm, with the cell arrays ``remaining`` and
+    ``start`` (uint8, 255 = full), ``layer`` (uint8, an index into the field ``layer_names``) and
+    ``density_kg_m3`` (uint16). ``bone.nrrd`` holds ``remaining`` for 3D Slicer, which does not read
+    .vti files. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm; ``bone.vtp`` also has
+    the arrays ``removed_depth_mm`` and ``layer``. No ``bone.stl`` is written if the run removed all
+    of the bone.
 
-    Bone from a file is written in the frame and unit of that file, so the files overlay it.
+    Bone that was read from a file is written in the frame and unit of that file, so both can be
+    shown together.
     """
     if run.parts.volume is None:
         return
@@ -200,7 +203,7 @@ def write_bone(run: CarvedRun, out: Path) -> None:
 def _write_nrrd(run: CarvedRun, path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image.
 
-    Its axes are the ones that 3D Slicer uses for the surface files (LPS).
+    The axes are those that 3D Slicer uses for surface files (LPS).
     """
     volume = run.volume
     placement = run.parts.placement
@@ -227,17 +230,17 @@ def _write_nrrd(run: CarvedRun, path: Path) -> None:
             f"space origin: ({','.join(repr(float(v)) for v in origin)})",
         ]
     )
-    # Level 1 takes a quarter of the time of level 6 for a file 1.3 times as large. Without a time,
-    # equal bone gives equal files.
+    # Level 1 takes a quarter of the time of level 6, for a file that is 1.3 times as large. No time
+    # is written, so that equal bone gives equal files.
     data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
     with whole_file(path) as temporary:
         temporary.write_bytes(header.encode("ascii") + b"\n\n" + data)
 
 
 def carving_ticks(run: CarvedRun) -> list[int]:
-    """Return the ticks at the end of which the bone is written.
+    """Return the ticks after which the bone is written.
 
-    They are the ticks of the fields, if there are any, and the last tick.
+    These are the ticks of the saved fields, if there are any, and the last tick.
     """
     last = len(run.trace.rows) - 1
     fields = run.parts.fields
@@ -248,7 +251,7 @@ def carving_ticks(run: CarvedRun) -> list[int]:
         lasts = last * TICK_S
         step = next(
             (step for step in STEPS_S if lasts <= step * (MOST_FRAMES - 2)),
-            # Two moments are added: the start and the end.
+            # Two times are added: the start and the end.
             lasts / (MOST_FRAMES - 2),
         )
         times = np.arange(0.0, lasts, step).tolist()
@@ -257,13 +260,14 @@ def carving_ticks(run: CarvedRun) -> list[int]:
 
 
 def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> None:
-    """Write the bone over time of a run that cut; a run that did not cut writes nothing.
+    """Write the bone over time; for a run that cut no bone, write nothing.
 
-    ``carving.pvd`` names two surfaces for each time [s]. The cut part is in
-    ``carving/frame_0000.vtp`` and so on, the rest of the bone in ``carving/rest.vtp``. Both are in
-    mm, or in the frame and unit of the anatomy's file, with ``layer`` and ``removed_depth_mm``. A
-    cut of many triangles is written in blocks of voxels. ``carving/poses.npz`` holds the poses from
-    which the bone at any other tick can be computed.
+    ``carving.pvd`` lists two surfaces for each time [s]. The part that the run cut is in
+    ``carving/frame_0000.vtp`` and so on. The rest of the bone is in ``carving/rest.vtp``. Both
+    surfaces are in mm, or in the frame and unit of the anatomy's file, and have the arrays
+    ``layer`` and ``removed_depth_mm``. A cut of many triangles is written in blocks of voxels.
+    ``carving/poses.npz`` holds the tool poses, from which the bone at any other tick can be
+    computed.
     """
     box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)
     if run.poses is None or box is None:

@@ -1,4 +1,4 @@
-"""Surface of bone in voxels: its layers, the removed depth, and the part that cuts change."""
+"""Surface of bone in voxels, with layers and removed depth, and the part that cuts change."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -38,36 +38,36 @@ __all__ = [
 ]
 
 INWARD_VOXELS = 0.75
-"""Depth under the surface at which the layer is read [voxels].
+"""Depth below the surface at which the layer of a triangle is read [voxels].
 
-It lies inside the voxel behind the surface.
+This depth lies inside the voxel behind the surface.
 """
 Box = tuple[NDArray[np.intp], NDArray[np.intp]]
 MARGIN = 2
 """Margin around the voxels that change [voxels].
 
-With it, normals at their edge equal the normals of the whole bone.
+With this margin, the normals at the edge of the part equal those of the whole bone.
 """
 HALF = (FULL + 1) // 2
-"""Smallest filling of a voxel that counts as bone (255 = full)."""
+"""Smallest content of a voxel that counts as bone (255 = full)."""
 
 
 def bone_surface(
     volume: VoxelVolume, fraction: Bytes, *, closed: bool = True
 ) -> "pyvista.PolyData":
-    """Return the surface at half-full voxels [mm], with outward normals (flying edges).
+    """Return the surface through half-full voxels [mm], with outward normals.
 
-    The surface is interpolated between voxel centres.
+    The surface is interpolated between voxel centres (flying edges algorithm).
 
     Parameters
     ----------
     volume
-        Gives the position and size of the voxels.
+        Volume with the position and size of the voxels.
     fraction
-        Bone in every voxel, 255 = full, uint8, shape (nx, ny, nz).
+        Bone in each voxel, 255 = full, uint8, shape (nx, ny, nz).
     closed
-        Whether bone that reaches the edge of the voxels is closed there, so that faces appear where
-        the region was cut out. Otherwise the surface is open there.
+        Whether the surface is closed where bone reaches the boundary of the voxels. Faces then
+        appear where the region was cut out of a larger bone. Otherwise the surface is open there.
     """
     import pyvista
     from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
@@ -90,7 +90,7 @@ def bone_surface(
 
 
 def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
-    """Add the layer under every triangle as the cell array ``layer``.
+    """Add the layer below each triangle as the cell array ``layer``.
 
     The layer names are stored as the field ``layer_names``.
     """
@@ -107,7 +107,7 @@ def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.Po
 
 
 def triangle_means(values: ArrayLike, triangles: ArrayLike) -> Floats:
-    """Return the means over the three points of every triangle, shape (triangles, 3)."""
+    """Return the means of the values at the three points of each triangle, shape (triangles, 3)."""
     first, second, third = np.asarray(triangles).T
     values = np.asarray(values)
     return np.asarray((values[first] + values[second] + values[third]) / values.dtype.type(3.0))
@@ -123,30 +123,32 @@ def with_depth(
 ) -> "pyvista.PolyData":
     """Add the point array ``removed_depth_mm``.
 
-    At a point that the tool exposed, it is the depth of bone removed from the column through that
-    point. It is 0 on the bone's original surface and on faces where the region was cut out.
+    At a point that the tool exposed, this is the depth of bone removed from the column of voxels
+    through the point. It is 0 on the original surface of the bone, and on faces where the region
+    was cut out of a larger bone.
 
     Parameters
     ----------
     surface
         Surface of ``remaining``.
     volume, remaining
-        The bone before and after.
+        Bone before the first cut, and bone left in each voxel after the cuts.
     depth_mm
-        Removed depth of every column along ``axis`` [mm], shape of the other two axes.
+        Removed depth of each column along ``axis`` [mm], with the shape of the other two axes.
     axis
-        The tool's axis, 0 to 2.
+        World axis closest to the tool's axis, 0 to 2.
     """
     from scipy.ndimage import map_coordinates
 
     at = _voxels(surface.points, volume).T
-    # On an uncut surface nothing is missing. On a cut surface, which runs through half-full voxels,
-    # half a voxel is missing.
+    # On an uncut surface no bone is missing. A cut surface runs through half-full voxels, so half a
+    # voxel is missing.
     missing = map_coordinates(
         volume.fraction - remaining, at, order=1, mode="nearest", output=np.float32
     )
     columns = map_coordinates(depth_mm, np.delete(at, axis, axis=0), order=1, mode="nearest")
-    # A quarter of a voxel separates both, and the depth fades in over it.
+    # The limit between both cases is a quarter of a voxel. The depth increases gradually over this
+    # distance.
     bare = np.clip(missing / (0.25 * FULL), 0.0, 1.0)
     surface.point_data["removed_depth_mm"] = (bare * columns).astype(np.float32)
     return surface
@@ -155,10 +157,10 @@ def with_depth(
 def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> Singles:
     """Return unit normals averaged over neighbours, shape (n, 3).
 
-    A picture then shows the bone rather than its voxels. Neighbours are weighted by how well their
-    normals agree; across an edge, where they differ by more than 37 degrees, they are ignored. On
-    a ball of binary voxels, 16 passes reduce the error of the normals from 16 to 6 degrees, and 32
-    to 5.7.
+    With these normals, a picture does not show the steps of the voxels. The weight of a neighbour
+    increases with the agreement of both normals. Neighbours whose normal differs by more than 37
+    degrees, as across an edge, are ignored. On a ball of binary voxels, 16 passes reduce the error
+    of the normals from 16 to 6 degrees, and 32 passes to 5.7 degrees.
     """
     from scipy.sparse import csr_array
 
@@ -181,21 +183,22 @@ def cut_out(
     volume: VoxelVolume,
     reach_m: tuple[Array, Array],
 ) -> Flags:
-    """Return the triangles that close bone continuing beyond the voxels, shape (triangles,).
+    """Return which triangles lie where the voxels end inside bone, shape (triangles,).
 
     Parameters
     ----------
     surface
-        Surface of bone in the volume.
+        Closed surface of the bone in the volume.
     volume
-        The voxels.
+        Volume of voxels.
     reach_m
-        Lowest and highest corner of the requested region. Where the voxels end before it, the bone
-        itself ends.
+        Lowest and highest corner of the requested region. Where the voxels end before this corner,
+        the bone itself ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
-    # 1.5 voxels cover the rounding of the region to whole voxels. Where the volume ends farther
-    # from the requested corner, the bone itself ends. A face on the boundary is within 0.25 voxel.
+    # 1.5 voxels allow for the rounding of the region to whole voxels. Where the volume ends farther
+    # from the requested corner, the bone itself ends. A face on the boundary of the volume is
+    # within 0.25 voxel of the boundary.
     near = 0.25 * volume.spacing_m
     for corner, asked, side in zip(volume.bounds_m, reach_m, (-1.0, 1.0), strict=True):
         for axis in np.flatnonzero(np.abs(corner - asked) < 1.5 * volume.spacing_m):
@@ -205,7 +208,7 @@ def cut_out(
 
 
 def _voxels(points_mm: Floats, volume: VoxelVolume) -> Array:
-    """Return positions in voxels, with centres at whole numbers, shape (n, 3)."""
+    """Return positions in units of voxels, with voxel centres at whole numbers, shape (n, 3)."""
     return (
         np.asarray(points_mm, dtype=np.float64) * 1e-3 - volume.origin_m
     ) / volume.spacing_m - 0.5
@@ -217,16 +220,18 @@ class CarvedSurface:
     Parameters
     ----------
     volume
-        The bone before the first cut, or some layers of it.
+        Bone before the first cut, or some layers of this bone.
     box
-        First and one after the last voxel that changes, shape (3,) each, see `changed_box`.
+        Indices of the first voxel that changes, and one beyond the last one, shape (3,) each; see
+        `changed_box`.
     axis
-        World axis closest to the tool's, along which the removed depth is measured, 0 to 2.
+        World axis closest to the tool's axis, 0 to 2. The removed depth is measured along this
+        axis.
 
     Attributes
     ----------
     part
-        Slices of the volume's arrays that `of` needs.
+        Slices of the arrays of the volume that `of` needs.
     """
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:
@@ -252,8 +257,8 @@ class CarvedSurface:
     def rest(self) -> "pyvista.PolyData":
         """Return the surface that no cut changes [mm].
 
-        It has the cell array ``layer`` and the point arrays ``Normals`` and ``removed_depth_mm``,
-        which is 0 everywhere.
+        The surface has the cell array ``layer``, and the point arrays ``Normals`` and
+        ``removed_depth_mm``. The removed depth is 0 everywhere.
         """
         surface = bone_surface(self._whole, self._whole.fraction)
         if not surface.n_cells:
@@ -263,9 +268,9 @@ class CarvedSurface:
         return _chosen(surface, ~self._inside(surface))
 
     def of(self, fraction: Bytes) -> "pyvista.PolyData":
-        """Return the surface that cuts change [mm], for the bone left in `part` (255 = full).
+        """Return the surface that cuts change [mm], from the bone left in `part` (255 = full).
 
-        Its arrays are as for `rest`.
+        The surface has the same arrays as `rest`.
         """
         left = np.ascontiguousarray(fraction)
         surface = bone_surface(self._cut, left)
@@ -278,18 +283,18 @@ class CarvedSurface:
         return _chosen(surface, self._inside(surface))
 
     def _inside(self, surface: "pyvista.PolyData") -> Flags:
-        """Return the triangles of the changing surface, shape (triangles,).
+        """Return which triangles belong to the surface that cuts change, shape (triangles,).
 
-        They lie between centres of voxels of which at least one changes.
+        Such a triangle lies between the centres of voxels, at least one of which changes.
         """
         middle = triangle_means(surface.points, surface.regular_faces)
         return np.asarray(((middle > self._low_mm) & (middle < self._high_mm)).all(axis=1))
 
 
 def changed_box(before: Bytes, after: Bytes) -> Box | None:
-    """Return the box of voxels that differ; None where all are equal.
+    """Return the box of voxels that differ; None if all voxels are equal.
 
-    It holds the first voxel and one after the last, shape (3,) each.
+    The box is the first index and one beyond the last index, shape (3,) each.
     """
     differ = before != after
     columns = differ.any(axis=2)
@@ -303,9 +308,9 @@ def changed_box(before: Bytes, after: Bytes) -> Box | None:
 
 
 def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
-    """Return the bone in voxels of ``block`` times the edge.
+    """Return the bone in coarser voxels, whose edge is ``block`` times as long.
 
-    Each voxel has the layer and density at its middle.
+    A coarse voxel has the layer and the density of the voxel at its middle.
     """
     if block == 1:
         return volume
@@ -314,7 +319,8 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
     layer = np.zeros_like(fraction)
     density = np.zeros(fraction.shape, dtype=np.uint16)
     for target, source in ((layer, volume.layer[middle]), (density, volume.density_kg_m3[middle])):
-        # A last, incomplete block may have no middle: its layer and density stay 0.
+        # The last block may be incomplete and have no middle voxel. Its layer and density then stay
+        # 0.
         target[tuple(slice(n) for n in source.shape)] = source
     return VoxelVolume(
         volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names
@@ -322,7 +328,7 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
 
 
 def block_means(fraction: Bytes, block: int) -> Bytes:
-    """Return means over blocks of voxels; beyond the edge the fraction is zero."""
+    """Return means over blocks of voxels; outside the volume the fraction is zero."""
     if block == 1:
         return fraction
     nx, ny, nz = (-(-n // block) for n in fraction.shape)
@@ -333,7 +339,7 @@ def block_means(fraction: Bytes, block: int) -> Bytes:
 
 
 def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
-    """Return selected triangles of a surface with their points and arrays."""
+    """Return the selected triangles of a surface, with points and arrays."""
     import pyvista
 
     faces = surface.regular_faces[chosen]
@@ -349,7 +355,7 @@ def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
 
 
 class CarvedRun(Protocol):
-    """Run, either just simulated or read back; see `tissue.simulation.run.Run`."""
+    """Run that was just simulated or read from a folder; see `tissue.simulation.run.Run`."""
 
     @property
     def scene(self) -> "Scene":
@@ -358,7 +364,7 @@ class CarvedRun(Protocol):
 
     @property
     def parts(self) -> "Parts":
-        """Parts that were simulated."""
+        """Simulated parts."""
         ...
 
     @property
@@ -368,7 +374,7 @@ class CarvedRun(Protocol):
 
     @property
     def poses(self) -> Array | None:
-        """Poses of the tool in every tick, or None if they were not saved."""
+        """Poses of the tool in every tick; None if the poses were not saved."""
         ...
 
     @property
@@ -378,7 +384,7 @@ class CarvedRun(Protocol):
 
     @property
     def remaining(self) -> Bytes:
-        """Remaining bone in every voxel, 255 = full."""
+        """Bone left in each voxel, 255 = full."""
         ...
 
     def replay(self) -> "CarvingReplay":
@@ -393,21 +399,22 @@ class DepthMap:
     Attributes
     ----------
     axis, outward
-        World axis closest to the tool's axis, 0 to 2, and the side that the tool comes from, +1 or
+        World axis closest to the tool's axis, 0 to 2, and the side from which the tool comes, +1 or
         -1.
     across
-        The two other axes: first and second index of the arrays.
+        The two other axes, which belong to the first and second index of the arrays.
     extent_mm
         Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
     depth_mm
-        Bone removed from each column, undercuts included [mm], shape (nu, nv).
+        Depth of bone removed from each column, including undercuts [mm], shape (nu, nv).
     height_mm
-        Coordinate along `axis` of the bone's face after the run, within its voxel [mm]; NaN where
-        no bone is left.
+        Coordinate along `axis` of the outer face of the bone after the run, interpolated within the
+        voxel [mm]. It is NaN where no bone is left.
     bone
-        Columns that held bone before the run.
+        Columns that contained bone before the run.
     exposed
-        By layer, columns whose face shows that layer after the run and another one before.
+        For each layer, the columns whose outer face shows this layer after the run and another
+        layer before.
     """
 
     axis: int
@@ -421,7 +428,7 @@ class DepthMap:
 
 
 def depth_map(run: CarvedRun) -> DepthMap:
-    """Return removed depth, face and newly exposed layers of a run."""
+    """Return removed depth, outer face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 
     volume = run.volume
@@ -435,7 +442,7 @@ def depth_map(run: CarvedRun) -> DepthMap:
     bone, _, before = _face(volume.fraction, volume.layer, axis, outward)
     left, at, after = _face(remaining, volume.layer, axis, outward)
     # Single columns at the edge of a hole change their layer when their last voxel is removed. They
-    # are not exposed bone.
+    # do not count as exposed bone.
     exposed = [
         (name, binary_opening(left & (after == index) & (before != index), np.ones((3, 3))))
         for index, name in enumerate(volume.layer_names)
@@ -456,7 +463,7 @@ def depth_map(run: CarvedRun) -> DepthMap:
 def tool_axes(quaternions: Array) -> Array:
     """Return directions of the tool's axis, shape (n, 3).
 
-    They are the third columns of the rotations (x, y, z, w).
+    The directions are the third columns of the rotation matrices of the quaternions (x, y, z, w).
     """
     x, y, z, w = quaternions.T
     return np.column_stack(
@@ -465,7 +472,7 @@ def tool_axes(quaternions: Array) -> Array:
 
 
 def facing(trace: Table) -> tuple[int, int]:
-    """Return the world axis closest to the tool's axis while it cut, and its sign."""
+    """Return the world axis closest to the tool's axis during the cut, and its sign."""
     rows = trace["contact_mm2"] > 0.0
     quaternions = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
     mean = tool_axes(quaternions[rows] if rows.any() else quaternions).mean(axis=0)
@@ -474,10 +481,11 @@ def facing(trace: Table) -> tuple[int, int]:
 
 
 def _face(fraction: Bytes, layer: Bytes, axis: int, outward: int) -> tuple[Flags, Array, Bytes]:
-    """Return the face of each column: whether it holds bone, its height, and its layer.
+    """Return for each column whether it contains bone, and the height and layer of its outer face.
 
-    The height counts voxels above the far end. The face lies in the first voxel from outside that
-    is half full, or in the one above, depending on their filling.
+    The height counts voxels from the far end of the column. The face is at the first voxel from
+    outside that is half full, or in the voxel above it. The content of both voxels determines
+    where.
     """
     seen = np.flip(fraction, axis) if outward > 0 else fraction
     first = np.argmax(seen >= HALF, axis=axis)

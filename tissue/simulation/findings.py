@@ -1,4 +1,4 @@
-"""Findings of a finished run: shortfalls and break-throughs."""
+"""Findings of a finished run: targets that were not reached, and break-throughs."""
 
 from dataclasses import dataclass, replace
 
@@ -19,27 +19,27 @@ from tissue.simulation.trace import Table
 __all__ = ["BreakThrough", "break_throughs", "shortfalls"]
 
 MOSTLY = 0.5
-"""Share of a tooth's caries within reach below which the removal counts as missed.
+"""Share of the caries within reach that must be removed; below it, the caries counts as missed.
 
-Chosen: half.
+The value is chosen.
 """
 TOLERANCE_MM = 0.05
-"""Tolerance for the depth of a thrust, below which a shortfall is not noted [mm].
+"""Largest shortfall of the depth of a thrust that is not noted [mm].
 
-It is half a voxel of the default size.
+The value is half a voxel of the default size.
 """
 FORWARD = 0.5
-"""Smallest share of a tick's travel along the tool's axis that counts as forward.
+"""Smallest ratio of travel along the tool's axis to travel in a tick that counts as forward.
 
-A tool that leaves the bone sideways breaks nothing.
+A tool that leaves the bone sideways does not break through.
 """
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
-    """Return notes on targets that a finished run did not reach or remove, by subject.
+    """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
-    ``path_s`` is the requested duration [s]. A run that is shorter than its scripted motion is
-    noted.
+    ``path_s`` is the requested duration [s]. There is a note if the run is shorter than its
+    scripted motion.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -52,7 +52,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
                 f"not finished: the tool reached {came:.3g} of motion.depth_mm = {wanted:g}; raise "
                 "motion.thrust_N or duration_s"
             )
-    # Half a tick: durations are rounded to ticks.
+    # The tolerance is half a tick, because durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
             f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} "
@@ -79,10 +79,10 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
 
 def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
-    """Return a note on caries that the tool left, its place if known, and how to reach it.
+    """Return a note on caries that the tool missed, with its place if known, and how to reach it.
 
-    It is empty without a lesion, or if the removal is sufficient. Caries is missed if none was
-    removed or, in a tooth from files, if most of the caries within reach is left.
+    The note is empty if there is no lesion or the removal is sufficient. Caries is missed if no
+    caries was removed or, in a tooth from files, if most of the caries within reach is left.
     """
     at = parts.notes.get("lesion")
     has_lesion = "caries" in anatomy.layer_files or at is not None
@@ -95,7 +95,8 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
     removed_m3, there_m3 = next((v for name, *v in volumes if name == "caries"), (0.0, 0.0))
     missed = "no caries: the tool never touched the lesion"
     if removed_m3 > 0.0:
-        # In a tooth from files the place of the lesion is not known, and a path may only graze it.
+        # In a tooth from files, the place of the lesion is not known, so the path may only graze
+        # it.
         if parts.placement is None or removed_m3 >= MOSTLY * there_m3:
             return ""
         missed = (
@@ -109,15 +110,15 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
 
 @dataclass(frozen=True)
 class BreakThrough:
-    """Break-through of the tool's tip.
+    """Break-through of the tool's tip: exit from bone, forward along the axis.
 
     Attributes
     ----------
     time_s
-        Time of the first break-through in this hole.
+        Time of the first break-through in this hole [s].
     plunge_mm
-        Distance travelled along the axis after the break-through, until the run ended or the tool
-        met bone again. It is the largest of all passes through the hole.
+        Distance travelled along the axis from the break-through until the tool reached bone again
+        or the run ended [mm]. It is the largest value of all passes through the hole.
     """
 
     time_s: float
@@ -125,16 +126,16 @@ class BreakThrough:
 
 
 def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
-    """Return where the tool's tip passed from inside the uncut bone to the outside ahead.
+    """Return the break-throughs: exits of the tool's tip from uncut bone, forward along its axis.
 
-    The surface is where interpolated voxels are half full. Its position within a tick is
-    interpolated too. Each hole counts as one break-through. Bone counts as open wherever the tool
-    has been before, within its radius of the axis and behind its tip.
+    The surface of the bone is where interpolated voxels are half full. The time of the exit within
+    a tick is interpolated too. Each hole counts as one break-through. A place belongs to an earlier
+    hole if it was inside the tool before: within the radius around the axis, and behind the tip.
 
     Parameters
     ----------
     volume
-        The bone before any cut.
+        Bone before any cut.
     trace
         Trace of the run.
     radius_m
@@ -177,9 +178,9 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
 
 def _was_there(point_mm: Array, tips_mm: Array, axes: Array, *, radius_mm: float) -> bool:
-    """Return whether a point lies in the space swept by a tool at one of some poses.
+    """Return whether a point lies inside the tool at one of the given poses.
 
-    That space lies within the tool's radius of its axis and behind its tip.
+    The inside of the tool is the space within its radius around the axis, and behind the tip.
     """
     away = point_mm - tips_mm
     along = np.einsum("ij,ij->i", away, axes)

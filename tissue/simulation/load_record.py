@@ -1,17 +1,18 @@
-"""Geometry of one run, from which loads for other cutting coefficients follow.
+"""Record of the geometry of one run, from which loads for other cutting coefficients are computed.
 
-No further run is needed.
+The loads for new coefficients need no further run.
 
-The force on a cutter is a sum over elements of a force per length of edge. On a given path of the
-tool, the engaged bone and the chip thickness do not depend on the coefficients. So one run finds
-the loads of a unit force per length at nodes of chip thickness, and::
+The force on a cutter is the sum of the forces on its cutting elements; each element has a force per
+length of edge. On a given path of the tool, the engaged bone and the chip thickness do not depend
+on the coefficients. One run therefore records the loads of a unit force per length, at nodes of
+chip thickness, and::
 
     loads = sum over layers, density nodes and chip nodes h of
             strength * (K_tc, K_rc, K_ac) effective(h) + (K_te, K_re, K_ae) share(h) . unit loads
 
-see `tissue.materials.constants.effective_chip`. The loads equal ``model_force`` and
-``model_torque`` of a run with those coefficients: within 1e-6 for a law that is linear in the chip
-thickness, else within 0.3 %.
+For ``effective`` and ``share``, see `tissue.materials.constants.effective_chip`. The loads equal
+``model_force`` and ``model_torque`` of a run with the same coefficients. The relative difference is
+at most 1e-6 for a law that is linear in the chip thickness, and at most 0.3 % for other laws.
 """
 
 from copy import deepcopy
@@ -55,12 +56,12 @@ SENSITIVITIES = (
     "size_exponent",
     "minimum_chip_m",
 )
-"""Variables of each layer for the derivatives of `LoadRecord.jacobian`."""
+"""Variables of each layer by which `LoadRecord.jacobian` differentiates."""
 MOST_BYTES = 1_000_000_000
 """Largest size of a record [bytes].
 
-It holds 60 s of every tick in two layers with varying density, or an hour in one layer with
-constant density.
+This size is enough for 60 s with every tick in two layers of varying density, or for an hour in one
+layer of constant density.
 """
 
 
@@ -71,11 +72,12 @@ class LayerLoads:
     Attributes
     ----------
     nodes
-        Densities of the nodes.
+        Nodes of density.
     chips_m
         Nodes of chip thickness [m], shape (k,).
     unit
-        Loads of a unit force per length of edge, shape (nodes, 3 k, n, 6).
+        Loads of a unit force per length of edge, shape (nodes, 3 k, n, 6): density nodes, three
+        directions at k chip nodes, ticks, and force and torque.
     """
 
     nodes: DensityNodes
@@ -83,14 +85,15 @@ class LayerLoads:
     unit: Array
 
     def values(self, coefficients: CuttingCoefficients) -> Array:
-        """Return the force per length of edge at nodes of chip thickness [N/m], shape (3 k,)."""
+        """Return the force per length of edge at the chip nodes [N/m], shape (3 k,)."""
         basis, values = self._basis(coefficients)
         return values @ basis
 
     def slopes(self, coefficients: CuttingCoefficients) -> Array:
-        """Return derivatives of `values`, shape (8, 3 k).
+        """Return the derivatives of `values`, shape (8, 3 k).
 
-        They are by the six coefficients, the size exponent and the minimum chip thickness.
+        The rows are the derivatives with respect to the six coefficients, the size exponent and the
+        minimum chip thickness.
         """
         basis, values = self._basis(coefficients)
         minimum = coefficients.minimum_chip_m
@@ -110,7 +113,8 @@ class LayerLoads:
         return np.vstack([basis, np.multiply.outer(by_exponent, chips).ravel(), by_minimum.ravel()])
 
     def _basis(self, coefficients: CuttingCoefficients) -> tuple[Array, Array]:
-        """Return the derivative of `values` by the six coefficients, and the coefficients.
+        """Return the derivatives of `values` with respect to the six coefficients, and the
+        coefficients.
 
         The shapes are (6, 3 k) and (6,).
         """
@@ -128,7 +132,7 @@ class LayerLoads:
 
 @dataclass(frozen=True, eq=False)
 class LoadRecord:
-    """Geometry of one run.
+    """Recorded geometry of one run.
 
     Attributes
     ----------
@@ -137,15 +141,15 @@ class LoadRecord:
     times_s
         Times of the recorded ticks, shape (n,).
     layer_names
-        All layers of the bone, including layers that the tool did not engage.
+        Names of all layers of the bone, including layers that the tool did not engage.
     layers
-        Unit loads of the engaged layers, by the index of the layer in `layer_names`.
+        Unit loads of the engaged layers, keyed by the index of the layer in `layer_names`.
     engaged_m2
         Engaged area of the tool in each layer [m2], shape (n, layers).
     trace
-        Recorded ticks of the run's trace, with loads of 0.
+        Rows of the trace for the recorded ticks, in which the loads are 0.
     notes
-        Notes on assumptions and findings while the scene was built, by subject.
+        Notes on assumptions and findings from the build of the scene, keyed by subject.
     """
 
     scene: Scene
@@ -159,14 +163,15 @@ class LoadRecord:
     def loads(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> Array:
-        """Return force [N] and torque about the tip [N m] on the tool in the world, shape (n, 6).
+        """Return force [N] and torque about the tip [N m] on the tool in the world frame, shape (n,
+        6).
 
         Parameters
         ----------
         coefficients
             Coefficients of each layer, in the order of `layer_names`.
         density_factors
-            Factors of the density of each layer, shape (layers,); None for 1.
+            Factors by which the density of each layer is multiplied, shape (layers,); None for 1.
         """
         loads = np.zeros((len(self.times_s), 6))
         for at, weights in self.weights(coefficients, density_factors).items():
@@ -177,9 +182,9 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """Return factors of each layer's unit loads, shape (nodes * 3 k,).
+        """Return for each layer the factors of its unit loads, shape (nodes * 3 k,).
 
-        Arguments are as for `loads`.
+        The arguments are those of `loads`.
         """
         found = {}
         for at, layer in self.layers.items():
@@ -191,9 +196,9 @@ class LoadRecord:
     def jacobian(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> Array:
-        """Return derivatives of the loads by each layer's `SENSITIVITIES`.
+        """Return the derivatives of the loads with respect to the `SENSITIVITIES` of each layer.
 
-        The shape is (n, 6, layers, 10). Arguments are as for `loads`.
+        The shape is (n, 6, layers, 10). The arguments are those of `loads`.
         """
         found = np.zeros((len(self.times_s), 6, len(self.layer_names), len(SENSITIVITIES)))
         for at, layer in self.layers.items():
@@ -221,9 +226,9 @@ def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: flo
 
 
 def why_not_linear(scene: Scene) -> str:
-    """Return the reason for which a scene's loads are not linear in coefficients; else "".
+    """Return the reason why the loads of a scene are not linear in the coefficients, or "".
 
-    With linear loads, one run gives the loads for other coefficients.
+    If the loads are linear, one run is enough to compute the loads for other coefficients.
     """
     if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
         return (
@@ -254,27 +259,28 @@ def record_loads(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> LoadRecord:
-    """Run a scene's geometry once and record its unit loads.
+    """Run the geometry of a scene once, and record the unit loads.
 
-    The bone is carved at every tick as in a run, without stress, heat and keep clear.
+    The bone is carved in every tick as in a run. Stress, heat and structures to keep clear of are
+    left out.
 
     Parameters
     ----------
     scene
-        A bone or tooth that a cutter mills on a given path.
+        Scene in which a cutter mills bone or tooth on a given path.
     motion
-        Motion of the tool in place of the scene's motion, for its whole duration. It must not
-        depend on the force.
+        Motion of the tool that replaces the motion of the scene, for its whole duration. The motion
+        must not depend on the force.
     every
-        Ticks between two recorded ticks.
+        Interval between two recorded ticks [ticks].
     compute, cores, progress
         As for `tissue.simulation.simulate.simulate`.
 
     Raises
     ------
     InputError
-        If the loads are not linear, see `why_not_linear`, the record would not fit in `MOST_BYTES`,
-        or as for `simulate`.
+        If the loads are not linear (see `why_not_linear`), the record would be larger than
+        `MOST_BYTES`, or `simulate` would raise an error.
     """
     report = progress or silent
     if motion is not None:
@@ -317,7 +323,7 @@ def record_loads(
 
 
 def _is_linear(scene: Scene, layer_names: tuple[str, ...]) -> bool:
-    """Return whether the law of all layers is linear in the chip thickness, at any constants."""
+    """Return whether the laws of all layers are linear in the chip thickness, for any constants."""
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     for layer in layer_names:
         known = scene.constants.layer_constants(layer, bone=scene.cutting.material)
@@ -328,7 +334,7 @@ def _is_linear(scene: Scene, layer_names: tuple[str, ...]) -> bool:
 
 
 def _fastest_m_s(motion: Motion, ticks: int, cutter: Cutter) -> float:
-    """Return a bound of the speed of a cutter's points, without its spin [m/s].
+    """Return an upper bound of the speed of a cutter's points, without the spin [m/s].
 
     The motion must not depend on the force.
     """
@@ -347,9 +353,10 @@ def _fastest_m_s(motion: Motion, ticks: int, cutter: Cutter) -> float:
 def _recorded(
     loop: Loop, bone: EngagedBone, every: int, report: Progress
 ) -> tuple[list[Array], Array]:
-    """Record unit loads and engaged areas of a loop.
+    """Run a loop, and record its unit loads and engaged areas.
 
-    One tick in `every` is recorded. The unit loads of each layer have shape (nodes, 3 k, n, 6).
+    Every tick whose index is a multiple of `every` is recorded. The unit loads of each layer have
+    shape (nodes, 3 k, n, 6).
     """
     ticks = len(loop.trace.rows)
     count = -(-ticks // every)
@@ -373,7 +380,7 @@ def _recorded(
                 engaged[tick // every] = bone.engaged_m2
                 for all_ticks, each in zip(unit, bone.unit_loads, strict=True):
                     all_ticks[:, :, tick // every] = each
-            # Ten reports a second are enough for a reader.
+            # Ten reports per second are enough for a reader.
             if perf_counter() - reported_s > 0.1:
                 reported_s = perf_counter()
                 report("recording the geometry", tick / ticks)

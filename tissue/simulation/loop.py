@@ -1,4 +1,4 @@
-"""Loop of a run in ticks of 1 ms: motion, removal, force, output and record, and scheduling."""
+"""Loop of a run in ticks of 1 ms: motion, removal of material, force, output and record."""
 
 import gc
 import sys
@@ -37,17 +37,17 @@ __all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
 SWITCH_S = 5e-5
 """Longest time for which a background thread may keep the interpreter from the ticks [s].
 
-It is a twentieth of a tick; Python's default of 5 ms is five ticks.
+The value is a twentieth of a tick. Python's default of 5 ms is five ticks.
 """
 
 
 class PoseLog:
-    """Log of a tool's poses, in memory that is allocated before the first tick.
+    """Log of the poses of a tool, in memory that is allocated before the first tick.
 
     Parameters
     ----------
     ticks
-        Ticks of the run; each may bring the tool to two poses.
+        Number of ticks of the run. In each tick the tool may take two poses.
     """
 
     def __init__(self, ticks: int) -> None:
@@ -55,7 +55,7 @@ class PoseLog:
         self._count = 0
 
     def add(self, tick: int, motion: ToolMotion) -> None:
-        """Append the pose of a tick; -1 is the pose at which the tool was placed."""
+        """Append the pose of a tick; tick -1 is the pose before the first tick."""
         row = self._rows[self._count]
         row[0] = tick
         row[1:4] = motion.tip_m
@@ -64,37 +64,37 @@ class PoseLog:
 
     @property
     def poses(self) -> Array:
-        """Poses so far, shape (n, 7): tick, tip [m], axis."""
+        """Poses so far: tick, tip [m] and axis, shape (n, 7)."""
         return self._rows[: self._count]
 
 
 class Stepper:
-    """Motion of a tool and response of a tissue in ticks of 1 ms, without output and record.
+    """Step of motion and tissue response in a tick of 1 ms, without output and record.
 
-    Every simulated tick goes through `step`: runs, cuts of a bone, loops of a caller's program,
-    references and environments. The cutting force
-    depends on the bone before the present pass, so it is the same before and after the cut.
+    All simulated ticks use `step`: those of runs, cuts of a bone, loops of a caller's program,
+    reference forces and environments. The cutting force depends on the bone before the current
+    pass, so it is the same before and after the removal of bone in a tick.
 
     Parameters
     ----------
     motion
         Motion of the tool.
     tissue
-        Tissue that is cut or pressed by the tool.
+        Tissue that the tool cuts or presses.
     balances
-        Whether to search the pose at which the force balances the thrust. Poses are tried before
-        the bone there is cut, because a rejected pose must remove nothing.
+        Whether to search for the pose at which the force balances the thrust. Poses are tried
+        before bone is removed, because a rejected pose must not remove bone.
     log
         Log of the poses of a tool that cuts.
 
     Attributes
     ----------
     tool
-        Present pose of the tool.
+        Current pose of the tool.
     response
-        Response of the tissue at that pose.
+        Response of the tissue at this pose.
     moved_s, searched_s, removed_s
-        Times at which the parts of the tick ended: motion, search, removal [s].
+        Clock times at which motion, search and removal ended in the tick [s].
     """
 
     def __init__(
@@ -116,9 +116,10 @@ class Stepper:
         self.moved_s = self.searched_s = self.removed_s = 0.0
 
     def place(self, *, resume: bool = False) -> Response:
-        """Put the tool at the start of the motion before the first tick; return the response there.
+        """Put the tool at the start of the motion and return the response there.
 
-        With `resume` the tissue continues from a loop that ended there.
+        Call this before the first tick. With `resume` the tissue continues from a loop that ended
+        at this pose.
         """
         self._motion.meet(self._tissue)
         self._motion.begin(self.tool)
@@ -128,14 +129,14 @@ class Stepper:
         return self._tissue.respond(self.tool)
 
     def wait(self, index: int) -> None:
-        """Wait for background work whose result is due at a tick."""
+        """Wait for background work whose result is needed at a tick."""
         if self._waits is not None:
             self._waits.wait_for_background(index * TICK_S)
 
     def step(self, index: int, *, step_s: float = TICK_S) -> None:
-        """Move the tool and evaluate the tissue after a time [s].
+        """Move the tool by a time step [s] and evaluate the tissue.
 
-        Between the ticks of a slow model only the motion advances.
+        In ticks between two responses of a slow model, only the motion advances.
         """
         motion = self._motion
         tissue = self._tissue
@@ -144,7 +145,8 @@ class Stepper:
         self.moved_s = self.searched_s = self.removed_s = perf_counter()
         if index % motion.model_ticks != 0:
             return
-        # A thrust tries poses before any bone is cut. Other motions are corrected after the cut.
+        # A motion with a thrust tries poses before any bone is cut. Other motions are corrected
+        # after the cut.
         if self._balances:
             response = tissue.respond(tool)
             while motion.correct(response, tool):
@@ -162,7 +164,7 @@ class Stepper:
         self.response = response
 
     def state(self) -> State:
-        """Copy the state of tool, response and tissue; the motion keeps its own.
+        """Copy the state of tool, response and tissue, but not that of the motion.
 
         Raises
         ------
@@ -180,7 +182,7 @@ class Stepper:
         return {"own": copied(self, ("tool", "response")), "tissue": tissue.state()}
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a copied state."""
         assert isinstance(self._tissue, HasState)
         self._tissue.restore(state["tissue"])
         put_back(self, state["own"])
@@ -201,9 +203,9 @@ class Stepper:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Keep the garbage collector and other threads from the ticks of a block.
+    """Keep the garbage collector and other threads from delaying the ticks in a block.
 
-    Linear algebra uses one thread.
+    In the block, linear algebra uses one thread.
     """
     was_enabled = gc.isenabled()
     switching = sys.getswitchinterval()
@@ -230,20 +232,21 @@ class Loop:
     ticks
         Number of ticks for which memory is allocated now.
     output
-        Processing of the model's force before it is commanded.
+        Processing of the model force before it is commanded.
     timing_columns
-        Columns of the timing in addition to the columns of the tick.
+        Additional columns of the timing.
 
     Attributes
     ----------
     parts
-        As given.
+        The argument `parts`.
     trace, timing
-        One row a tick; rows of future ticks are 0.
+        Tables with one row per tick; rows of future ticks are 0.
     events
-        Events that the tissue has reported: time [s] and a sentence each.
+        Events that the tissue has reported, each with a time [s] and a sentence.
     ticks
-        Number of ticks that have run. A tick beyond the allocated rows replaces the oldest one.
+        Number of ticks that have run. When all allocated rows are used, a tick replaces the oldest
+        row.
     """
 
     def __init__(
@@ -293,14 +296,14 @@ class Loop:
 
     @property
     def poses(self) -> Array | None:
-        """Poses of a tool that cuts, see `PoseLog`."""
+        """Poses of a cutting tool; see `PoseLog`."""
         return self._log.poses if self._log is not None else None
 
     def place(self, *, resume: bool = False) -> None:
-        """Put the tool at the start of the motion before the first tick.
+        """Put the tool at the start of the motion; call this before the first tick.
 
-        Its cost is not part of any tick. With `resume` the tissue continues from a loop that ended
-        there.
+        The time for this is not part of any tick. With `resume` the tissue continues from a loop
+        that ended at this pose.
         """
         response = self._stepper.place(resume=resume)
         if self.parts.keep_clear is not None:
@@ -308,11 +311,11 @@ class Loop:
         self._record(self.trace.rows[0], 0, response)
 
     def wait(self) -> None:
-        """Wait for background work whose result is due at the next tick."""
+        """Wait for background work whose result is needed at the next tick."""
         self._stepper.wait(self.ticks)
 
     def step(self) -> int:
-        """Run a tick, record its trace and timings, and return its row."""
+        """Run a tick, record trace and timing, and return the index of the row."""
         index = self.ticks
         stepper = self._stepper
         start = perf_counter()
@@ -332,7 +335,7 @@ class Loop:
         recorded = perf_counter()
         stepper.start_background(index)
         end = perf_counter()
-        # Stages overlap with the search of a balance, which counts as force.
+        # The search for a balance evaluates forces, so its time counts as force.
         self.timing.rows[row, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,
             (stepper.moved_s - start) * 1e6,
@@ -347,7 +350,7 @@ class Loop:
 
     @property
     def tool(self) -> ToolMotion:
-        """Present pose of the tool."""
+        """Current pose of the tool."""
         return self._stepper.tool
 
     @property
@@ -356,7 +359,7 @@ class Loop:
         return self._stepper.response
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on; the tables are not part of it."""
+        """Copy the state on which later ticks depend, without trace and timing."""
         clear = self.parts.keep_clear
         return {
             "own": copied(self, ("ticks", "events", "_filtered", "_commanded")),
@@ -365,8 +368,8 @@ class Loop:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
-        # The tissue comes first: a state that it refuses leaves the loop as it was.
+        """Restore a copied state."""
+        # The tissue is restored first, so the loop stays unchanged if the tissue refuses the state.
         self._stepper.restore(state["stepper"])
         put_back(self, state["own"])
         if self.parts.keep_clear is not None:
@@ -379,7 +382,7 @@ class Loop:
         """Write one row of the trace, in the units of its columns."""
         tool = self._stepper.tool
         at = self._at
-        # Most tools never turn: the quaternion is computed only after a change.
+        # Most tools never turn, so the quaternion is computed only after a change.
         if tool.rotation.tobytes() != self._rotation:
             self._rotation = tool.rotation.tobytes()
             self._quaternion[:] = quaternion_of(tool.rotation)
@@ -405,7 +408,7 @@ class Loop:
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 
     def finish(self) -> None:
-        """Complete work that was spread over ticks; the tables end with the last tick."""
+        """Complete work that was spread over ticks, and remove the unused rows of the tables."""
         self.trace.rows = self.trace.rows[: self.ticks]
         self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):

@@ -1,6 +1,6 @@
-"""Observers of a run, called at every tick: combined, paced by the wall clock, or prioritised.
+"""Observers of a run, called in every tick: a group of observers, wall clock, priority.
 
-They are called between ticks and must not change the result of the run.
+Observers are called between ticks and must not change the result of the run.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -29,36 +29,36 @@ __all__ = [
     "WallClock",
 ]
 LOOK_TICKS = 200
-"""Ticks between two checks of the ticks' load and of a live run's processes.
+"""Interval between two checks of the load by ticks and of the processes of a live run [ticks].
 
-0.2 s is well below the second after which Linux stops a thread that leaves no time.
+0.2 s is well below the second after which Linux stops a thread that leaves no time to others.
 """
 FULL = 0.9
-"""Largest share of the time that ticks may take at a raised priority.
+"""Largest share of the time that the ticks may use at a raised priority.
 
-Linux stops a real-time thread that takes 95 % of a second for the rest of that second.
+If a real-time thread has used 95 % of a second, Linux stops it for the rest of this second.
 """
 BEHIND = (
     "the ticks were {:.3g} s behind the wall clock in all. The schedule was moved by "
     "this time, so the device received its forces later than the trace states"
 )
 BEHIND_S = 0.01
-"""Largest lateness of a tick before the lost time is given up [s].
+"""Largest lateness of a tick [s] that later ticks catch up.
 
-Ten ticks can be caught up without being felt.
+A person does not feel that ten ticks are caught up.
 """
 SPIN_S = 1.5e-4
-"""Time before a tick is due at which sleeping ends and polling the clock begins [s].
+"""Time before a tick is due [s] at which the thread stops sleeping and polls the clock.
 
-A sleep ends up to 0.1 ms late.
+A sleep may end up to 0.1 ms late.
 """
 
 
 class Observers(RunObserver):
-    """Several observers combined into one, called in order.
+    """Group of observers, called in order.
 
-    `on_begin` calls them in reverse order: the first observer of a live run takes over Ctrl-C after
-    all other observers have begun.
+    `on_begin` calls the observers in reverse order, because the first observer of a live run takes
+    over Ctrl-C after all other observers have begun.
     """
 
     def __init__(self, *observers: RunObserver) -> None:
@@ -67,7 +67,7 @@ class Observers(RunObserver):
         self.paces = any(each.paces for each in observers)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Prepare all observers, the last one first."""
+        """Prepare all observers, starting with the last one."""
         for each in reversed(self._all):
             each.on_begin(parts, columns)
 
@@ -89,7 +89,7 @@ class Observers(RunObserver):
             each.on_event(time_s, what)
 
     def on_end(self) -> list[tuple[float, str]]:
-        """End all observers, also if one of them fails."""
+        """End all observers, even if one of them fails."""
         events: list[tuple[float, str]] = []
         with ExitStack() as ends:
             for each in reversed(self._all):
@@ -98,10 +98,11 @@ class Observers(RunObserver):
 
 
 class TickRow(Mapping[str, Any]):
-    """Row of the trace for one tick, by its columns, such as ``row["model_force_z_N"]``.
+    """Row of the trace for one tick, keyed by column, such as ``row["model_force_z_N"]``.
 
-    ``row["layer"]`` is the name of a layer, as in the trace. All other values are numbers. It is
-    the same object in every tick and shows the present tick. ``dict(row)`` keeps its values.
+    ``row["layer"]`` is the name of a layer, as in the trace. All other values are numbers. The
+    object is the same in every tick, and its values are those of the current tick. ``dict(row)``
+    copies the values.
     """
 
     def __init__(self, columns: tuple[str, ...], layer_names: tuple[str, ...]) -> None:
@@ -121,7 +122,7 @@ class TickRow(Mapping[str, Any]):
 
 
 class OnTick(RunObserver):
-    """Observer that calls a function with the number and row of every tick.
+    """Observer that calls a function with the number and the row of each tick.
 
     The run ends when the function returns False.
     """
@@ -131,7 +132,7 @@ class OnTick(RunObserver):
         self._row = TickRow((), ())
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Store the names of the columns and of the layers."""
+        """Store the names of columns and layers."""
         self._row = TickRow(columns, parts.tissue.layer_names)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
@@ -142,29 +143,29 @@ class OnTick(RunObserver):
 
 
 class WallClock:
-    """Wall clock that paces a run.
+    """Wall clock by which the ticks of a run are started.
 
-    Tick i is due i ticks after the start, whatever time the ticks before it took, so nothing
-    drifts. A late tick runs at once, and so do the ticks after it until the run is on time again. A
-    run that is more than ``behind_s`` late gives up the lost time: its schedule moves by the
-    lateness, which is counted. Simulated time is therefore never stretched, and no tick is left
-    out. The time skipped on the wall clock is known to the microsecond.
+    Tick i is due i ticks after the start, whatever the duration of earlier ticks, so delays do not
+    add up. A late tick runs at once, and so do the following ticks until the run is on time again.
+    If a tick is late by more than ``behind_s``, the whole schedule is moved by the lateness, which
+    is counted as skipped time. The simulated time of a tick never changes, and no tick is left out.
+    The skipped time is recorded with microsecond resolution.
 
     Parameters
     ----------
     tick_s
-        Length of a tick [s].
+        Duration of a tick [s].
     behind_s
-        Lateness from which the schedule is moved [s].
+        Lateness above which the schedule is moved [s].
     now, rest
-        Clock [s] and sleep [s].
+        Functions that return the time [s] and sleep for a time [s].
 
     Attributes
     ----------
     late_s
-        Lateness at the beginning of the present tick [s].
+        Lateness at the beginning of the current tick [s].
     skipped_s
-        Time by which its lateness moved the schedule [s], 0 for most ticks.
+        Time by which the current tick moved the schedule [s]; 0 for most ticks.
     """
 
     def __init__(
@@ -200,13 +201,13 @@ class WallClock:
             self.skipped_s = self.late_s
 
     def hold(self, seconds: float) -> None:
-        """Move the schedule by a pause of the run, which does not count as lateness."""
+        """Move the schedule by the duration of a pause, which does not count as lateness."""
         if self._start is not None:
             self._start += seconds
 
 
 class Paced(RunObserver):
-    """Observer that starts each tick when it is due, for a run moved by a real device."""
+    """Observer that starts each tick when it is due, for a run with a real device."""
 
     paces = True
 
@@ -220,20 +221,20 @@ class Paced(RunObserver):
         self._skipped_s += self._clock.skipped_s
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Return an event with the time by which the wall clock was missed."""
+        """Return an event with the total skipped time."""
         return [(0.0, BEHIND.format(self._skipped_s))] if self._skipped_s > 0.0 else []
 
 
 class Prioritised(RunObserver):
-    """Observer that raises the priority of the ticks' thread and restores it at the end.
+    """Observer that raises the priority of the thread of the ticks, and restores it at the end.
 
-    It is restored earlier if the ticks leave no time to other threads. The system would then stop
-    the ticks for longer than ordinary priority delays them.
+    The priority is restored earlier if the ticks leave no time to other threads. The system would
+    otherwise stop the ticks, for a longer time than an ordinary priority delays them.
 
     Attributes
     ----------
     note
-        Priority of the ticks, as text.
+        Text about the priority of the ticks.
     """
 
     def __init__(self, priority: TickPriority | None = None) -> None:
@@ -243,13 +244,13 @@ class Prioritised(RunObserver):
         self._restored: list[tuple[float, str]] = []
 
     def before_tick(self, index: int) -> None:
-        """Raise the priority before the first tick, since ticks may run in their own thread."""
+        """Raise the priority before the first tick, in the thread that runs the ticks."""
         if index == 0:
             self._priority.begin()
             self.note = self._priority.granted
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Check the load of the ticks at intervals."""
+        """Check the load by the ticks every `LOOK_TICKS` ticks."""
         self._busy_us += times[0]
         if index % LOOK_TICKS == LOOK_TICKS - 1:
             if self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S and not self._restored:

@@ -1,4 +1,4 @@
-"""Session in which a caller gives the pose of a tool and receives the wrench of a tissue."""
+"""Session in which a caller gives poses of a tool and receives the wrench on it."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,21 +21,22 @@ from tissue.simulation.simulate import builder_of
 __all__ = ["PosedSession", "Region", "Snapshot", "posed_parts"]
 
 ACROSS = 5
-"""Number of copies of a scene's path across the tool's axis, in each direction; chosen."""
+"""Number of copies of a scene's path in each direction across the tool's axis; chosen."""
 LEFT_REGION = "the tool left the region in which the tissue is prepared: use a larger reach_mm"
-"""Event of a tool outside the prepared region."""
+"""Event that reports a tool outside the prepared region."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a session, which can be pickled and restored in an equal session.
+    """State of a session, which can be pickled, and restored in a session made from equal
+    arguments.
 
     Attributes
     ----------
     time_s
         Simulated time [s].
     tissue
-        Class and layers of the tissue, which have to agree.
+        Class and layers of the tissue; they must be the same in the other session.
     state
         State of tool, tissue and structures to keep clear of.
     """
@@ -47,14 +48,16 @@ class Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Region in which the tissue is prepared: a box along the axes of the tool at the start.
+    """Region in which the tissue is prepared: a box whose edges are parallel to the tool's axes at
+    the start.
 
     Attributes
     ----------
     rotation
         Axes of the tool at the start, shape (3, 3).
     low_m, high_m
-        Corners of the box of the tip along these axes [m], shape (3,) each. It is open upwards.
+        Corners of the box that the tip may not leave, along these axes [m], shape (3,) each. The
+        box is open upwards.
     """
 
     rotation: Array
@@ -63,12 +66,12 @@ class Region:
 
     @classmethod
     def of(cls, motion: Motion) -> "Region":
-        """Return the region of the tips of a motion."""
+        """Return the smallest region that contains all tips of a motion."""
         rotation = motion.rotations()[0].copy()
         tips = motion.sweep_m() @ rotation
         high = tips.max(axis=0)
         high[2] = np.inf
-        # 1e-9 m: rounding of a tip on the border.
+        # 1e-9 m allows for rounding of a tip on the boundary.
         return cls(rotation, tips.min(axis=0) - 1e-9, high + 1e-9)
 
     def holds(self, tip_m: Array) -> bool:
@@ -78,7 +81,7 @@ class Region:
 
 
 class _Widened(Motion):
-    """Motion of a scene with copies of its path around it, for which the tissue is prepared."""
+    """Motion of a scene with shifted copies of its path, along which the tissue is prepared."""
 
     def __init__(self, motion: Motion, reach_m: float) -> None:
         self.duration_s = motion.duration_s
@@ -87,7 +90,7 @@ class _Widened(Motion):
         turns = motion.rotations()
         side = np.linspace(-reach_m, reach_m, ACROSS) if reach_m > 0.0 else np.zeros(1)
         x, y = (each.ravel() for each in np.meshgrid(side, side))
-        # The path itself comes first: a tissue is checked at its start.
+        # The path itself comes first, because a tissue is checked at the start of the motion.
         order = np.argsort(np.hypot(x, y), kind="stable")
         shifts = np.column_stack([x, y, np.zeros(len(x))])[order] @ turns[0].T
         self._path = np.concatenate([path + shift for shift in shifts])
@@ -103,18 +106,18 @@ class _Widened(Motion):
         return self._turns
 
     def begin(self, motion: ToolMotion) -> None:
-        """Write the start of the scene's motion."""
+        """Write the start of the motion of the scene."""
         self._motion.begin(motion)
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Leave the tool at its start: this motion only prepares the tissue."""
+        """Leave the tool at the start, because this motion is only used to prepare the tissue."""
 
 
 def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:
-    """Build a scene for a tool whose pose the caller gives.
+    """Build the parts of a scene, and the prepared region, for a tool whose pose a caller gives.
 
-    The anatomy is prepared along the path of the scene and within a reach around it [m]. Frames,
-    stress and heat are left out, because they do not change the force.
+    The anatomy is prepared within `reach_m` [m] around the path of the scene. Frames, stress and
+    heat are left out, because they do not change the force.
 
     Raises
     ------
@@ -139,27 +142,27 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
 
 
 class PosedSession:
-    """Tissue under a tool whose pose a caller gives, in steps of whole ticks.
+    """Session with a tool whose pose a caller gives, in steps of whole ticks.
 
     Parameters
     ----------
     parts
-        Tissue, and structures to keep clear of; the motion is replaced.
+        Tissue, and structures to keep clear of. The motion in these parts is replaced.
     start
         Tip [m] and rotation at the start.
     ticks
-        Ticks of 1 ms in a step.
+        Number of ticks of 1 ms in a step.
     rows
         Number of ticks that the trace keeps.
     keep_ready
-        Called with the tip [m] before every tick, to prepare more tissue.
+        Function that is called with the tip [m] before every tick, to prepare more tissue.
     region
         Region in which the tissue is prepared; None for no limit.
 
     Attributes
     ----------
     loop
-        Loop with the trace.
+        Loop of the session, which contains the trace.
     """
 
     def __init__(
@@ -178,12 +181,13 @@ class PosedSession:
         self._left_region = False
         self._tool = parts.motion = PosedTool(*start)
         self._start = start
-        # Without a cutter there is no log of poses, which a session of any length would fill.
+        # Without a cutter the loop keeps no log of poses, which would become full in a long
+        # session.
         parts.cutter = None
         self.loop = engine.Loop(parts, ticks=rows, output=Output(low_pass_ms=0.0))
         self._names = (type(parts.tissue).__name__, *parts.tissue.layer_names)
         self._untouched: State | None = None
-        # A tissue without snapshots can still be moved through.
+        # A tissue that does not support snapshots can still be used.
         with suppress(InputError):
             self._untouched = self.loop.state()
         self.loop.place()
@@ -194,15 +198,16 @@ class PosedSession:
         return self._ticks * TICK_S
 
     def step(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Array:
-        """Move the tool to a pose in a step; return force [N] and torque [N m] on it, shape (6,).
+        """Move the tool to a pose in one step; return force [N] and torque [N m] on it, shape (6,).
 
         Parameters
         ----------
         pose
-            As for `tissue.motion.posed.pose_in`; without a rotation the tool keeps its own.
+            As for `tissue.motion.posed.pose_in`. Without a rotation, the tool keeps its
+            orientation.
         velocity
-            Velocity of the tip [mm/s], shape (3,), or with the angular velocity [rad/s], shape
-            (6,). None for the change of the pose over the step.
+            Velocity of the tip [mm/s], shape (3,), or this and the angular velocity [rad/s], shape
+            (6,). None for the change of the pose divided by the duration of the step.
         """
         loop = self.loop
         present = loop.tool
@@ -219,7 +224,9 @@ class PosedSession:
         return loop.response.wrench.copy()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
-        """Restore the tissue as it was made, and put the tool at its start or at a pose."""
+        """Restore the initial state of the tissue, and put the tool at the start or at a given
+        pose.
+        """
         if self._untouched is None:
             self.loop.state()  # raises why
             raise InputError("reset", "have a state to return to", "none", "make a new loop")
@@ -234,7 +241,7 @@ class PosedSession:
         self.loop.place()
 
     def snapshot(self) -> Snapshot:
-        """Copy the state."""
+        """Return a copy of the state."""
         return Snapshot(self.loop.ticks * TICK_S, self._names, self.loop.state())
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -243,7 +250,8 @@ class PosedSession:
         Raises
         ------
         InputError
-            If the snapshot is of another tissue, or needs bone that is not made here.
+            If the snapshot was made with another tissue, or needs bone that this session has not
+            prepared.
         """
         if snapshot.tissue != self._names:
             raise InputError(
@@ -257,7 +265,7 @@ class PosedSession:
         self._left_region = any(what == LEFT_REGION for _, what in self.loop.events)
 
     def _watch(self, region: Region) -> None:
-        """Report a tool that leaves the prepared region."""
+        """Add an event if the tool has left the prepared region."""
         if not region.holds(self.loop.tool.tip_m):
             self._left_region = True
             self.loop.events.append((self.loop.ticks * TICK_S, LEFT_REGION))

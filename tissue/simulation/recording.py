@@ -21,9 +21,9 @@ __all__ = ["write_formats", "write_recording"]
 
 DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
-"""Objects by the default names of the recorder, so that scripts for its files find them."""
+"""Object names that the recorder uses by default, so that scripts for its files work."""
 DENSEST_KG_M3 = 2000.0
-"""Density of bone that is drawn white [kg/m3]: the densest cortical bone has 1800 to 2000."""
+"""Density of bone that is drawn white [kg/m3]; the densest cortical bone has 1800 to 2000."""
 ABOUT = (
     "Lengths in m, times in s from the start of the run, forces in N, torques in N m about "
     "the tool's tip. Poses are\n"
@@ -43,7 +43,7 @@ ABOUT_VOXELS = (
 
 
 def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
-    """Write additional formats of a run into a folder."""
+    """Write a run into a folder in additional formats."""
     for kind in formats:
         if kind == RECORDING:
             write_recording(run, folder / "recording.hdf5")
@@ -52,14 +52,16 @@ def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
 
 
 def write_recording(run: CarvedRun, path: Path) -> None:
-    """Write a run in the layout of volumetric_drilling's recorder, with its data note version 3.
+    """Write a run in the layout of volumetric_drilling's recorder, version 3 of its data note.
 
     Data that a run does not have are left out, as the recorder leaves out topics that it did not
-    receive. These are images and camera, and for a tool that cuts nothing the voxels and the burr.
+    receive. Images and camera are always left out. For a tool that cuts nothing, voxels and burr
+    are left out too.
     """
     import h5py
 
-    # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
+    # The file is made in memory, because HDF5 ends the process if its file cannot grow on a full
+    # disk.
     image = BytesIO()
     with h5py.File(image, "w") as file:
         for group in (
@@ -102,7 +104,7 @@ def _write_poses(file: Any, run: CarvedRun) -> None:
     _store(file, f"{POSES}/{ANATOMY}_pose", times, pose=still)
     loads = np.hstack([trace.vectors("force", "N"), trace.vectors("torque", "Nm")])
     _store(file, f"{EVENTS}/drill_force_feedback", times, wrench=loads)
-    # Only a burr has a size in this layout.
+    # In this layout, only a burr has a size.
     if size_mm > 0.0:
         _store(
             file, f"{EVENTS}/burr_change", times[:1], burr_size=np.array([size_mm])[: len(times)]
@@ -110,7 +112,7 @@ def _write_poses(file: Any, run: CarvedRun) -> None:
 
 
 def _write_voxels(file: Any, run: CarvedRun) -> None:
-    """Write voxels in the order in which they fell below half, grouped by tick."""
+    """Write voxels in the order in which their content fell below one half, grouped by tick."""
     volume = run.volume
     file["metadata_v3/voxel_volume"] = 1e9 * volume.voxel_volume_m3
     file["metadata_v3/voxel_volume"].attrs["units"] = "mm^3, millimeters cubed"
@@ -132,6 +134,6 @@ def _write_voxels(file: Any, run: CarvedRun) -> None:
 
 
 def _store(file: Any, group: str, times: Array, **values: Array) -> None:
-    """Write samples and their times as float64 in gzip, as the recorder does."""
+    """Write samples and their times as float64 with gzip compression, like the recorder."""
     for name, samples in {"time_stamp": times, **values}.items():
         file.create_dataset(f"{group}/{name}", data=samples, compression="gzip")

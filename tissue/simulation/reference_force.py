@@ -1,9 +1,9 @@
-"""Reference force of a device: without latency, filter or coarse model.
+"""Reference force of a device, without latency, filter and coarse model.
 
-Runs by a hand are compared with it. Errors are measured at the motor: the played force passes
-through transport, hold and amplifier, and is compared with the ideal force at the same time. Each
-error is reported with its lower bound, the error of a perfect force through the same encoder steps,
-low-pass and amplifier.
+Runs with a hand are compared with this force. Errors are measured at the motor: the played force
+passes through transport, zero-order hold and amplifier, and is then compared with the reference
+force at the same time. Each error is reported with its lower bound. The lower bound is the error of
+a perfect prediction from the same encoder steps, after the same low-pass and amplifier.
 """
 
 from collections.abc import Mapping
@@ -73,7 +73,8 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     scene
         Scene with a device.
     finest
-        Settings of the converged model by dotted key, such as ``{"voxels.spacing_mm": 0.05}``.
+        Settings of the converged model, keyed by dotted name, such as ``{"voxels.spacing_mm":
+        0.05}``.
 
     Raises
     ------
@@ -97,13 +98,13 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 def ideal_force_N(
     run: CarvedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
-    """Compute the force of the ideal loop on the motion of a run [N], shape (n, 3).
+    """Compute the force of the ideal loop along the device motion of a run [N], shape (n, 3).
 
-    The ideal loop has no latency and the finest model; see `ideal_scene`. The motion is the
-    device's motion, so the reaction of a hand to another force is not part of the difference. It is
-    the true motion where the trace has it, which only a simulated device provides, and otherwise
-    the motion that the encoders read. Cut tissue differs where the coarse model has cut
-    differently, as it does in a run.
+    The ideal loop has no latency and the finest model; see `ideal_scene`. The device moves as in
+    the run, so the difference of forces does not include the reaction of a hand to the other force.
+    A simulated device provides its true motion; for other devices, the motion that the encoders
+    read is used. The ideal loop cuts the tissue itself, so the remaining tissue may differ from
+    that of the coarse model.
 
     Raises
     ------
@@ -129,16 +130,17 @@ def ideal_force_N(
 
 
 def rendered_force_N(parts: Parts, ticks: int) -> Array:
-    """Compute the renderer's force in each tick [N], shape (ticks, 3).
+    """Compute the force of the renderer in each tick [N], shape (ticks, 3).
 
-    It is the force before prediction, filter and delay. It is bit for bit the columns ``raw_force``
-    of a run of the same parts, at about half the cost. The known motion of the device does not
-    depend on the played force, so nothing is predicted, filtered, limited, played or recorded.
+    This is the force before prediction, filter and delay. It equals the columns ``raw_force`` of a
+    run of the same parts bit for bit, and takes about half of the time. The motion of the device is
+    given and does not depend on the force. Prediction, filter, limits, output and record are
+    therefore skipped.
 
     Parameters
     ----------
     parts
-        A tool on a device that plays no force, and its tissue, whose model answers every tick.
+        Tool on a device that plays no force, and tissue whose model responds in every tick.
     ticks
         Number of ticks.
     """
@@ -161,11 +163,12 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 
 
 def stretch_force_N(run: CarvedRun) -> Array:
-    """Compute the force of the coupling's spring in each tick of a run [N], shape (n, 3).
+    """Compute the force of the coupling spring in each tick of a run [N], shape (n, 3).
 
-    It is the force of the run without latency, computed from the encoder positions and the run's
-    own model. A tool that cuts is coupled to the observed position instead, see
-    `WallLoop.observes`. A predictor receives this force if that model answers every tick.
+    This is the force of the run without latency, computed from the encoder positions and the model
+    of the run. For a cutting tool, the estimate of the position observer replaces the encoder
+    position; see `WallLoop.observes`. A predictor receives this force if the model responds in
+    every tick.
 
     Raises
     ------
@@ -185,14 +188,15 @@ def stretch_force_N(run: CarvedRun) -> Array:
 
 
 def _observed(times_s: Array, positions: Array, loop: WallLoop) -> Array:
-    """Return the positions that a loop observes at each tick, shape (n, 3)."""
+    """Return the positions that the position observer of a loop estimates, shape (n, 3)."""
     assert loop.velocity_memory is not None
     samples = NewSamples(loop.tick_s)
     observer = ConstantAcceleration(loop.velocity_memory, step_s=loop.tick_s)
     observed = np.empty_like(positions)
     for row, (time_s, position) in enumerate(zip(times_s.tolist(), positions, strict=True)):
         x, y, z = position.tolist()
-        # A simulated device dates its samples. 1e-6: a time of a whole sample may be rounded down.
+        # A simulated device gives the times of its samples. 1e-6 allows for a time that is rounded
+        # down.
         taken_s = loop.tick_s * int(time_s / loop.tick_s + 1e-6)
         if samples.is_new(Sample(taken_s, (x, y, z)), time_s):
             observer.step(position)
@@ -201,25 +205,25 @@ def _observed(times_s: Array, positions: Array, loop: WallLoop) -> Array:
 
 
 def played_force_N(trace: Table) -> Array:
-    """Return the force on the device before its range is applied [N], shape (n, 3)."""
+    """Return the force before it is compressed to the range of the device [N], shape (n, 3)."""
     return trace.vectors("filtered_force", "N")
 
 
 class MotorForces(NamedTuple):
-    """Forces at the motor, averaged over every tick but the last [N], shape (n - 1, 3) each.
+    """Mean forces at the motor in each tick except the last one [N], each of shape (n - 1, 3).
 
     Attributes
     ----------
     played
-        The force of the run, before the device's range is applied.
+        Force of the run, before it is compressed to the range of the device.
     ideal
-        The force without latency at the device's position.
+        Force without latency at the true device position.
     nearest
-        The force without latency of `stretch_force_N`, predicted by the delay of its path. Its
-        error is the lower bound for a force from the same encoder steps. A force that smooths them
-        more may have a smaller error.
+        Force from `stretch_force_N`, perfectly predicted over the delay of its path to the motor.
+        The error of this force is the lower bound for forces from the same encoder steps. A force
+        that smooths the encoder steps more may have a smaller error.
     sent
-        The force that the device received, within its range and scaled for a person.
+        Force that the device received, compressed to its range and scaled for a person.
     """
 
     played: Array
@@ -229,22 +233,20 @@ class MotorForces(NamedTuple):
 
 
 def motor_forces(run: CarvedRun, ideal_N: Array | None = None) -> MotorForces:
-    """Compute the force that a device played, and the ideal force [N].
+    """Compute the force that a device played, and reference forces [N].
 
-    The ideal force has no latency, encoder steps and filters, on the motion of the run.
+    The ideal force has no latency, no encoder steps and no filters. The device moves as in the run.
 
     Parameters
     ----------
     run
-        Run by a hand that was simulated in this process.
+        Run with a simulated hand, simulated in this process.
     ideal_N
-        Ideal force as of `ideal_force_N`; without it the scene is simulated again.
+        Result of `ideal_force_N`. If it is not given, the scene is simulated again.
 
     Returns
     -------
-    Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``,
-    ``ideal``, ``nearest`` (the ideal force from the encoder positions) and ``sent`` (within the
-    device's range).
+    Mean forces in each tick except the last one; see `MotorForces`.
 
     Raises
     ------

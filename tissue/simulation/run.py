@@ -1,4 +1,4 @@
-"""Run, either just simulated or read from its folder, with one interface."""
+"""Run that was just simulated or read from a folder; both have the same interface."""
 
 import os
 import platform
@@ -48,23 +48,23 @@ Part = TypeVar("Part")
 
 
 class Run:
-    """Run, either just simulated or read from its folder by `load`.
+    """Run that was just simulated, or read from a folder by `load`.
 
-    Parts of a run from a folder are read at their first use. A part that the folder does not hold
-    raises `InputError`.
+    Data of a run from a folder are read at their first use. An `InputError` is raised if the folder
+    does not contain the data.
 
     Parameters
     ----------
     scene
-        Scene that was simulated.
+        Simulated scene.
     parts
-        Tissue, motion and voxels of the engine.
+        Tissue, motion and voxels of the simulation.
     trace, timing
-        One row a tick; columns by name, ``run.trace["force_z_N"]``.
+        Tables with one row per tick; columns are keyed by name: ``run.trace["force_z_N"]``.
     events
-        Events of the run: time [s] and a sentence each.
+        Events of the run, each with a time [s] and a sentence.
     poses
-        Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools.
+        Poses of a cutting tool, see `tissue.simulation.loop.PoseLog`; None for other tools.
     compute
         Warp device.
 
@@ -73,11 +73,11 @@ class Run:
     path
         Folder of the run; None before it is saved.
     scheduling
-        Choices for launches and background work, and the delays of the machine; None if they were
-        not recorded.
+        Data on kernel launches and background work, and scheduling gaps of the machine; None if
+        they were not recorded.
     draw
-        Draws the pictures of the run into a folder in a format and returns a sentence for each that
-        could not be drawn; `tissue.simulate` sets it.
+        Function that draws the pictures of the run into a folder in a given format. It returns a
+        sentence for each picture that could not be drawn. `tissue.simulate` sets this attribute.
     """
 
     path: Path | None = None
@@ -85,7 +85,7 @@ class Run:
     break_throughs: Sequence[BreakThrough] = ()
     draw: "Callable[[Run, Path, str], list[str]] | None" = None
     begun: RunFolder | None = None
-    """Folder that received the rows during the run, until the run is saved there."""
+    """Folder that received the rows during the run; None after the run was saved there."""
     _saved: SavedRun | None = None
     _compute = "cpu"
 
@@ -115,7 +115,7 @@ class Run:
         Parameters
         ----------
         path
-            Folder of a run; a stopped run can be read too.
+            Folder of a run. A run that was stopped early can be read too.
 
         Raises
         ------
@@ -129,30 +129,30 @@ class Run:
 
     @cached_property
     def scene(self) -> Scene:
-        """Scene that was simulated."""
+        """Simulated scene."""
         return self._required(self._files.scene, "scene.toml")
 
     @cached_property
     def trace(self) -> Table:
-        """Trace with one row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        """Trace with one row per tick; columns are keyed by name: ``run.trace["force_z_N"]``."""
         return self._required(self._files.trace, "trace.csv")
 
     @cached_property
     def timing(self) -> Table:
-        """Duration of each tick and its stages [µs], by name: ``run.timing["tick_us"]``."""
+        """Duration of each tick and its stages [µs], keyed by name: ``run.timing["tick_us"]``."""
         file = self._files.path / "timing.csv"
         return self._required(read_table(file, ()) if file.is_file() else None, file.name)
 
     @cached_property
     def events(self) -> list[tuple[float, str]]:
-        """Events of the run: time [s] and a sentence each."""
+        """Events of the run, each with a time [s] and a sentence."""
         return [
             (float(each["time_s"]), each["what"]) for each in self._files.summary.get("events", ())
         ]
 
     @cached_property
     def parts(self) -> Parts:
-        """Tissue, motion and voxels of the engine; a folder does not keep them."""
+        """Tissue, motion and voxels of the simulation; not available for a run from a folder."""
         raise InputError(
             "run",
             "be simulated in this process to have its parts",
@@ -162,7 +162,7 @@ class Run:
 
     @cached_property
     def poses(self) -> Array | None:
-        """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools."""
+        """Poses of a cutting tool, see `tissue.simulation.loop.PoseLog`; None for other tools."""
         return self._voxels[2] if (self._files.path / "bone.vti").is_file() else None
 
     @property
@@ -177,7 +177,7 @@ class Run:
 
     @property
     def volume(self) -> VoxelVolume:
-        """Voxels before the first cut; raises `InputError` if the tissue has no voxels."""
+        """Voxels before the first cut; `InputError` if the tissue has no voxels."""
         if self._saved is not None:
             return self._voxels[0]
         if self.parts.volume is None:
@@ -191,7 +191,7 @@ class Run:
 
     @cached_property
     def remaining(self) -> Bytes:
-        """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
+        """Bone left in each voxel (255 = full), uint8, shape (nx, ny, nz); see `volume`."""
         if self._saved is not None:
             return self._voxels[1]
         tissue = self.parts.tissue
@@ -199,7 +199,7 @@ class Run:
 
     @property
     def cutter(self) -> Cutter:
-        """Cutter of the run; raises `InputError` if the tool cuts nothing."""
+        """Cutter of the run; `InputError` if the tool cuts nothing."""
         from tissue.simulation.builders.cutting import cutter_of
 
         tool = self.scene.tool
@@ -214,7 +214,7 @@ class Run:
     def replay(self) -> "CarvingReplay":
         """Return a replay of the carving, which gives the bone at any tick.
 
-        It raises `InputError` if nothing was cut.
+        The method raises `InputError` if the tool cuts nothing.
         """
         import warp
 
@@ -228,16 +228,16 @@ class Run:
         device = self._compute
         if self._saved is not None:
             recorded = str(self.summary.get("compute"))
-            # This machine may lack the device of the run.
+            # This machine may not have the Warp device of the run.
             device = recorded if recorded in map(str, warp.get_devices()) else "cpu"
         removal = self.scene.voxels.removal
         return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=device)
 
     @property
     def summary(self) -> Summary:
-        """Values of the run, as in ``summary.json``.
+        """Figures of the run, as in ``summary.json``.
 
-        They include volumes, forces, tick cost, deadlines, scheduling and notes.
+        The figures include volumes, forces, tick times, missed deadlines, scheduling and notes.
         """
         if self._saved is not None:
             return self._saved.summary | {"status": self._saved.status}
@@ -285,13 +285,13 @@ class Run:
         return found
 
     def _timing_figures(self) -> Summary:
-        """Return the entries of the summary on tick cost, deadlines and scheduling."""
+        """Return the entries of the summary on tick times, missed deadlines and scheduling."""
         ticks = self.timing["tick_us"]
         late = np.zeros(len(ticks))
         exposed_s = 1e-6 * float(ticks.sum())
         by_clock: Summary = {}
         if "late_us" in self.timing:
-            # Only runs by the wall clock have lateness.
+            # Only runs that follow the wall clock have lateness.
             late = self.timing["late_us"]
             exposed_s = len(ticks) * TICK_S
             by_clock = {
@@ -303,15 +303,16 @@ class Run:
         return {"tick_us": _spread(ticks), "missed_deadlines": missed, **by_clock, **scheduling}
 
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
-        """Return the tissue as a pyvista data set, in the scene's frame in mm.
+        """Return the tissue as a pyvista data set, in the frame of the scene [mm].
 
-        Voxels: an image with the cell arrays start and remaining (255 = full), layer,
-        density_kg_m3. Elements: the mesh of the last frame with its fields.
+        For a tissue of voxels, it is an image with the cell arrays ``start`` and ``remaining`` (255
+        = full), ``layer`` and ``density_kg_m3``. For a tissue of finite elements, it is the mesh of
+        the last frame with its fields.
 
         Raises
         ------
         InputError
-            If the tissue has neither.
+            If the tissue has neither voxels nor finite elements.
         """
         from tissue.simulation.bone_files import voxel_image
         from tissue.simulation.saved_fields import SavedFields, field_names, require_whole
@@ -330,7 +331,7 @@ class Run:
         return voxel_image(self.volume, self.remaining)
 
     def discard(self, why: str) -> None:
-        """Release a run that will not be saved; its begun folder is marked as interrupted."""
+        """Release a run that will not be saved, and mark its folder as interrupted."""
         if self.begun is not None:
             self.begun.interrupt(why)
 
@@ -343,7 +344,7 @@ class Run:
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run's folder; see docs/files.md for its files.
+        """Write the folder of the run; docs/files.md describes the files.
 
         A run that was read from a folder is copied.
 
@@ -352,20 +353,20 @@ class Run:
         out
             Folder to write.
         formats
-            Additional formats: parquet, npz, mat or h5 for the trace; recording for the run in
-            volumetric_drilling's layout.
+            Additional formats: ``parquet``, ``npz``, ``mat`` or ``h5`` for the trace; ``recording``
+            for the run in the layout of volumetric_drilling.
         pictures
-            Whether the folder holds pictures, or their format, png, svg or pdf; a copy has the
-            pictures of its original.
+            Whether to write pictures, or their format: png, svg or pdf. For a run that was read
+            from a folder, the existing pictures are copied.
         overwrite
-            Replace a run that the folder already holds.
+            Whether to replace a run that the folder already holds.
         progress
-            Called with the present work.
+            Function that is called with the name of the current work.
 
         Raises
         ------
         InputError
-            If the folder holds another run or a format is unknown.
+            If the folder holds another run, or a format is unknown.
         """
         formats = tuple(formats)
         for kind in formats:
@@ -402,7 +403,9 @@ class Run:
         overwrite: bool,
         report: Progress,
     ) -> None:
-        """Write the folder of a simulated run, or complete the folder that was begun."""
+        """Write the folder of a simulated run, or complete the folder that was written during the
+        run.
+        """
         from tissue.simulation.bone_files import write_bone, write_carving
         from tissue.simulation.recording import write_formats
         from tissue.simulation.vtk_files import write_fields
@@ -446,7 +449,7 @@ class Run:
         return saved_voxels(self._files)
 
     def _required(self, part: Part | None, name: str) -> Part:
-        """Return a part of the folder; raise an error if it is missing."""
+        """Return data of the folder; raise an error if the data are missing."""
         if part is None:
             raise InputError(
                 "run", f"hold {name}", f"{self._files.path} without it", "run the scene again"
@@ -455,7 +458,7 @@ class Run:
 
 
 def _spread(values: Array) -> dict[str, Any]:
-    """Return median, 99th percentile and maximum."""
+    """Return median, 99th percentile and maximum of values."""
     return {
         "median": float(np.median(values)),
         "p99": float(np.percentile(values, 99)),

@@ -41,9 +41,9 @@ __all__ = [
 
 
 Summary = dict[str, Any]
-"""Contents of ``summary.json``, see docs/files.md."""
+"""Contents of ``summary.json``; see docs/files.md."""
 FORMAT = 1
-"""Version of the run folder."""
+"""Version of the format of run folders."""
 STATUS = ("running", "complete", "interrupted", "failed")
 AGAIN = "run the scene again"
 PICTURE_FORMATS = ("png", "svg", "pdf")
@@ -69,7 +69,7 @@ FILES = (
     *(f"band/sample_{digits * '[0-9]'}.toml" for digits in range(1, 7)),
     "report.html",
 )
-"""Names of a run's files in its folder, without the pictures."""
+"""Names of the files of a run in its folder, without the pictures."""
 PICTURES = (
     "band",
     "band_sobol",
@@ -84,20 +84,20 @@ PICTURES = (
     "section",
     "wall",
 )
-"""Names of pictures that runs of any scene may have; an anatomy may add others."""
+"""Names of pictures that any run may have; an anatomy may have additional pictures."""
 KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
-"""Beginning of the scene file that a run keeps."""
+"""Pattern of the beginning of the scene file in a run folder."""
 
 
 def run_file_names() -> tuple[str, ...]:
-    """Return the names of all files that a run may write, some with ``[0-9]`` for a digit."""
+    """Return the names of all files that a run may write; ``[0-9]`` stands for a digit."""
     added = {Path(name).stem for kind in ANATOMIES.known for name in ANATOMIES[kind].pictures}
     stems = sorted({*PICTURES, *added})
     return (*FILES, *(f"pictures/{stem}.{kind}" for stem in stems for kind in PICTURE_FORMATS))
 
 
 def named_as_run_files(path: Path) -> set[str]:
-    """Return the names of a folder's plain files that are names of a run's files."""
+    """Return the names of plain files in a folder that are named like files of a run."""
     found = {
         each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)
     }
@@ -105,7 +105,7 @@ def named_as_run_files(path: Path) -> set[str]:
 
 
 def picture_format(pictures: bool | str) -> str | None:
-    """Return the format of the pictures: PNG for True, None for False.
+    """Return the format of pictures: the given format, PNG for True, None for False.
 
     Raises
     ------
@@ -122,24 +122,25 @@ def picture_format(pictures: bool | str) -> str | None:
 
 
 class RunFolder:
-    """Folder that a run is written to, locked against other processes until the run has ended.
+    """Folder into which a run is written, locked against other processes until the run has ended.
 
-    A folder that holds a run is kept unless `overwrite` is set. Only files that the folder's marker
-    lists are replaced or removed, and a folder that holds other files of the same names is refused.
-    Nothing in it changes before `begin`. A folder without a marker counts as a run of version 0.2
-    if the content of its files shows a run.
+    A folder that holds a run is refused unless `overwrite` is set. Only files that the marker file
+    of the folder lists are replaced or removed. A folder that contains other files with the same
+    names is refused. `begin` is the first method that changes the folder. A folder without a marker
+    file counts as a run of version 0.2 if its files contain a run.
 
     Parameters
     ----------
     path
         The folder.
     overwrite
-        Replace a run that the folder already holds.
+        Whether to replace a run that the folder already holds.
 
     Raises
     ------
     InputError
-        If the folder holds another run or files of other origin, or another process writes to it.
+        If the folder holds another run or files of another origin, or another process writes into
+        it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
@@ -153,11 +154,11 @@ class RunFolder:
 
     @staticmethod
     def check(path: Path, *, overwrite: bool) -> None:
-        """Refuse a folder that a run cannot be written to."""
+        """Refuse a folder into which a run cannot be written."""
         require_folder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
-        """Remove replaced files, and mark the folder as the folder of a running run."""
+        """Remove the files of a replaced run, and mark the folder as that of a running run."""
         self._owned.begin()
         placed = {} if placement is None else {"placement": placement.to_record()}
         written = {
@@ -172,11 +173,12 @@ class RunFolder:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """Write the cause to the summary and release the folder if the block ends early."""
+        """If an error ends the block, write the cause to the summary and release the folder."""
         try:
             yield
         except BaseException as error:
-            # On an error such as a full disk the run is reported as one without a process.
+            # If this fails, for example on a full disk, the run later counts as a run without a
+            # process.
             with suppress(OSError):
                 self.close_tables()
                 self._stopped(error)
@@ -199,7 +201,7 @@ class RunFolder:
         self._write_summary(summary | {"status": status, "problem": problem})
 
     def open_tables(self, trace: Table, timing: Table) -> None:
-        """Start to write the trace and the timing."""
+        """Start to write trace and timing."""
         self._write_summary(self._summary | {"layers": trace.layer_names})
         self._writers = [
             TraceWriter(self.path / "trace.csv", trace),
@@ -207,7 +209,7 @@ class RunFolder:
         ]
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Write the rows so far to disk if the last flush was long enough ago."""
+        """Write the rows so far to disk, unless the last flush was recent."""
         for writer in self._writers:
             writer.flush(row_count, force=force)
 
@@ -218,18 +220,18 @@ class RunFolder:
         self._writers = []
 
     def interrupt(self, problem: str) -> None:
-        """Mark a discarded run as interrupted, and release the folder."""
+        """Mark a discarded run as interrupted and release the folder."""
         self.close_tables()
         self._end("interrupted", problem)
         self._owned.release()
 
     def complete(self, summary: Summary) -> None:
-        """Write the summary of a run whose files are complete, and release the folder."""
+        """Write the summary of a complete run and release the folder."""
         self._write_summary(summary)
         self._owned.release()
 
     def _write_summary(self, summary: Summary) -> None:
-        """Write ``summary.json`` atomically: it is either the old file or the new one."""
+        """Write ``summary.json`` atomically."""
         self._summary = summary
         with whole_file(self.path / "summary.json") as temporary:
             temporary.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
@@ -245,20 +247,21 @@ class SavedRun:
     summary
         Contents of ``summary.json``.
     status
-        ``complete``, ``failed``, ``interrupted`` or ``running``; a run whose process no longer
-        exists was interrupted.
+        ``complete``, ``failed``, ``interrupted`` or ``running``. A running run whose process no
+        longer exists counts as interrupted.
     problem
-        Cause of a failed or interrupted run; empty where it is not known.
+        Cause of a failed or interrupted run; empty if it is not known.
     scene
-        The scene, None where its file is missing.
+        Scene of the run; None if its file is missing.
     trace
-        The trace, up to the last whole row; None where its file is missing.
+        Trace up to the last complete row; None if its file is missing.
 
     Raises
     ------
     InputError
         If the folder holds no run, a run of another version, or a damaged summary, scene or trace.
-        The trace of a complete run is damaged if its length differs from the run's duration.
+        The trace of a complete run is damaged if its number of rows does not agree with the
+        duration of the run.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -290,23 +293,23 @@ class SavedRun:
 
 
 def saved_placement(path: Path) -> Placement | None:
-    """Return the pose of a run's scene frame in the frame of its bone and field files.
+    """Return the pose of the scene in the frame of the bone and field files of a run.
 
-    None is returned where both frames are the same.
+    The result is None if both frames are the same.
 
     Raises
     ------
     InputError
-        If the summary's placement is no rigid motion.
+        If the placement in the summary is not a rigid motion.
     """
     record = summary_of(path).get("placement")
     return None if record is None else Placement.from_record(record)
 
 
 def _remark(placement: Placement | None) -> str:
-    """Return the scene's pose in the anatomy's file as comments of TOML.
+    """Return the pose of the scene in the anatomy's file as TOML comments.
 
-    Copied into a scene, they fix the site there.
+    If a user copies these keys into a scene, the scene has the same site.
     """
     if placement is None:
         return ""
@@ -326,14 +329,17 @@ def _remark(placement: Placement | None) -> str:
 
 
 def added_to_run(path: Path) -> OwnedFolder:
-    """Return the folder of a finished run, locked while a block adds or replaces its files."""
+    """Return the folder of a finished run, to be used in a ``with`` block that changes its files.
+
+    The folder is locked during the block.
+    """
     return OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))
 
 
 def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
     """Copy the files of a finished run into another folder.
 
-    Nothing is copied into the run's own folder.
+    If the target is the folder of the run itself, nothing is copied.
 
     Raises
     ------
@@ -362,7 +368,7 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
 def files_of_run(path: Path) -> list[str]:
     """Return the names of the files that a run wrote into its folder.
 
-    For a run without a marker, they are the files with names of a run's files.
+    For a run without a marker file, these are the files that are named like files of a run.
     """
     there = listed_files(path).get("run")
     names = named_as_run_files(path) if there is None else there
@@ -370,9 +376,9 @@ def files_of_run(path: Path) -> list[str]:
 
 
 def _adopted(path: Path) -> set[str]:
-    """Return the files of a run that version 0.2 wrote without a marker.
+    """Return the files of a run that version 0.2 wrote, without a marker file.
 
-    The set is empty if the content of the folder shows no such run.
+    The result is empty if the folder does not contain such a run.
     """
     if "run" in listed_files(path):
         return set()
@@ -394,19 +400,19 @@ def _adopted(path: Path) -> set[str]:
 def _status_of(summary: Summary) -> str:
     """Return the status of a run from its summary.
 
-    A run that is marked as running but has no process was interrupted.
+    A run that is marked as running, but whose process no longer exists, counts as interrupted.
     """
     status = str(summary.get("status", "interrupted"))
     return status if status != "running" or is_alive(summary.get("process")) else "interrupted"
 
 
 def summary_of(folder: Path) -> Summary:
-    """Return the summary of a folder unchecked; empty if it is missing or no table."""
+    """Return the summary of a folder without checks; empty if it is missing or invalid."""
     return _table_of(folder) or {}
 
 
 def read_summary(folder: Path) -> Summary:
-    """Read the summary of a run, and check its version and entries.
+    """Read the summary of a run and validate its version and entries.
 
     Raises
     ------
@@ -447,7 +453,7 @@ def read_summary(folder: Path) -> Summary:
             raise InputError(
                 "summary.json",
                 f"hold {name} as `tissue run` writes it",
-                # A wrong entry may be long.
+                # A wrong entry may be long, so the message is cut.
                 f"{str(held.get(name))[:60]} in {path}",
                 AGAIN,
             )
@@ -455,7 +461,7 @@ def read_summary(folder: Path) -> Summary:
 
 
 def _table_of(folder: Path) -> Summary | None:
-    """Return the summary of a folder unchecked; None if it is missing or no table."""
+    """Return the summary of a folder without checks; None if it is missing or invalid."""
     try:
         held = read_json(require_regular(folder / "summary.json").read_text("utf-8"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Fields of a saved run: names, units, ranges over the run, and the mesh at any moment."""
+"""Fields of a saved run: names, units, ranges over the run, and the mesh at any time."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -29,11 +29,11 @@ __all__ = [
 
 
 PEAK = 99.8
-"""Percentile of a cell field at the end of its scale; single cells at the tool lie above it."""
+"""Percentile of a cell field at the end of the colour scale; single cells at the tool exceed it."""
 SPAN = 1e-3
-"""Smallest ratio of lowest to highest stress of a logarithmic scale: three decades of colours."""
+"""Smallest ratio of lowest to highest stress in a logarithmic colour scale (three decades)."""
 FAINT = 5.0
-"""Percentile at which the scale may begin, for the frame with the largest stress; chosen."""
+"""Percentile at which a logarithmic scale begins, in the frame with the largest stress; chosen."""
 UNITS = {
     "mm3_s": "mm³/s",
     "mm_s": "mm/s",
@@ -54,16 +54,17 @@ UNITS = {
     **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
     **{unit: unit for unit in ("s", "ms", "W", "Hz", "rpm")},
 }
-"""Units that end the name of a field or a column, compound ones first, and their notation."""
+"""Notation of units, keyed by the end of a field or column name; compound units come first."""
 IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 DISPLACEMENT = "displacement_"
 STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Return words and unit of a field or column: ``("von Mises", "kPa")`` for ``von_mises_kPa``.
+    """Return words and unit of a field or column name: ``("von Mises", "kPa")`` for
+    ``von_mises_kPa``.
 
-    The unit is empty for a name without one.
+    The unit is empty for a name without a unit.
     """
     unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
     words = name.removesuffix(f"_{unit}") if unit else name
@@ -71,7 +72,7 @@ def field_label(name: str) -> tuple[str, str]:
 
 
 def field_names(folder: Path) -> list[str]:
-    """Return the names of the fields in a run's folder; empty for a run without fields.
+    """Return the names of the fields in the folder of a run; empty for a run without fields.
 
     See `SavedFields.names`.
     """
@@ -82,12 +83,12 @@ def field_names(folder: Path) -> list[str]:
 
 
 def frames_of(folder: Path) -> list[tuple[float, str]]:
-    """Read times [s] and files of the frames that ``fields.pvd`` names, in the order of time.
+    """Read times [s] and files of the frames in ``fields.pvd``, in the order of time.
 
     Raises
     ------
     InputError
-        If it cannot be read, or its times do not increase.
+        If the file cannot be read, or its times do not increase.
     """
     from xml.etree import ElementTree
 
@@ -118,12 +119,12 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
 def require_whole(saved: SavedRun) -> None:
     """Check that the bone and the frames of a run are not damaged.
 
-    VTK could end this process on damaged files.
+    The check is needed because a damaged file can make VTK end this process.
 
     Raises
     ------
     InputError
-        If a file is damaged or incomplete; the message names the file.
+        If a file is damaged or incomplete. The message names the file.
     """
     wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
     if (saved.path / "fields.pvd").is_file():
@@ -140,7 +141,7 @@ def require_whole(saved: SavedRun) -> None:
 
 
 class SavedFields:
-    """Fields over time, read from ``fields.pvd`` and the files that it names.
+    """Fields over time, read from ``fields.pvd`` and the files that it lists.
 
     Parameters
     ----------
@@ -152,20 +153,20 @@ class SavedFields:
     times_s
         Times of the frames [s], in increasing order.
     names
-        Fields that can be shown, with one number or one vector per cell or node. Von Mises stress
-        comes first, then the other cell fields, then the node fields. For a vector its magnitude is
-        shown.
+        Names of fields that can be shown: one number or one vector per cell or node. Von Mises
+        stress comes first, then the other cell fields, then the node fields. For a vector, the
+        magnitude is shown.
     layer_names
-        Layers or parts that cells belong to.
+        Names of the layers or parts to which cells belong.
     displacement
-        Name of the displacement at the nodes, or None.
+        Name of the field of nodal displacements, or None.
     unit_mm
-        Unit of the displacement [mm].
+        Length of the unit of the displacement [mm].
 
     Raises
     ------
     InputError
-        As for `frames_of`, or if a named file is missing.
+        As for `frames_of`, or if a listed file is missing.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -201,9 +202,9 @@ class SavedFields:
 
     @property
     def frames(self) -> list[Any]:
-        """Meshes of all frames in their reference configuration [mm], in the scene's frame.
+        """Undeformed meshes of all frames [mm], in the frame of the scene.
 
-        They are read when needed.
+        The meshes are read at their first use.
         """
         if not self._frames:
             import pyvista
@@ -220,14 +221,14 @@ class SavedFields:
         return float(self.frames[0].length) if self.frames else 0.0
 
     def at(self, time_s: float) -> "tuple[pyvista.UnstructuredGrid, float]":
-        """Return the mesh at a moment, and the time that its values belong to [s].
+        """Return the mesh at a time, and the time to which its values belong [s].
 
         Values are interpolated linearly between two frames of the same mesh. If cells were removed
         between the frames, the earlier frame is returned.
         """
         frames = self.frames
         times = self.times_s
-        # 1e-9 s: the time of a frame may be rounded.
+        # 1e-9 s allows for the rounding of the time of a frame.
         index = int(np.clip(np.searchsorted(times, time_s + 1e-9) - 1, 0, len(times) - 1))
         if index + 1 == len(times) or time_s <= times[index] + 1e-9 or not self._same[index]:
             return frames[index], float(times[index])
@@ -247,7 +248,9 @@ class SavedFields:
         return mesh, float(time_s)
 
     def moved_mm(self, mesh: "pyvista.DataSet") -> Singles:
-        """Return the displacement of the nodes [mm], shape (nodes, 3); zero without the field."""
+        """Return the displacement of the nodes [mm], shape (nodes, 3); zero if there is no such
+        field.
+        """
         if self.displacement is None or self.displacement not in mesh.point_data:
             return np.zeros((mesh.n_points, 3), dtype=np.float32)
         moved: Singles = np.float32(self.unit_mm) * np.asarray(mesh.point_data[self.displacement])
@@ -264,7 +267,7 @@ class SavedFields:
         )
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return the ends of a field's scale over the whole run; see `field_limits`."""
+        """Return the ends of the colour scale of a field for the whole run; see `field_limits`."""
         if name not in self._limits:
             values = [
                 one for frame in self.frames if (one := field_values(frame, name)) is not None
@@ -274,29 +277,30 @@ class SavedFields:
 
 
 def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
-    """Return the ends of a field's scale over arrays of its values.
+    """Return the ends of the colour scale of a field, from arrays of its values.
 
-    The scale is symmetric about 0 if the values have both signs. For von Mises stress it begins
-    above 0 and is logarithmic, because this stress falls by decades with the distance from a tool.
+    The scale is symmetric about 0 if there are positive and negative values. For von Mises stress
+    the scale is logarithmic and begins above 0, because this stress decreases by decades with the
+    distance from a tool.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]
-    # Displacements are continuous and have no single high values.
+    # Displacements are continuous, so no single values are much larger than the others.
     share = 100.0 if name.startswith(DISPLACEMENT) else PEAK
     peak = max((float(np.percentile(np.abs(one), share)) for one in values), default=0.0)
-    # A percentile of 0, or of a field of zeros, is no end of a scale.
+    # If the percentile is 0, the maximum is used; in a field of zeros, 1 is used.
     peak = peak or max((float(np.abs(one).max()) for one in values), default=0.0) or 1.0
     if any(float(one.min()) < 0.0 for one in values):
         return -peak, peak
     if not name.startswith(STRESS):
         return 0.0, peak
     widest = max(values, key=lambda one: float(one.max()), default=np.zeros(1, dtype=np.float32))
-    # At least a decade of the scale is used.
+    # The scale covers at least one decade.
     return max(SPAN * peak, min(float(np.percentile(widest, FAINT)), 0.1 * peak)), peak
 
 
 def field_values(mesh: "pyvista.DataSet", name: str) -> Singles | None:
-    """Return a field's values, or magnitudes of vectors; None if the mesh lacks the field."""
+    """Return the values of a field (magnitudes of vectors), or None if the mesh lacks the field."""
     data = mesh.cell_data if name in mesh.cell_data else mesh.point_data
     if name not in data:
         return None

@@ -1,4 +1,4 @@
-"""Scheduling of a run: gaps of the machine's clock, cores and launches."""
+"""Scheduling of a run: scheduling gaps of the machine, cores and kernel launches."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,25 +13,28 @@ __all__ = ["MachineGaps", "Scheduling", "spin", "spin_time_s"]
 
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
-"""Time for which the clock is polled before and after the ticks [s], and its largest share.
+"""Time for which the clock is polled before and after the ticks [s], and largest ratio of this time
+to the simulated time.
 
-The share is relative to the simulated time. Both are chosen, so that a short run does not take much
-longer by it.
+Both values are chosen. The ratio limits the additional time of a short run.
 """
 LEAST_GAP_S = 2e-4
-"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
+"""Shortest interval between two clock readings that counts as a scheduling gap [s].
+
+A reading takes 0.1 us.
+"""
 
 
 @dataclass(frozen=True)
 class MachineGaps:
-    """Scheduling gaps measured by a spinning clock.
+    """Scheduling gaps (times in which the system did not run the thread), from polls of the clock.
 
     Attributes
     ----------
     spun_s
         Measurement time [s].
     gaps_s
-        Gaps of at least `LEAST_GAP_S` [s].
+        Durations of gaps of at least `LEAST_GAP_S` [s].
     """
 
     spun_s: float = 0.0
@@ -46,24 +49,24 @@ class MachineGaps:
 
     @property
     def lost_share(self) -> float:
-        """Share of the measurement time lost in gaps."""
+        """Share of the measurement time that was lost in gaps."""
         return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
 
     @property
     def longest_s(self) -> float:
-        """Longest gap [s]; 0 without gaps."""
+        """Duration of the longest gap [s]; 0 if there are no gaps."""
         return max(self.gaps_s, default=0.0)
 
 
 def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
-    """Read the clock repeatedly for some seconds and return the gaps.
+    """Read the clock repeatedly for a time [s] and return the scheduling gaps.
 
     Parameters
     ----------
     seconds
         Measurement time [s].
     now
-        Clock [s].
+        Function that returns the time [s].
     """
     gaps = []
     start = last = now()
@@ -81,7 +84,7 @@ def spin_time_s(simulated_s: float) -> float:
 
 
 class Scheduling:
-    """Scheduling choices of one run, made just before its ticks begin.
+    """Scheduling of one run: made just before the first tick.
 
     Parameters
     ----------
@@ -90,7 +93,8 @@ class Scheduling:
     cores
         Processor cores available to the run; None for all.
     spin_s
-        Time to poll the clock now, and again after the ticks have ended [s]; 0 to skip this.
+        Time for which the clock is polled now, and again after the ticks have ended [s]; 0 to skip
+        this measurement.
     """
 
     def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
@@ -101,7 +105,7 @@ class Scheduling:
         self._before = self._after = launch_counts()
 
     def end(self) -> None:
-        """Record the launch counts at the end of the ticks."""
+        """Record the numbers of kernel launches at the end of the ticks."""
         self._after = launch_counts()
 
     def look_again(self) -> None:
@@ -110,12 +114,12 @@ class Scheduling:
             self.gaps += spin(self._spin_s)
 
     def summary(self, *, ticks_s: float) -> dict[str, Any]:
-        """Return entries of the run's summary.
+        """Return entries for the summary of the run.
 
         Parameters
         ----------
         ticks_s
-            Time in which a gap of the machine can delay a tick [s].
+            Time in which a scheduling gap can delay a tick [s].
         """
         before = self._before
         after = self._after

@@ -1,4 +1,4 @@
-"""Simulation of a scene: builds motion and tissue, and runs the loop."""
+"""Simulation of a scene: build of motion and tissue, and run of the loop."""
 
 import gc
 from contextlib import nullcontext, suppress
@@ -33,11 +33,11 @@ __all__ = ["TICK_S", "RunObserver", "RunSettings", "build", "builder_of", "simul
 
 
 MOST_CORES = 4096
-"""Largest accepted number of processor cores; a larger one is taken for a typing error."""
+"""Largest accepted number of processor cores; a larger number is treated as a typing error."""
 
 
 class RunSettings(TypedDict, total=False):
-    """Settings of `simulate` that do not change the simulation's result."""
+    """Settings of `simulate` that do not change the result of the simulation."""
 
     compute: str
     cores: int | None
@@ -51,25 +51,27 @@ class RunObserver:
     """Base class of observers; each method does nothing until it is overridden."""
 
     timing_columns: tuple[str, ...] = ()
-    """Columns that the observer adds to the timing table; it fills the last entries of a row."""
+    """Columns that the observer adds to the timing table; the observer fills them, at the end of a
+    row.
+    """
     paces: bool = False
-    """True if the observer starts the ticks by the wall clock."""
+    """True if the observer starts the ticks according to the wall clock."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Prepare for a run of `parts` with the columns of its trace."""
+        """Prepare for a run of `parts`; `columns` are the column names of the trace."""
 
     def before_tick(self, index: int) -> None:
         """Wait until a tick may begin."""
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Read a tick's rows of trace and timing; return whether the run continues."""
+        """Read the rows of a tick in trace and timing; return whether the run continues."""
         return True
 
     def on_event(self, time_s: float, what: str) -> None:
-        """Handle an event in the tick in which the tissue reports it: time [s] and a sentence."""
+        """Handle an event (time [s] and sentence) in the tick in which the tissue reports it."""
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Release resources, also after an error, and return the observer's events.
+        """Release resources, also after an error, and return the events of the observer.
 
         An event is a time [s] and a sentence.
         """
@@ -78,18 +80,18 @@ class RunObserver:
 
 @runtime_checkable
 class MovedByDevice(Protocol):
-    """Motion of a tool moved by a device, which plays a force that may be predicted."""
+    """Motion of a tool that a device moves; the device plays a force, which may be predicted."""
 
     device: Device | SafeDevice
     held: SafeDevice
-    """Device that is held during the ticks and released without force at their end."""
+    """Device that is held during the ticks and released with zero force at their end."""
     after_s: float
-    """Delay of the end of the run after the motion's path [s]."""
+    """Time between the end of the path and the end of the run [s]."""
     predictor: Predictor | None
     lead_ticks: float
-    """Ticks by which the force is predicted."""
+    """Prediction horizon of the force [ticks]."""
     model_ticks: int
-    """Ticks for which one response of the tissue is held."""
+    """Number of ticks for which one response of the tissue is used."""
 
 
 def simulate(
@@ -113,35 +115,37 @@ def simulate(
     compute
         Warp device, ``cpu`` or ``cuda:0``.
     cores
-        Processor cores to use; default all. The trace does not depend on it.
+        Processor cores to use; default all. The trace does not depend on their number.
     out
-        Folder that receives the trace during the run, so a killed run keeps its rows. Without it
-        the run stays in memory until :meth:`tissue.simulation.run.Run.save`.
+        Folder that receives the trace during the run, so the rows are kept if the process is
+        killed. Without a folder the run stays in memory until
+        :meth:`tissue.simulation.run.Run.save` is called.
     overwrite
-        Replace a run that ``out`` already holds.
+        Whether to replace a run that ``out`` already holds.
     progress
-        Called with the present work.
+        Function that is called with the name of the current work and its completed share.
     allow_unstable
-        Whether to run a device even if its coupling is judged unstable.
+        Whether to run a device even if the check predicts that its coupling is unstable.
     device
-        Device to read and command instead of the simulated device in a simulated hand. The scene
-        names the device whose limits are used to judge it. The run opens and closes a device that
-        is a context manager. Give it without ``with``, or for several runs as ``with
-        SafeDevice(device) as held``. Its ticks run in a second thread. Its last command is zero,
-        whatever ends the ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
+        Device object to read and command instead of a simulated device in a simulated hand. The
+        stability check uses the limits of the device that the scene names. If the object is a
+        context manager, the run enters and exits it, so pass the object without ``with``. To use a
+        device for several runs, pass ``held`` from ``with SafeDevice(device) as held``. The ticks
+        run in a second thread. The last command to the device is zero, even if an error ends the
+        ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
     observer
-        Observer called on every tick.
+        Observer that is called in every tick.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, the scene cannot be built, the tool never touches, a
-        device's coupling is unstable, or ``out`` holds another run. If the given device fails, the
-        error is a `DeviceError`.
+        If a key has no effect in the scene, the scene cannot be built, the tool never touches the
+        tissue, the coupling of a device is unstable, or ``out`` holds another run. If the given
+        device fails, the error is a `DeviceError`.
     """
     report = progress or silent
     if cores is not None and not 1 <= cores <= MOST_CORES:
-        # The message is cut, because a number may have thousands of digits.
+        # The value in the message is cut, because a number may have thousands of digits.
         raise InputError(
             "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all"
         )
@@ -177,7 +181,7 @@ def simulate(
                 ),
             )
             parts.motion.device = device
-            # The device of a caller needs no time for a simulated hand to react.
+            # With a caller's device there is no simulated hand, which would need time to react.
             parts.motion.after_s = 0.0
         if observer is not None and observer.paces and isinstance(parts.tissue, MayLag):
             parts.tissue.waits = False
@@ -194,7 +198,7 @@ def simulate(
         trace = loop.trace
         if isinstance(parts.motion, MovedByDevice) and parts.motion.predictor is not None:
             parts.notes |= _prediction_note(trace, parts.motion)
-        # A user ends a run by a device when they like: an early end is no finding.
+        # With a device, the user decides when the run ends, so an early end is not noted.
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
@@ -223,10 +227,10 @@ def _run_ticks(
     report: Progress,
     observer: RunObserver | None,
 ) -> Scheduling:
-    """Run all ticks of a loop with their observer; report progress about ten times a second."""
+    """Run all ticks of a loop with an observer; report progress about ten times per second."""
     trace = loop.trace
     timing = loop.timing
-    # flushing many rows at once would delay a tick in real time
+    # In real time, a flush of many rows at once would delay a tick.
     each_row = observer is not None
     observer = observer or RunObserver()
     motion = loop.parts.motion
@@ -246,14 +250,14 @@ def _run_ticks(
             goes_on = observer.on_tick(row, trace.rows[row], timing.rows[row])
             if folder is not None:
                 folder.flush(loop.ticks, force=each_row)
-            # Ten reports a second are enough for a reader.
+            # Ten reports per second are enough for a reader.
             if goes_on and perf_counter() - reported_s > 0.1:
                 reported_s = perf_counter()
                 report("simulating", loop.ticks / ticks)
 
     try:
         observer.on_begin(loop.parts, trace.columns)
-        # The garbage collector is off during the ticks.
+        # Collect garbage now, because the garbage collector is off during the ticks.
         gc.collect()
         spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
         scheduling = Scheduling(loop.parts.tissue, cores=cores, spin_s=spin_s)
@@ -279,9 +283,9 @@ def _run_ticks(
 
 
 def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
-    """Return the error of the predicted forces as a note.
+    """Return a note on the error of the predicted forces.
 
-    There is no note without contact or for a slower model.
+    There is no note if there was no contact, or if the model does not respond in every tick.
     """
     predicted = trace.vectors("predicted_force", "N")
     raw = trace.vectors("raw_force", "N")
@@ -289,7 +293,7 @@ def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
     size = float(np.linalg.norm(raw))
     if size == 0.0 or not 0 < ticks < len(raw) or motion.model_ticks > 1:
         return {}
-    # Beyond, the force that was predicted is not known.
+    # In later ticks, the force that was predicted is not known.
     known = len(raw) - ceil(ticks)
     later = force_later_N(raw, ticks)
     missed, held = (
@@ -307,7 +311,7 @@ def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
 def tick_count(scene: Scene, motion: Motion) -> int:
     """Return the number of ticks of a run.
 
-    A run of the whole motion includes additional time for the delay of a hand.
+    If the whole motion is run, additional time for the delay of a hand is included.
     """
     seconds = scene.duration_s or motion.duration_s
     if seconds > LONGEST_S:
@@ -336,8 +340,8 @@ def build(
     Raises
     ------
     InputError
-        If a file cannot be used, something would not fit memory, the tool never touches, there is
-        no such device, or its coupling is unstable and that is not allowed.
+        If a file cannot be used, the tissue would not fit in memory, the tool never touches the
+        tissue, the device is unknown, or its coupling is unstable and `allow_unstable` is not set.
     """
     if compute != "cpu":
         import warp as wp
@@ -363,7 +367,7 @@ def build(
 
 
 def builder_of(kind: str) -> TissueBuilder:
-    """Return the function that builds the parts of a run, by the kind of its anatomy."""
+    """Return the function that builds the parts of a run with a given kind of anatomy."""
     from tissue.simulation.builders import cutting, organ_scene
 
     outside: TissueBuilder | None = ANATOMIES[kind].build

@@ -1,4 +1,4 @@
-"""Trace of a run: its columns, one row a tick, written during the run and in other formats."""
+"""Trace of a run with one row per tick, written during the run and in other formats."""
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -40,35 +40,36 @@ __all__ = [
 FLUSH_EVERY_S = 0.1
 """Longest time between two flushes [s].
 
-A killed run loses at most this much wall time, plus a tick.
+If the process is killed, at most this wall time and one tick are lost.
 """
 NO_LAYER = "none"
 AGAIN = "run the scene again"
 LEAST_LOAD = 1e-12
-"""Forces [N] and torques [N m] below which a trace holds 0.
+"""Smallest force [N] and torque [N m] in a trace; smaller values are written as 0.
 
-A filter leaves such small values after the end of a contact.
+A filter produces such small values after the end of a contact.
 """
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
 Columns = dict[str, NDArray[np.generic]]
 RECORDING = "recording"
-"""Format in which other programs read a run, see `tissue.simulation.recording`."""
+"""Name of the format for other programs; see `tissue.simulation.recording`."""
 WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
-"""Package that writes a format, and the extra that installs it."""
+"""Package that writes a format, and extra that installs the package, keyed by format."""
 
 
 @dataclass(eq=False)
 class Table(Mapping[str, NDArray[Any]]):
-    """Table of columns by name, whose rows are only appended.
+    """Table of columns, keyed by name; rows are only appended.
 
-    The column ``layer`` holds names, all other columns hold numbers.
+    The column ``layer`` contains names. All other columns contain numbers.
 
     Parameters
     ----------
     columns
         Names of the columns.
     rows
-        Values, shape (rows, columns); ``layer`` as an index into ``layer_names``, -1 for none.
+        Values, shape (rows, columns). The column ``layer`` contains indices into ``layer_names``,
+        and -1 for no layer.
     layer_names
         Names of the layers.
     """
@@ -97,7 +98,7 @@ class Table(Mapping[str, NDArray[Any]]):
         return np.column_stack([self[f"{name}_{c}_{unit}"] for c in "xyz"])
 
     def lines(self, first: int, last: int) -> str:
-        """Return rows as CSV text; reading the numbers back gives the same bits."""
+        """Return rows as CSV text, from which the numbers can be read back bit for bit."""
         text = []
         names = [*map(_cells, ([name] for name in self.layer_names)), NO_LAYER]
         for row in self.rows[first:last].tolist():
@@ -110,7 +111,7 @@ class Table(Mapping[str, NDArray[Any]]):
 
 
 def _cells(cells: Iterable[str]) -> str:
-    """Return a line of CSV without its end, quoted where necessary."""
+    """Return a line of CSV without line end; cells are quoted if necessary."""
     line = StringIO()
     csv.writer(line, lineterminator="").writerow(cells)
     return line.getvalue()
@@ -124,7 +125,7 @@ class TraceWriter:
     path
         File to write.
     table
-        Table whose rows are filled during the run.
+        Table whose rows the run fills.
     """
 
     def __init__(self, path: Path, table: Table) -> None:
@@ -137,17 +138,17 @@ class TraceWriter:
         self._write(_cells(table.columns) + "\n")
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Write the first ``row_count`` rows to disk if the last flush was long enough ago."""
+        """Write the first ``row_count`` rows to disk, unless the last flush was recent."""
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
             text = self._table.lines(self._written, row_count)
-            # first: Ctrl-C may come when the rows are on disk
+            # This is set first, because Ctrl-C may come when the rows are on disk.
             self._written = row_count
             self._flushed_at = now
             self._write(text)
 
     def _write(self, text: str) -> None:
-        """Write text to disk; an error names the file, which the system's error does not."""
+        """Write text to disk; in contrast to the error of the system, an error names the file."""
         try:
             self._file.write(text)
             self._file.flush()
@@ -162,20 +163,20 @@ class TraceWriter:
 
 @dataclass(frozen=True)
 class TraceLayout:
-    """Positions of the quantities in a row of the trace; fields are in the order of the columns.
+    """Indices of the quantities in a row of the trace, in the order of the columns.
 
     Attributes
     ----------
     columns
-        Names of all columns; each carries its unit.
+        Names of all columns, which end with the unit.
     time, removal_rate, removed, contact, layer
-        Index of one column.
+        Index of one column each.
     tip, quaternion, velocity, spin
-        Pose of the tool and its rates.
+        Indices of the pose of the tool, its velocity and its spin.
     commanded, wrench
-        Force, then torque, as played and as the model gave them.
+        Indices of force and torque: as commanded, and from the model.
     removed_by_layer, measures
-        One column per layer, and the measures of the tissue and the motion.
+        Indices of one column per layer, and of the measures of tissue and motion.
     """
 
     columns: tuple[str, ...]
@@ -195,7 +196,7 @@ class TraceLayout:
 
     @classmethod
     def of(cls, layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> "TraceLayout":
-        """Return the layout for these layers and measures."""
+        """Return the layout for the given layers and measures."""
         groups: dict[str, str | tuple[str, ...]] = {
             "time": "time_s",
             "tip": tuple(f"tool_{c}_mm" for c in "xyz"),
@@ -224,19 +225,19 @@ class TraceLayout:
 
 
 def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
-    """Return indices of the forces and torques among the columns of a trace."""
+    """Return the indices of force and torque columns of a trace."""
     return np.array(
         [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
     )
 
 
 def check_format(kind: str) -> None:
-    """Refuse an unknown format, or a format whose writer is not installed.
+    """Refuse an unknown format, or a format whose package is not installed.
 
     Raises
     ------
     InputError
-        If the format cannot be written; the message names the known formats, or the extra to
+        If the format cannot be written. The message shows the known formats, or the extra to
         install.
     """
     if kind not in (*FORMATS, RECORDING):
@@ -271,7 +272,7 @@ def write_table(table: Table, path: Path) -> None:
     Raises
     ------
     InputError
-        If the suffix is unknown, or its writer is not installed.
+        If the suffix is unknown, or the package that writes the format is not installed.
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("csv", *FORMATS):
@@ -315,7 +316,8 @@ def _parquet(columns: Columns, path: Path) -> None:
 def _h5(columns: Columns, path: Path) -> None:
     import h5py
 
-    # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
+    # The file is made in memory, because HDF5 ends the process if its file cannot grow on a full
+    # disk.
     image = BytesIO()
     with h5py.File(image, "w") as file:
         for name, values in columns.items():
@@ -337,12 +339,12 @@ FORMATS: dict[str, Callable[[Columns, Path], None]] = {
 def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     """Read a CSV file written by :class:`TraceWriter`.
 
-    An incomplete last line of a killed run is left out.
+    An incomplete last line, written by a process that was killed, is ignored.
 
     Raises
     ------
     InputError
-        If the file is no such table; the message names the line.
+        If the file is not such a table. The message names the line.
     """
     require_regular(path)
     try:
@@ -372,7 +374,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
                 wanted = f"name a layer of the run ({', '.join(index)})"
                 raise _line_error(path, number, wanted, repr(cell[:40])) from None
             except ValueError:
-                # A damaged cell may be long.
+                # A damaged cell may be long, so the message is cut.
                 got = f"{cell[:40]!r} for {name}"
                 raise _line_error(path, number, "hold numbers", got) from None
     return Table(columns, rows, layer_names)
@@ -385,7 +387,7 @@ def _line_error(path: Path, row: int, wanted: str, got: object) -> InputError:
 
 
 def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
-    """Read the trace of a run; check that its standard columns exist and hold finite numbers.
+    """Read the trace of a run, and check that its standard columns exist and are finite.
 
     Raises
     ------

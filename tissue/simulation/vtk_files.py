@@ -1,8 +1,9 @@
-"""VTK files of a run: frames of scene and anatomy file, writers, and fields over time.
+"""VTK files of a run: conversion between the frames of scene and anatomy file, writers, fields.
 
-Coordinates take the file's unit; quantities with a unit in their name keep it. Point arrays of
-three numbers are vectors and are rotated. Cell arrays are not (principal stresses are three
-numbers, but no vector). A full disk raises an error when files are written.
+Coordinates are converted to the unit of the file. Quantities whose name contains a unit are not
+converted. Point arrays of three numbers are vectors and are rotated. Cell arrays are not rotated,
+because principal stresses are three numbers but not a vector. Writers raise an error if the disk is
+full.
 """
 
 from collections.abc import Iterable
@@ -35,27 +36,33 @@ __all__ = [
 
 Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
 CELL_TYPES = {4: 10, 8: 12}
-"""VTK's number of a cell type, tetrahedron or hexahedron, by its count of nodes."""
+"""VTK cell types of tetrahedron and hexahedron, keyed by the number of nodes of a cell."""
 
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
-    """Return a mesh of the scene [mm] in the file's frame and unit; unchanged without a file."""
+    """Convert a mesh of the scene [mm] to the frame and unit of the file.
+
+    Without a placement, the mesh is returned unchanged.
+    """
     if placement is None:
         return mesh
     return _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
 
 
 def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """Return a mesh of the file in the scene's frame [mm]; unchanged without a file."""
+    """Convert a mesh of the file to the frame of the scene [mm].
+
+    Without a placement, the mesh is returned unchanged.
+    """
     if placement is None:
         return mesh
     return _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
 
 
 def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Return voxels of the scene [mm] in the file's frame and unit, with a direction matrix.
+    """Convert voxels of the scene [mm] to the frame and unit of the file, with a direction matrix.
 
-    They are unchanged without a file.
+    Without a placement, the voxels are returned unchanged.
     """
     if placement is None:
         return image
@@ -65,7 +72,10 @@ def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData
 
 
 def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Return voxels of the file in the scene's frame [mm]; unchanged without a file."""
+    """Convert voxels of the file to the frame of the scene [mm].
+
+    Without a placement, the voxels are returned unchanged.
+    """
     if placement is None:
         return image
     origin = placement.to_scene(np.array([image.origin]))[0]
@@ -74,7 +84,7 @@ def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageDat
 
 
 def _placed(image: Any, origin: Array, spacing: list[float], turn: Array) -> Any:
-    """Return a shallow copy of an image at another place."""
+    """Return a shallow copy of an image with another origin, spacing and direction."""
     moved = image.copy(deep=False)
     moved.origin = origin.tolist()
     moved.spacing = spacing
@@ -85,8 +95,8 @@ def _placed(image: Any, origin: Array, spacing: list[float], turn: Array) -> Any
 def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -> None:
     """Write a VTK XML file with compressed raw data."""
     writer.SetCompressorTypeToZLib()
-    # Level 1 takes a quarter of the time of level 6 for a file 1.3 times as large. VTK compresses
-    # block by block: 1 MiB leaves few blocks.
+    # Level 1 takes a quarter of the time of level 6, for a file that is 1.3 times as large. VTK
+    # compresses block by block; with blocks of 1 MiB there are few blocks.
     writer.SetCompressionLevel(1)
     writer.SetBlockSize(1 << 20)
     writer.SetDataModeToAppended()
@@ -95,7 +105,7 @@ def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -
 
 
 def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", path: Path) -> None:
-    """Write a file with a VTK writer, and raise an error where it fails silently."""
+    """Write a file with a VTK writer, and raise an error if the writer fails silently."""
     from vtkmodules.vtkCommonCore import vtkCommand, vtkObject
 
     with whole_file(path) as temporary:
@@ -105,7 +115,7 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
         failures: list[int] = []
         writer.AddObserver(vtkCommand.ErrorEvent, lambda *_: failures.append(writer.GetErrorCode()))
         shown = vtkObject.GetGlobalWarningDisplay()
-        # otherwise VTK would also print the error that is raised below
+        # Without this, VTK would also print the error that is raised below.
         vtkObject.SetGlobalWarningDisplay(0)
         try:
             written = writer.Write()
@@ -115,13 +125,13 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
             import errno
             import os
 
-            # VTK reports a full disk by its own error code. Once the file was opened, a full disk
-            # is the only cause left.
+            # VTK has an error code of its own for a full disk. If the file could be opened, a full
+            # disk is the only remaining cause.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> None:
-    """Write a .pvd file for ParaView: time [s], part and file of each mesh."""
+    """Write a .pvd file for ParaView, with time [s], part and file of each mesh."""
     lines = [
         f'    <DataSet timestep="{time!r}" part="{part}" file="{file}"/>\n'
         for time, part, file in entries
@@ -140,7 +150,7 @@ def _points(mesh: "pyvista.PointSet") -> Array:
 
 
 def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
-    """Return a copy of a mesh at other points, with its vectors rotated (rows times `turn`)."""
+    """Return a copy of a mesh with other points and rotated vectors (rows times `turn`)."""
     import pyvista
 
     moved = mesh.copy(deep=False)
@@ -157,8 +167,8 @@ def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
 def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
     """Return the mesh of one frame [mm], without removed cells and unused nodes.
 
-    The cell array ``layer`` is an index into the field ``layer_names``. The other arrays have the
-    names of the frame's fields.
+    The cell array ``layer`` contains indices into the field ``layer_names``. The other arrays have
+    the names of the fields of the frame.
     """
     import pyvista
 
@@ -181,11 +191,11 @@ def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
 
 
 def write_fields(series: FieldSeries, folder: Path, placement: Placement | None = None) -> None:
-    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame.
+    """Write ``fields.pvd`` with times in seconds, and one mesh for each frame.
 
-    The meshes are ``fields/frame_0000.vtu`` and so on.
+    The files of the meshes are ``fields/frame_0000.vtu`` and so on.
 
-    With a placement the meshes have the frame and unit of the anatomy's file.
+    With a placement, the meshes are in the frame and unit of the anatomy's file.
     """
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 

@@ -1,1 +1,1 @@
-"""Processes of this machine and their files: helpers, workers, signals, locks, offscreen images."""
+"""Processes and files: helper and worker processes, signals, locks, offscreen images."""

@@ -1,4 +1,4 @@
-"""Limit of the threads that libraries use for linear algebra."""
+"""Limit for the number of threads that libraries use for linear algebra."""
 
 from contextlib import AbstractContextManager
 from functools import lru_cache
@@ -9,10 +9,10 @@ __all__ = ["one_blas_thread"]
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Return a block in which NumPy and SciPy use one thread for linear algebra.
+    """Return a context manager in which NumPy and SciPy use one thread for linear algebra.
 
-    On a busy machine, threads of small products wait for each other and take ten times as long or
-    more.
+    On a busy computer, threads that compute small products wait for each other, and take ten times
+    as long or more.
     """
     return _thread_pools().limit(limits=1, user_api="blas")
 

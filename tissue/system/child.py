@@ -1,6 +1,7 @@
-"""Child Python processes that use this checkout and end with this process.
+"""Child Python processes that use the same package and end with this process.
 
-`Helper` exchanges messages with one. `HangDetector` detects processes that no longer work.
+`Helper` exchanges messages with a child process. `HangDetector` detects processes that no longer
+work.
 """
 
 import os
@@ -35,34 +36,36 @@ __all__ = [
 
 START = start_code("tissue.system.child", "_main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment that limits linear algebra to one thread.
+"""Environment variables that limit linear algebra to one thread.
 
-Sums are then equal on every machine, and processes do not compete for cores.
+The rounding of sums is then equal on every computer, and processes do not compete for cores.
 """
 CHECK_S = 1.0
-"""Time between two checks of an awaited process [s]; a check takes about 10 ms."""
+"""Time between two checks of a process that is waited for [s]; a check takes about 10 ms."""
 IDLE_S = 30.0
-"""Longest idle time of an awaited process [s].
+"""Longest idle time of a process that is waited for [s].
 
-It is 20 times the longest delay of a tick measured on an overloaded machine, 1.5 s
+It is 20 times the longest delay of a tick that was measured on an overloaded computer, 1.5 s
 (`docs/performance.md`).
 """
 WORK_S = 0.05
-"""Processor time that counts as work [s]; the check for the end of the parent process takes less.
+"""Smallest processor time that is treated as work [s].
+
+A process uses less time to check whether its parent has ended.
 """
 
 
 class HelperLostError(RuntimeError):
-    """Error of a lost helper process: it ended, was stopped or hangs.
+    """Error of a helper process that ended, was stopped or hangs.
 
-    The message is half a sentence.
+    The message is part of a sentence.
     """
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs ``python -m module arguments`` and ends with this process.
+    """Return the command of a child process that runs ``python -m module arguments``.
 
-    The command is empty if no Python can be started.
+    The child process ends with this process. The command is empty if Python cannot be started.
     """
     strictly = threading.current_thread() is threading.main_thread()
     return python_command(START, str(os.getpid()), str(int(strictly)), module, *arguments)
@@ -71,8 +74,8 @@ def child_command(module: str, *arguments: str) -> list[str]:
 def process_module(name: str) -> str:
     """Return the module that runs a process of a live run, such as ``window``.
 
-    Modules are entry points of the group ``tissue.processes``, so a simulation names none of the
-    packages above it.
+    The modules are entry points of the group ``tissue.processes``, so that a simulation does not
+    import packages of higher layers.
 
     Raises
     ------
@@ -90,16 +93,16 @@ def process_module(name: str) -> str:
 
 
 def end_with(parent: int, *, strictly: bool) -> None:
-    """End this process when the parent process has ended for any reason.
+    """End this process as soon as the parent process has ended for any reason.
 
     Parameters
     ----------
     parent
-        Id of the process that started this one.
+        Id of the process that started this process.
     strictly
-        Also let the system end this process, where it can (Linux). It then ends even if it was
-        stopped. The system observes the thread that started this process. That thread must not end
-        before its process.
+        True to let the operating system end this process as well, where this is supported (Linux).
+        This process then ends even if it was stopped. The system observes the thread that started
+        this process, so that this thread must not end before the parent process.
     """
     if strictly:
         kill_with_parent()
@@ -110,30 +113,32 @@ def _await_end(parent: int) -> None:
     if sys.platform == "win32":
         import psutil
 
-        # Windows keeps the id of a parent that has ended.
+        # On Windows the id of the parent stays the same after its end.
         if psutil.pid_exists(parent):
             psutil.Process(parent).wait()
     else:
         while os.getppid() == parent:
-            # The parent's id changes when it ends. Polling costs less than WORK_S in IDLE_S.
+            # The id of the parent process changes when it ends. In IDLE_S, polling uses less
+            # processor time than WORK_S.
             sleep(0.5)
     os._exit(1)
 
 
 class HangDetector:
-    """Detector for awaited processes that no longer work.
+    """Detector for processes that are waited for and no longer work.
 
-    A process is given up when it has been idle too long, or has taken longer than a given time.
-    Time is counted in checks, so that time during which this process was stopped does not count.
+    A process is given up when it was idle for too long, or has taken longer than a given time. Time
+    is measured by the number of checks, so that time in which this process was stopped is not
+    included.
 
     Parameters
     ----------
     processes
-        Returns the ids of the processes. Their child processes are included.
+        Function that returns the ids of the processes. Their child processes are included.
     longest_s
         Longest working time [s]; None for no limit.
     idle_s
-        Longest idle time [s]; default 30.
+        Longest idle time [s]; default 30 s.
     """
 
     def __init__(
@@ -148,14 +153,14 @@ class HangDetector:
         self._idle_s = idle_s or IDLE_S
         self._waited_s = 0.0
         self._idle_since_s = 0.0
-        # The first check then counts as work, so that the idle time starts there.
+        # The first check is then treated as work, so that the idle time starts there.
         self._work_s = -WORK_S
 
     def check(self) -> str | None:
-        """Return the reason to give up, in half a sentence, or None; call it every `CHECK_S`."""
+        """Return the reason to give up, as part of a sentence, or None; call it every `CHECK_S`."""
         self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
-        # The sum falls where a child of the process has ended.
+        # The sum decreases when a child of the process has ended.
         if abs(work_s - self._work_s) >= WORK_S:
             self._work_s = work_s
             self._idle_since_s = self._waited_s
@@ -177,16 +182,16 @@ def await_ready(
     Parameters
     ----------
     child
-        The process, with its standard output as a pipe.
+        The process; its standard output must be a pipe.
     longest_s
         Longest waiting time [s].
     closes_s
-        Longest time to end for a process that printed something else [s].
+        Longest time for the end of a process that printed something else [s].
 
     Returns
     -------
-    The text after the word, and None. If the process is not ready: an empty text, and the reason in
-    half a sentence, which is empty if the process has ended.
+    The text after the word, and None. If the process is not ready, an empty text and the reason as
+    part of a sentence. The reason is empty if the process has ended.
     """
     stdout = child.stdout
     first = SimpleQueue[str]()
@@ -196,7 +201,7 @@ def await_ready(
     while True:
         try:
             word, _, rest = first.get(timeout=CHECK_S).strip().partition(" ")
-            # End of output, or another line: the process is about to end by itself.
+            # After the end of the output, or after another line, the process ends by itself.
             if word == "ready":
                 return rest, None
             child.wait(closes_s)
@@ -210,7 +215,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Return the processor time of processes and their children [s], and whether one is stopped."""
+    """Return the processor time of processes and their children [s]; True if one is stopped."""
     import psutil
 
     work_s = 0.0
@@ -228,16 +233,16 @@ def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
 
 
 def _main() -> None:
-    """Run the module named on the command line while the parent process lives."""
+    """Run the module that the command line names, until the parent process ends."""
     parent, strictly, module = (sys.argv.pop(1) for _ in range(3))
     end_with(int(parent), strictly=strictly == "1")
     runpy.run_module(module, run_name="__main__")
 
 
 ENDS_S = 10.0
-"""Longest time for a helper to end after its input was closed [s].
+"""Longest time for the end of a helper after its input was closed [s].
 
-A helper ends within milliseconds then. One that does not is killed.
+A helper usually ends within milliseconds. A helper that does not end in this time is killed.
 """
 Job = Callable[[], None]
 
@@ -245,17 +250,17 @@ Job = Callable[[], None]
 class Helper:
     """Child Python process that receives pickled messages and answers them.
 
-    Messages go to its standard input, and answers come from its standard output. It ends with this
-    process and has one thread for linear algebra. Sending never blocks, because a separate thread
-    writes. The same thread also reads the awaited answer. The code that runs in between therefore
-    keeps the interpreter.
+    Messages are written to its standard input, and answers are read from its standard output. The
+    helper ends with this process, and uses one thread for linear algebra. Sending never blocks,
+    because a separate thread writes the message. This thread also reads the answer. The code that
+    runs in the meantime therefore keeps the interpreter lock.
 
     Parameters
     ----------
     module
         Module that the helper runs.
     does
-        Description of its task for messages: "the process that DOES ...".
+        Description of its task for error messages: "the process that DOES ...".
 
     Attributes
     ----------
@@ -264,14 +269,14 @@ class Helper:
     """
 
     def __init__(self, module: str, *, does: str) -> None:
-        # The import brings Warp and may fail. No process may be running then, because nothing would
-        # end it before `weakref.finalize`.
+        # The import loads Warp and may fail. No process may be running at that time, because before
+        # `weakref.finalize` nothing would end the process.
         from tissue.system.priorities import BackgroundPriority
 
         pipe = subprocess.PIPE
-        # An own process group keeps Ctrl-C from the helper. An own session would make its priority
-        # ineffective against this process, because Linux may first share the processor among
-        # sessions.
+        # With its own process group, the helper does not receive Ctrl-C. With its own session, its
+        # priority relative to this process would have no effect, because Linux may first share the
+        # processor among sessions.
         self._process = subprocess.Popen(
             child_command(module),
             stdin=pipe,
@@ -285,7 +290,7 @@ class Helper:
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
         threading.Thread(target=_work, args=(self._jobs,), daemon=True).start()
         self.kill = weakref.finalize(self, _kill, self._process, self._jobs)
-        """Kill the helper; a second call does nothing."""
+        """Kill the helper; a second call has no effect."""
 
     @property
     def number(self) -> int:
@@ -293,26 +298,26 @@ class Helper:
         return self._process.pid
 
     def send(self, message: object) -> None:
-        """Send a message without waiting for its receipt."""
-        # An array of 80 MB takes 0.24 s, and 0.32 s with the default protocol.
+        """Send a message without waiting until it is received."""
+        # To send an array of 80 MB takes 0.24 s; with the default protocol it takes 0.32 s.
         data = pickle.dumps(message, protocol=5)
         stream = self._process.stdin
         assert stream is not None
 
         def write() -> None:
             with suppress(OSError, ValueError):  # the helper has ended; `receive` reports it
-                stream.write(data)  # in one write: a part would wake the helper too early
+                stream.write(data)  # one write: a part of the message would wake the helper
                 stream.flush()
 
         self._jobs.put(write)
 
     def receive(self, *, longest_s: float) -> Any:
-        """Wait for the next answer. An error in the helper is raised here.
+        """Wait for the next answer; raise an error that occurred in the helper.
 
         Raises
         ------
         HelperLostError
-            If the helper has ended, is idle too long, or works for more than ``longest_s``. The
+            If the helper has ended, is idle for too long, or works for more than ``longest_s``. The
             helper is then killed.
         """
         stream = self._process.stdout
@@ -341,7 +346,8 @@ class Helper:
                     self.kill()
                     raise HelperLostError(f"the process that {self._does} {why}") from None
             except BaseException:
-                # such as Ctrl-C: the answer would be mistaken for the answer to the next message
+                # for example Ctrl-C: a later call would read this answer as the answer to its
+                # message
                 self.kill()
                 raise
         if isinstance(answer, _Ended):
@@ -370,13 +376,13 @@ def _how_ended(code: int) -> str:
     """Describe the end of a process from its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
-    # A process that a signal ended has the negative number of the signal as its exit code.
+    # If a signal ended a process, its exit code is the negative number of the signal.
     name = next((each.name for each in signal.Signals if each == -code), f"signal {-code}")
     return f"was ended by {name}" + (" (memory may have run out)" if name == "SIGKILL" else "")
 
 
 class _Ended(str):
-    """Substitute for a missing answer."""
+    """Value that replaces a missing answer."""
 
 
 def _work(jobs: "SimpleQueue[Job | None]") -> None:
@@ -388,7 +394,7 @@ def _kill(process: "subprocess.Popen[bytes]", jobs: "SimpleQueue[Job | None]") -
     process.kill()
     process.wait()
     jobs.put(None)
-    # Closing flushes what is left, into a pipe that has no reader any more.
+    # Closing writes the remaining data into a pipe that no longer has a reader.
     for stream in (process.stdin, process.stdout):
         with suppress(OSError, ValueError):
             if stream is not None:

@@ -39,16 +39,16 @@ def html_page(
 ) -> str:
     """Return a self-contained HTML file.
 
-    The page carries a content security policy that names its own style and scripts by their hashes.
-    A browser therefore runs no other script, even where markup of a user's text got into the body,
-    and asks no host.
+    The page has a content security policy that lists its own style and scripts by their hashes. A
+    browser therefore runs no other script, even if a user's text with markup is in the body, and
+    loads nothing from a host.
 
     Parameters
     ----------
     title
-        Plain text, escaped here.
+        Plain text; this function escapes it.
     body
-        HTML. Texts in it are escaped by the caller.
+        HTML. The caller must escape texts in it.
     style
         CSS in addition to the style that all pages share.
     scripts, modules
@@ -82,12 +82,12 @@ def script_element(text: str, *, module: bool = False) -> str:
 
 
 def _plain_lines(text: str) -> str:
-    """Return a text with line feeds only, as a browser normalises it before it computes a hash."""
+    """Return a text with only line feeds, as a browser normalises it before it computes a hash."""
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _hash(text: str) -> str:
-    """Return the source expression of a policy that allows this text inline."""
+    """Return the source expression with which a policy allows this inline text."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode('ascii')}'"
 
 

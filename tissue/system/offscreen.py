@@ -1,6 +1,6 @@
 """Offscreen 3D drawing in a separate process.
 
-VTK ends the process if a graphics library is missing.
+The separate process is needed because VTK ends its process if a graphics library is missing.
 """
 
 import ctypes
@@ -33,14 +33,15 @@ REMEDY = (
     "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers "
     "(Fedora)"
 )
-"""Packages that provide OpenGL in software on a bare Linux machine."""
+"""Packages that provide OpenGL in software on a Linux computer without graphics drivers."""
 LONGEST_S = 120.0
-"""Longest drawing time of a picture [s]; pictures of the heavy scenes take some seconds."""
+"""Longest drawing time of a picture [s]; pictures of the largest scenes take some seconds."""
 DISPLAY_S = 30.0
 ANSWERS_S = 5.0
-"""Longest waiting time for a display, and longest time for one answer of it [s].
+"""Longest wait for a display, and longest time for one answer of a display [s].
 
-A display that is still starting refuses connections. A stopped one accepts them and never answers.
+A display that is still starting refuses connections. A stopped display accepts connections and
+never answers.
 """
 _drawing: "set[subprocess.Popen[bytes]]" = set()
 
@@ -52,23 +53,25 @@ def draw_apart(
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> str | None:
-    """Run ``python -m module arguments`` in a process that can draw, and return a failure reason.
+    """Run ``python -m module arguments`` in a process that can draw.
 
     Parameters
     ----------
     module, arguments
         Module to run and its arguments.
     prepare
-        Called once while the process starts. Returns the data for the standard input of the
-        process. A file could leave a patient's anatomy on disk if both processes were killed.
+        Function that returns the data for the standard input of the process. It is called once,
+        while the process starts. The data are not passed in a file, because a file with a patient's
+        anatomy could stay on disk if the two processes were killed.
     longest_s
         Longest drawing time [s].
     drawn
-        Called with the progress, 0 to 1, which the process prints, one value per line.
+        Function that is called with the progress, 0 to 1. The process prints the progress, one
+        value per line.
 
     Returns
     -------
-    None on success, otherwise the reason and the remedy in half a sentence.
+    None on success; otherwise the reason and the remedy as part of a sentence.
 
     Raises
     ------
@@ -100,7 +103,7 @@ def draw_apart(
                 _drawing.discard(process)
                 process.kill()
                 raise
-        # `end_drawing` has killed it.
+        # `end_drawing` has killed the process.
         if process not in _drawing:
             return "drawing was stopped"
         _drawing.discard(process)
@@ -111,8 +114,8 @@ def draw_apart(
             return None
         reason = f"OpenGL does not work on this machine (exit code {process.returncode})"
         _, refused, sentence = output.rpartition(f"{InputError.__module__}.{InputError.__name__}: ")
-        # 1 is the exit code of a Python error; a crash in a graphics library has another one, and
-        # then the next environment is tried.
+        # Exit code 1 is a Python error. A crash in a graphics library has another exit code, and
+        # the next environment is tried.
         if process.returncode == 1 and refused:
             raise InputError(" ".join(sentence.split()))
         if process.returncode == 1 and "Error" in output:
@@ -126,7 +129,7 @@ def draw_apart(
 
 
 def end_drawing() -> None:
-    """Kill all drawing processes, from any thread."""
+    """Kill all drawing processes; callable from any thread."""
     while _drawing:
         _drawing.pop().kill()
 
@@ -146,12 +149,13 @@ def _awaited(
     drawn: Callable[[float], None] | None,
     printed: Path,
 ) -> tuple[str, str | None]:
-    """Wait for a drawing process and return its output and the reason if it was killed.
+    """Wait for a drawing process; return its output, and the reason if it was killed.
 
-    The reason is None otherwise. ``drawn`` is called with the progress during the wait.
+    The reason is None if the process ended by itself. ``drawn`` is called with the progress during
+    the wait.
     """
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
-    # In a thread, because `communicate` drops the rest of its input after a timeout.
+    # A thread sends the data, because `communicate` drops the rest of its input after a timeout.
     stream = process.stdin
     process.stdin = None
     threading.Thread(target=_send, args=(stream, sent), daemon=True).start()
@@ -168,14 +172,14 @@ def _awaited(
 
 
 def _send(stream: IO[bytes] | None, sent: bytes) -> None:
-    """Write to the standard input of a process, which may end before it has read everything."""
+    """Write to the standard input of a process that may end before it has read everything."""
     assert stream is not None
     with suppress(OSError, ValueError), stream:
         stream.write(sent)
 
 
 def display_problem() -> str | None:
-    """Return the reason that no window can be opened, or None.
+    """Return the reason why no window can be opened, or None.
 
     The check runs before VTK opens a window, because VTK would end the process.
     """
@@ -195,7 +199,7 @@ def display_problem() -> str | None:
 
 
 def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
-    """Wait for a display that does not answer yet, then return the result of `display_problem`.
+    """Wait until a display answers, then return the result of `display_problem`.
 
     Raises
     ------
@@ -211,15 +215,16 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
                 f"{os.environ['DISPLAY']}, which gave no answer within {longest_s:g} s",
                 "start this display, or unset DISPLAY to run without a window",
             )
-        # Short against the seconds that a display takes to start.
+        # The interval is short compared with the seconds that a display takes to start.
         sleep(0.2)
     return problem
 
 
 def _answers(library: ctypes.CDLL, name: str) -> bool:
-    """Return whether a display can be opened.
+    """Return True if a display can be opened.
 
-    The call runs in a thread, because a display that accepts it without an answer would block it.
+    The call runs in a thread, because a display that accepts the connection and never answers would
+    block it.
     """
     output: SimpleQueue[bool] = SimpleQueue()
     library.XOpenDisplay.restype = ctypes.c_void_p
@@ -239,19 +244,20 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """Yield environment changes for an offscreen drawing process, each as fallback for the last.
+    """Yield environment changes for a drawing process; each is a fallback for the previous one.
 
-    They name the classes of VTK windows to try.
+    The changes select the class of VTK window.
     """
     key = "VTK_DEFAULT_OPENGL_WINDOW"
-    # Other systems draw without a display, and a class that the user has chosen is used alone.
+    # Other operating systems draw without a display. If the user has chosen a class, only this
+    # class is tried.
     if not sys.platform.startswith("linux") or key in os.environ:
         yield {}
         return
-    # EGL first, because it can use the graphics card; a window on a display may be seen.
+    # EGL is first, because it can use the graphics card. A window on a display may be visible.
     if _library("libEGL.so.1") is not None:
         yield {key: "vtkEGLRenderWindow"}
-    # Major versions of the library: 8 of current Mesa, 6 of older ones.
+    # Major versions of the library: 8 in current Mesa, 6 in older versions.
     if any(_library(f"libOSMesa.so.{version}") is not None for version in (8, 6)):
         yield {key: "vtkOSOpenGLRenderWindow"}
     if display_problem() is None:

@@ -1,6 +1,6 @@
-"""Output folders in which a command writes its files and touches no file of the user.
+"""Output folders in which a command writes its files and changes no file of the user.
 
-A lock keeps a second writer away from an output folder or file.
+A lock prevents a second writer in an output folder or file.
 """
 
 import errno
@@ -39,29 +39,29 @@ __all__ = [
 ]
 
 MARKER = ".tissue.json"
-"""Name of the marker file, which lists the files that tissue wrote into a folder."""
+"""Name of the marker file. It lists the files that tissue wrote into a folder."""
 FORMAT = "tissue output folder"
 VERSION = 1
-"""Format and version that the marker states."""
+"""Format and version that are written into the marker."""
 LONGEST_MARKER = 1 << 24
-"""Largest marker that is read [bytes]; a file of 40,000 names has 2 MB."""
+"""Largest marker that is read [bytes]; a marker with 40,000 names has 2 MB."""
 
 LOCK = ".lock"
-"""Name of the lock of a folder, and suffix of the hidden lock next to an output file."""
+"""Name of the lock file in a folder, and suffix of the hidden lock file of an output file."""
 FAR = 1 << 30
-"""Locked byte on Windows, where locked bytes cannot be read; far behind the process id."""
+"""Locked byte on Windows. It is far behind the process id, because it cannot be read."""
 LONGEST_LOCK = 32
-"""Longest content of a lock [characters]: a process id and the end of its line."""
+"""Longest content of a lock file [characters]: a process id and a line end."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-"""Flag of the system that refuses to open a symbolic link."""
+"""Flag with which the operating system refuses to open a symbolic link."""
 SAME_S = 5.0
-"""Largest difference between two readings of the start time of one process [s].
+"""Largest difference between two readings of the start time of the same process [s].
 
-The system clock may be set in between. Ids are given out in turn, so that another process rarely
-gets the same id within so short a time.
+The system clock may be changed between the readings. Process ids are assigned in order, so that
+another process rarely gets the same id within this time.
 """
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""Error codes of a lock held by another process; other codes mean that locks are not supported."""
+"""Error codes if another process holds a lock; other codes mean that locks are not supported."""
 _claimed: set[Path] = set()
 """Folders for which this process has listed a file."""
 Files = dict[str, set[str]]
@@ -69,33 +69,33 @@ Files = dict[str, set[str]]
 
 
 class OwnedFolder:
-    """Output folder that one command locks and fills.
+    """Output folder that a command locks and fills with files.
 
     The marker lists each file before it is written. Only files that the marker lists are replaced
-    or removed. While the folder is held, `whole_file` claims each file in it, so that no writer can
-    replace a file of the user.
+    or removed. While the folder is locked, `whole_file` claims each file in it, so that no writer
+    can replace a file of the user.
 
     Parameters
     ----------
     path
-        The folder.
+        Path of the folder.
     kind
-        Kind of output, such as ``run``; it stands in the marker and in messages.
+        Kind of output, such as ``run``. It is written to the marker and used in messages.
     names
-        Names of the files that may be written, relative to the folder, with ``*`` and ``[0-9]`` as
-        in `Path.glob`.
+        Names of the files that may be written, relative to the folder. ``*`` and ``[0-9]`` have the
+        meaning of `Path.glob`.
     overwrite
-        Remove the files of an earlier output of this kind.
+        True to remove the files of an earlier output of this kind.
     shared
-        Names of files that every output of this kind replaces, ``overwrite`` or not.
+        Names of files that every output of this kind replaces, even without ``overwrite``.
     adopted
-        Files that count as listed where the marker lists no output of this kind.
+        Files that are treated as listed if the marker lists no output of this kind.
 
     Raises
     ------
     InputError
-        If the folder holds another output, or foreign files under these names, or another process
-        writes to it.
+        If the folder holds another kind of output, or other files with these names, or if another
+        process writes to it.
     """
 
     def __init__(
@@ -127,22 +127,22 @@ class OwnedFolder:
         self._lock = OutputLock(path, folder=True)
 
     def begin(self) -> None:
-        """Remove the files of an earlier output and mark the folder as an output of tissue."""
-        replaced = self._check()  # another process may have written here since the first check
+        """Remove the files of an earlier output, and mark the folder as an output of tissue."""
+        replaced = self._check()  # another process may have written files since the first check
         self._files = listed_files(self._path)
         listed = self._files.setdefault(self._kind, set(self._adopted))
         self._write_marker()
         for name in sorted(replaced, reverse=True):
             (self._path / name).unlink(missing_ok=True)
             with suppress(OSError):
-                (self._path / name).parent.rmdir()  # only where nothing else is left in it
+                (self._path / name).parent.rmdir()  # only if the folder holds nothing else
         self._path.mkdir(exist_ok=True)
         listed &= {name for name in listed if os.path.lexists(self._path / name)}
         self._write_marker()
         OWNERS.add(self)
 
     def depth(self, path: Path) -> int:
-        """Return how many parts the folder's path has if it holds ``path``, else 0."""
+        """Return the number of parts of the folder's path if the folder holds ``path``, else 0."""
         return (
             len(self._place.parts) if Path(os.path.abspath(path)).is_relative_to(self._place) else 0
         )
@@ -153,7 +153,7 @@ class OwnedFolder:
         Raises
         ------
         InputError
-            If the file is there and the marker does not list it.
+            If the file exists and the marker does not list it.
         """
         name = Path(os.path.abspath(path)).relative_to(self._place).as_posix()
         if PurePosixPath(name).name == MARKER:
@@ -169,7 +169,7 @@ class OwnedFolder:
             _claimed.add(self._place)
 
     def release(self) -> None:
-        """Release the folder; a second call does nothing."""
+        """Release the folder; a second call has no effect."""
         if self in OWNERS and not any(self._files.values()):
             # nothing was written: restore the previous state of the folder
             (self._path / MARKER).unlink(missing_ok=True)
@@ -195,7 +195,7 @@ class OwnedFolder:
 
 
 def anything_claimed() -> bool:
-    """Return whether this process has begun to write a file into an output folder."""
+    """Return True if this process has begun to write a file into an output folder."""
     return bool(_claimed)
 
 
@@ -208,18 +208,19 @@ def require_folder(
     shared: Iterable[str] = (),
     adopted: Collection[str] = (),
 ) -> set[str]:
-    """Check that a folder can take an output, without any change.
+    """Check that a folder can be used for an output, without changing the folder.
 
     For the parameters, see `OwnedFolder`.
 
     Returns
     -------
-    Files of an earlier output of this kind, which the new output replaces.
+    Files of an earlier output of this kind. The new output replaces these files.
 
     Raises
     ------
     InputError
-        If the folder cannot be written, or holds another output or foreign files under these names.
+        If the folder cannot be written, or holds another kind of output or other files with these
+        names.
     """
     require_place(path, folder=True)
     files = listed_files(path)
@@ -244,7 +245,7 @@ def require_listed(path: Path, kind: str, name: str) -> None:
     Raises
     ------
     InputError
-        If the folder has a marker that does not list a file which is there.
+        If the folder has a marker, and the file exists but the marker does not list it.
     """
     files = listed_files(path)
     is_listed = name in files.get(kind, {name})
@@ -253,7 +254,7 @@ def require_listed(path: Path, kind: str, name: str) -> None:
 
 
 def listed_files(path: Path) -> Files:
-    """Read the names of files written by tissue, by kind of output; empty without a marker.
+    """Read the names of the files that tissue wrote, by kind of output; empty without a marker.
 
     Raises
     ------
@@ -289,7 +290,7 @@ def listed_files(path: Path) -> Files:
 
 
 def _is_inside(name: object) -> bool:
-    """Return whether a name of the marker stays within its folder."""
+    """Return True if a name in the marker is inside the folder."""
     if not isinstance(name, str) or not name or "\0" in name or "\\" in name:
         return False
     pure = PurePosixPath(name)
@@ -297,7 +298,7 @@ def _is_inside(name: object) -> bool:
 
 
 def _present(path: Path, names: Iterable[str]) -> set[str]:
-    """Return the entries of a folder that match one of these names, including broken links."""
+    """Return the entries of a folder that match any of these names, including broken links."""
     found = set()
     for name in names:
         if "*" in name or "[0-9]" in name:
@@ -310,7 +311,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
-    """Return whether a part of a name before the last one exists and is not a plain folder."""
+    """Return True if a parent of a name exists and is not a plain folder."""
     parents = [
         path.joinpath(*PurePosixPath(name).parts[:count])
         for count in range(1, len(PurePosixPath(name).parts))
@@ -321,7 +322,7 @@ def _has_foreign_parent(path: Path, name: str) -> bool:
 
 
 def _is_foreign(path: Path, name: str) -> bool:
-    """Return whether the entry with a listed name cannot be the file that tissue wrote."""
+    """Return True if the entry with a listed name cannot be the file that tissue wrote."""
     entry = path / name
     changed = os.path.lexists(entry) and (entry.is_symlink() or not entry.is_file())
     return changed or _has_foreign_parent(path, name)
@@ -338,20 +339,20 @@ def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError
 
 
 class OutputLock:
-    """Exclusive lock on an output folder or file, until `release` or the end of the process.
+    """Exclusive lock on an output folder or file, until `release` or the end of this process.
 
     Parameters
     ----------
     out
         Output folder or file.
     folder
-        True for a folder. A missing folder is created. If it stays empty, it is removed with the
-        lock.
+        True for a folder. A missing folder is created. If the created folder stays empty, it is
+        removed together with the lock.
 
     Raises
     ------
     InputError
-        If another process, or another writer in this process, holds the lock, or the folder cannot
+        If another process or another writer in this process holds the lock, or if the folder cannot
         be created.
     """
 
@@ -362,7 +363,7 @@ class OutputLock:
         place.mkdir(parents=True, exist_ok=True)
         path = place / (LOCK if folder else f".{out.name}{LOCK}")
         self.release = weakref.finalize(self, _let_go, _taken(path, out), path, made)
-        """Release the lock; a second call does nothing."""
+        """Release the lock; a second call has no effect."""
 
     def __enter__(self) -> Self:
         return self
@@ -388,7 +389,7 @@ def _taken(path: Path, out: Path) -> TextIO:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 break
-        file.close()  # The previous holder removed it in between: a lock on it guards nothing.
+        file.close()  # The previous holder removed the file: this lock protects nothing.
     file.truncate(0)
     file.write(f"{os.getpid()}\n")
     file.flush()
@@ -396,11 +397,11 @@ def _taken(path: Path, out: Path) -> TextIO:
 
 
 def _opened(path: Path) -> TextIO:
-    """Open the lock file, and refuse a file of the user with the same name."""
+    """Open the lock file; raise an error for a file of the user with the same name."""
     plain = not path.is_symlink() and (path.is_file() or not path.exists())
     if plain:
         file = os.fdopen(
-            # 0o666: the user's umask decides about the permissions.
+            # With 0o666, the user's umask determines the permissions.
             os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666),
             "a+",
             encoding="utf-8",
@@ -417,19 +418,19 @@ def _opened(path: Path) -> TextIO:
 
 
 def _is_lock(file: TextIO) -> bool:
-    """Return whether a file is empty or contains only a process id, as a lock file does."""
+    """Return True if a file is empty or contains only a process id, like a lock file."""
     try:
         file.seek(0)
         held = file.read(LONGEST_LOCK + 1)
     except UnicodeDecodeError:
         return False
-    except OSError:  # locked bytes cannot be read on Windows: another writer holds the lock
+    except OSError:  # on Windows, locked bytes cannot be read: another writer holds the lock
         return True
     return not held or (held.strip().isdecimal() and len(held) <= LONGEST_LOCK)
 
 
 def _lock(file: TextIO) -> bool:
-    """Lock an open file, and return whether it succeeded or the file system has no locks."""
+    """Lock an open file; return True on success, or if the file system has no locks."""
     try:
         if sys.platform == "win32":
             os.lseek(file.fileno(), FAR, os.SEEK_SET)
@@ -442,9 +443,9 @@ def _lock(file: TextIO) -> bool:
 
 
 def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
-    """Remove and release the lock file, and remove the created folders that stayed empty.
+    """Remove and release the lock file, and remove created folders that stayed empty.
 
-    The file is removed while no other process can lock it.
+    The file is removed while it is still locked, so that no other process can lock it.
     """
     if sys.platform == "win32":
         file.close()  # Windows cannot remove an open file, of this or another process
@@ -458,7 +459,7 @@ def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
 
 
 def identity() -> dict[str, int | float | str]:
-    """Return the id and start time [s since 1970] of this process, and its machine."""
+    """Return id, start time [s since 1970] and computer of this process."""
     import psutil
 
     return {
@@ -469,9 +470,9 @@ def identity() -> dict[str, int | float | str]:
 
 
 def is_alive(process: object) -> bool:
-    """Return whether the process of an `identity` still runs.
+    """Return True if the process of an `identity` still runs.
 
-    A process of another machine cannot be checked and counts as running.
+    A process on another computer cannot be checked; it is treated as running.
     """
     import psutil
 

@@ -1,6 +1,6 @@
-"""Priorities of the thread that runs ticks and of processes next to it.
+"""Priority of the thread that runs the ticks, and priorities of background processes.
 
-A priority is raised if the system permits it, and restored afterwards.
+A priority is raised if the operating system permits this, and restored afterwards.
 """
 
 import os
@@ -18,12 +18,12 @@ __all__ = [
 ]
 
 REALTIME = 20
-"""Real-time priority on Linux, 1 to 99; kernel threads that serve devices have 50."""
+"""Real-time priority on Linux, in the range 1 to 99; kernel threads for devices have 50."""
 NICE = -10
-"""Niceness requested if no real-time priority is granted, half of the least, -20.
+"""Niceness that is requested if no real-time priority is granted; the minimum is -20.
 
-Linux then gives the thread 9.3 times the processor time of an ordinary one (its table of weights:
-9548 to 1024).
+Linux then gives the thread 9.3 times the processor time of an ordinary thread (weights 9548 and
+1024 in the table of the scheduler).
 """
 USER_INTERACTIVE = 0x21
 DEFAULT = 0x15
@@ -36,11 +36,12 @@ USUAL = "ordinary priority"
 class TickPriority:
     """Priority of the calling thread, raised while ticks run and restored afterwards.
 
-    Linux: real-time priority (SCHED_FIFO), which needs the permission ``rtprio`` in
-    /etc/security/limits.conf, otherwise a niceness below 0. Both apply to the thread only. Threads
-    and processes that it starts do not inherit the real-time priority. Windows: high priority of
-    the process. macOS: the quality-of-service class of user interaction. Whatever the system does
-    not grant is noted in `granted` and never ends a run.
+    On Linux, the thread gets a real-time priority (SCHED_FIFO), which needs the permission
+    ``rtprio`` in /etc/security/limits.conf. Without this permission it gets a niceness below 0.
+    These settings apply only to the thread. Threads and processes that it starts do not inherit the
+    real-time priority. On Windows, the process gets a high priority. On macOS, the thread gets the
+    quality-of-service class of user interaction. If the system refuses a setting, this is noted in
+    `granted` and the run continues.
 
     Attributes
     ----------
@@ -66,7 +67,7 @@ class TickPriority:
             self._begin_linux()
 
     def end(self) -> None:
-        """Restore the priority, from any thread; a thread that has ended is skipped."""
+        """Restore the priority; callable from any thread, even after the thread has ended."""
         before = self._before
         self._before = None
         if before is None:
@@ -80,7 +81,8 @@ class TickPriority:
                 os.setpriority(os.PRIO_PROCESS, self._thread, value)
             elif kind == "class":
                 _windows_class(value)
-            # macOS changes the class of the calling thread alone, and does not read the old one.
+            # macOS can change only the class of the calling thread, and the old class cannot be
+            # read.
             elif threading.get_native_id() == self._thread:
                 _macos_class(DEFAULT)
 
@@ -93,7 +95,7 @@ class TickPriority:
                 os.sched_getscheduler(self._thread),
                 os.sched_getparam(self._thread).sched_priority,
             )
-            flag = os.SCHED_RESET_ON_FORK  # threads and processes started here do not inherit it
+            flag = os.SCHED_RESET_ON_FORK  # threads and processes that it starts do not inherit it
             os.sched_setscheduler(self._thread, os.SCHED_FIFO | flag, os.sched_param(REALTIME))
             self._before = ("policy", *before)
             self.granted = f"real-time priority {REALTIME} (SCHED_FIFO)"
@@ -135,7 +137,7 @@ class TickPriority:
 def _schedule(thread: int, policy: int, priority: int) -> None:
     """Restore the scheduling policy of a thread.
 
-    Without permission to clear SCHED_RESET_ON_FORK, the thread keeps this harmless flag.
+    If there is no permission to clear SCHED_RESET_ON_FORK, the thread keeps this harmless flag.
     """
     try:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))
@@ -168,9 +170,9 @@ LOWEST = 19
 
 @cache
 def may_return_from_idle() -> bool:
-    """Return whether this system lets a thread leave the idle priority again.
+    """Return True if this system lets a thread leave the idle priority again.
 
-    A short-lived thread tries it.
+    A temporary thread tests this.
     """
     if not hasattr(os, "SCHED_IDLE"):
         return False
@@ -191,11 +193,11 @@ def may_return_from_idle() -> bool:
 class BackgroundPriority:
     """Priority of a background process relative to the ticks.
 
-    While the ticks run, the main thread of the process has idle priority and avoids the core of the
-    ticks. It gets normal priority when the ticks wait for it. If a thread cannot leave the idle
-    priority again, it gets the lowest ordinary priority instead. On a busy machine, an awaited
-    process at idle priority would hardly ever run. Settings that the system refuses or lacks are
-    skipped.
+    While the ticks run, the main thread of the process has idle priority and does not use the core
+    of the ticks. When the ticks wait for the process, this thread gets normal priority. If a thread
+    cannot leave the idle priority again, it gets the lowest ordinary priority instead. The reason
+    is that a process at idle priority hardly runs on a busy computer, while the ticks wait for it.
+    Settings that the system refuses or does not have are skipped.
 
     Parameters
     ----------
@@ -225,7 +227,7 @@ class BackgroundPriority:
         return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
 
     def step_back(self) -> None:
-        """Lower the priority while the ticks run on the core of the calling thread."""
+        """Lower the priority of the process, and keep it off the core of the calling thread."""
         with suppress(OSError):
             if self._idles:
                 os.sched_setscheduler(self._number, os.SCHED_IDLE, os.sched_param(0))
@@ -235,14 +237,14 @@ class BackgroundPriority:
         self._move(cores_without(current_core(), self._allowed))
 
     def hurry(self) -> None:
-        """Raise the priority while the ticks wait for the process."""
+        """Raise the priority of the process while the ticks wait for it."""
         with suppress(OSError):
             if self._idles:
                 os.sched_setscheduler(self._number, os.SCHED_OTHER, os.sched_param(0))
         self._move(self._allowed)
 
     def _move(self, cores: set[int]) -> None:
-        """Restrict the process to these cores, unless it already has them."""
+        """Restrict the process to some cores, unless it is already restricted to them."""
         if cores != self._cores:
             self._cores = cores
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Display of progress in a notebook or in a terminal."""
+"""Display of progress in a notebook or a terminal."""
 
 import sys
 from collections.abc import Iterator
@@ -14,25 +14,25 @@ __all__ = ["Bar", "Remaining", "duration_text", "in_notebook", "progress", "repo
 
 
 Bar = Progress | bool | None
-"""Argument ``progress`` of a call: a function, or whether to show a bar.
+"""Argument ``progress`` of a call: a function, True or False for a bar, or None.
 
-The default None shows a bar in a notebook only.
+The default None shows a bar only in a notebook.
 """
 EVERY_S = 0.2
-"""Time between two updates of a notebook's bar [s]: each is a message to the browser."""
+"""Time between two updates of a notebook's bar [s]; an update is a message to the browser."""
 TRUSTED = 0.03
-"""Share of the work from which the remaining time is shown.
+"""Completed share of the work from which the remaining time is shown.
 
-Before it, the first steps dominate, which also load the code.
+Below this share the estimate is wrong, because the first steps also load the code.
 """
 SHORT_S = 10.0
-"""Remaining time below which it is not shown [s]."""
+"""Smallest remaining time that is shown [s]."""
 QUIET_S = 30.0
-"""Time between two lines of progress without a terminal for a bar [s]: a log stays short."""
+"""Time between two lines of progress without a terminal [s]; a long time keeps a log short."""
 
 
 def in_notebook() -> bool:
-    """Return whether a Jupyter kernel runs this code."""
+    """Return True if a Jupyter kernel runs this code."""
     module = sys.modules.get("IPython")
     shell: Any = module.get_ipython() if module is not None else None
     return shell is not None and hasattr(shell, "kernel")
@@ -40,7 +40,7 @@ def in_notebook() -> bool:
 
 @contextmanager
 def reporting(wanted: Bar) -> Iterator[Progress]:
-    """Yield the function that a call reports progress to: the given one, a bar, or a no-op."""
+    """Yield the function to which a call reports progress: given function, bar or no-op."""
     if callable(wanted):
         yield wanted
     elif in_notebook() and wanted is not False:
@@ -55,7 +55,7 @@ def reporting(wanted: Bar) -> Iterator[Progress]:
 
 @contextmanager
 def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
-    """Show the progress of a command: a bar, or a line at intervals without a terminal.
+    """Show the progress of a command: a bar in a terminal, otherwise lines at intervals.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
 
     Yields
     ------
-    Function that is called with the present work and its completed share.
+    Function to call with the name of the present work and its completed share.
     """
     printed_s = perf_counter()
     remaining = Remaining()
@@ -80,16 +80,17 @@ def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
 
 
 class Remaining:
-    """Remaining time of a command, from its pace so far."""
+    """Remaining time of a command, estimated from its pace so far."""
 
     def __init__(self) -> None:
         self._begun = 1.0
         self._begun_s = 0.0
 
     def text(self, share: float) -> str:
-        """Return the remaining time as text for a completed share, empty if it is not known.
+        """Return the remaining time for a completed share as text; empty if it is not known.
 
-        The pace counts from the first report, since a continued command does not begin at zero.
+        The pace is measured from the first report, because a continued command does not begin at
+        zero.
         """
         now_s = perf_counter()
         if share < self._begun:
@@ -113,7 +114,7 @@ def duration_text(seconds: float) -> str:
 
 @contextmanager
 def _terminal_bar(otherwise: Progress) -> Iterator[Progress]:
-    """Yield the report function of a temporary bar, or another one without a terminal."""
+    """Yield the report function of a temporary bar; without a terminal, yield ``otherwise``."""
     from rich import progress as bars
     from rich.console import Console
 
@@ -130,9 +131,9 @@ def _terminal_bar(otherwise: Progress) -> Iterator[Progress]:
 
 @contextmanager
 def _notebook_bar() -> Iterator[Progress]:
-    """Yield the report function of a temporary bar of plain HTML in the output of a cell.
+    """Yield the report function of a temporary HTML bar in the output of a cell.
 
-    The bar needs no widgets.
+    The bar does not need Jupyter widgets.
     """
     from IPython import display
 

@@ -1,4 +1,4 @@
-"""Stop signals as an exception, so that files are kept and helpers end, and time limits."""
+"""Conversion of stop signals to exceptions, so that a run can end in order; and time limits."""
 
 import atexit
 import os
@@ -26,27 +26,27 @@ STOPS = tuple(
     for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
     if hasattr(signal, name)
 )
-"""Signals that ask a process to end, where the system has them.
+"""Signals that ask a process to end, as far as the operating system has them.
 
-SIGHUP comes from a closed or lost terminal, SIGQUIT and SIGBREAK from a key.
+SIGHUP is sent by a closed or lost terminal, SIGQUIT and SIGBREAK by a key.
 """
 
 AGAIN_S = 0.01
-"""Delay before a stop signal that Python dropped is sent again [s].
+"""Delay after which a stop signal that Python dropped is sent again [s].
 
-The callback that dropped it has returned by then.
+The callback in which it was dropped has returned by then.
 """
 
 
 class Terminated(KeyboardInterrupt):
-    """Exception for a process that a signal of `STOPS` asked to end.
+    """Exception in a process that received a signal of `STOPS`.
 
     Attributes
     ----------
     name
         Name of the signal, such as ``SIGTERM``.
     exit_code
-        Exit code of a command that this signal ended: 128 plus the number of the signal.
+        Exit code of a command that this signal ends: 128 plus the number of the signal.
     """
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
@@ -56,27 +56,28 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
-    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs.
+    """Raise `Terminated` in the main thread on a signal of `STOPS`, inside the ``with`` block.
 
-    Outside the main thread, nothing changes. Native code interrupted by a signal may replace the
-    raised exception by an error of its own, as pydantic does. After a stop, including Ctrl-C, any
-    error that leaves the block is therefore replaced by the stop. Python drops an exception raised
-    in a callback, such as the callback of a weak reference. The stop signal is then sent again a
-    moment later.
+    In other threads the block has no effect. Native code that a signal interrupts may replace the
+    exception with an error of its own, for example in pydantic. After a stop, including Ctrl-C, any
+    error that leaves the block is therefore replaced with the exception of the stop. Python drops
+    an exception that is raised in some callbacks, such as that of a weak reference. The stop signal
+    is then sent again shortly after.
     """
     received: list[KeyboardInterrupt] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        # an ending shell sends SIGHUP again, which would interrupt the cleanup
+        # a shell that ends sends SIGHUP again, which would interrupt the cleanup
         if number == getattr(signal, "SIGHUP", None):
             signal.signal(number, signal.SIG_IGN)
         received.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated(number))
         raise received[-1]
 
     def dropped(what: "sys.UnraisableHookArgs") -> None:
-        """Send a signal again if its exception was raised where it could not be caught."""
+        """Send a signal again if its exception was dropped by Python."""
         if isinstance(what.exc_value, KeyboardInterrupt):
-            # The exception does not hold its signal. All signals of STOPS end the program alike.
+            # The exception does not contain its signal, but all signals of STOPS have the same
+            # effect.
             number = signal.SIGTERM if isinstance(what.exc_value, Terminated) else signal.SIGINT
             threading.Timer(AGAIN_S, _send, (number,)).start()
         else:
@@ -99,10 +100,11 @@ def terminated_as_exception() -> Iterator[None]:
 
 
 def end_at_once(code: int) -> NoReturn:
-    """End the process after a stop, without taking down the interpreter.
+    """End the process after a stop, without finalising the interpreter.
 
-    A native module whose import was interrupted may crash the interpreter while it is taken down.
-    Exit handlers and buffered output come first. Threads, which may wait for work, are left.
+    A native module whose import was interrupted may crash the interpreter during finalisation. Exit
+    handlers are called and buffered output is written before the end. Threads are not waited for,
+    because they may wait for work.
     """
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
@@ -112,9 +114,9 @@ def end_at_once(code: int) -> NoReturn:
 
 
 def interrupt_is_free() -> bool:
-    """Return whether Ctrl-C raises KeyboardInterrupt.
+    """Return True if Ctrl-C raises KeyboardInterrupt.
 
-    The handler is Python's default or the one of `terminated_as_exception`.
+    This is the case if the handler is Python's default or that of `terminated_as_exception`.
     """
     handler = signal.getsignal(signal.SIGINT)
     return handler is signal.default_int_handler or getattr(handler, "__module__", None) == __name__
@@ -124,10 +126,10 @@ def interrupt_is_free() -> bool:
 def signals_handled(
     numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None]
 ) -> Iterator[None]:
-    """Handle these signals while the block runs, in the main thread only.
+    """Handle these signals inside the ``with`` block, only in the main thread.
 
-    A signal that is ignored, as under ``nohup``, stays ignored. A signal handled outside Python
-    keeps its handler.
+    A signal that is ignored, for example under ``nohup``, stays ignored. A signal that is handled
+    outside Python keeps its handler.
     """
     before: dict[int, Callable[[int, FrameType | None], object] | int] = {}
     if threading.current_thread() is threading.main_thread():
@@ -144,7 +146,7 @@ def signals_handled(
 
 def _send(number: int) -> None:
     """Send a signal to the main thread, even while it sleeps."""
-    # Windows has no `pthread_kill`; there a sleep ends late.
+    # Windows has no `pthread_kill`, so that a sleep ends late.
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:
@@ -152,9 +154,9 @@ def _send(number: int) -> None:
 
 
 def returned_within(seconds: float, call: Callable[[], object]) -> bool:
-    """Return whether a call returned within a time [s] and without an error.
+    """Return True if a call returned within a time [s] and without an error.
 
-    The call runs in a thread, which is abandoned if it blocks.
+    The call runs in a thread. If the call blocks, the thread is not waited for.
     """
     returned = threading.Event()
 

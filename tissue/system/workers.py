@@ -1,6 +1,6 @@
-"""Executors for parallel work: processes of this machine or workers of a Dask scheduler.
+"""Executors for parallel work: processes of this computer, or workers of a Dask scheduler.
 
-Processes end with this process, and hung ones are detected.
+Worker processes end with this process. Processes that hang are detected.
 """
 
 import asyncio
@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """Start worker processes, which end with this process for any reason."""
+    """Start worker processes that end with this process, whatever the reason of its end is."""
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
@@ -49,13 +49,13 @@ def worker_pool(workers: int) -> Iterator[Executor]:
     )
     try:
         with _interrupted_later():
-            pool.submit(int)  # starts all workers
+            pool.submit(int)  # this starts all workers
         yield pool
         pool.shutdown()
     finally:
         for child in set(multiprocessing.active_children()) - others:
-            child.kill()  # a stopped worker would not handle a request to end
-        # the executor's thread joins the workers: two threads that do so would conflict
+            child.kill()  # a stopped worker would not react to a request to end
+        # the executor's thread joins the workers; a second thread would conflict with it
         pool.shutdown(cancel_futures=True)
         for name, value in kept.items():
             os.environ.pop(name)
@@ -66,14 +66,15 @@ def worker_pool(workers: int) -> Iterator[Executor]:
 def first_done(
     pool: Executor, futures: Collection["Future[Result]"], report: Progress
 ) -> "set[Future[Result]]":
-    """Wait until some of the work is done; kill workers that hang, and lose their work.
+    """Wait until some of the work is done; kill workers that hang, so that their work is lost.
 
     Parameters
     ----------
     pool, futures
-        Executor and its work. Only local processes are checked. A scheduler checks its own workers.
+        Executor, and futures of its work. Only local processes are checked, because a Dask
+        scheduler checks its own workers.
     report
-        Called with the reason why workers were killed.
+        Function that is called with the reason why workers were killed.
 
     Returns
     -------
@@ -98,8 +99,8 @@ def first_done(
 def _interrupted_later() -> Iterator[None]:
     """Block Ctrl-C while processes start.
 
-    They inherit the block. Without it, they would print a traceback before they can ignore the
-    signal.
+    The processes inherit this block. Otherwise, Ctrl-C would make them print a traceback before
+    they can ignore the signal.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -114,44 +115,44 @@ def _interrupted_later() -> Iterator[None]:
 def _begin_worker(parent: int, strictly: bool) -> None:
     """Ignore Ctrl-C in a worker, and end the worker when its parent process ends.
 
-    A killed parent could not end the worker.
+    If the parent process is killed, it cannot end the worker itself.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, strictly=strictly)
 
 
 SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}
-"""Supported address schemes, and their names in Dask."""
+"""Supported schemes of addresses, and names of these schemes in Dask."""
 CERTIFICATES = ("ca-file", "client.cert", "client.key")
-"""Certificate files that Dask's configuration must name for a TLS client.
+"""Keys of the certificate files that Dask's configuration must name for a TLS client.
 
-The entries are below ``distributed.comm.tls``.
+The keys are below ``distributed.comm.tls``.
 """
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
-"""Errors of lost workers, in contrast to errors of the work."""
+"""Errors that mean that workers were lost, in contrast to errors of the work."""
 
 
 def executor(
     workers: int, scheduler: str | None, *, patience_s: float
 ) -> AbstractContextManager[Executor]:
-    """Return an executor with processes of this machine or workers of a Dask scheduler.
+    """Return an executor with processes of this computer or workers of a Dask scheduler.
 
     Parameters
     ----------
     workers
-        Number of processes of this machine.
+        Number of processes of this computer.
     scheduler
-        Address that a Dask scheduler prints, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``
-        (``dask://`` means ``tcp://``), or None. A ``tls`` address uses the certificates of
-        Dask's configuration.
+        Address that a Dask scheduler prints, or None for local processes. It is ``tcp://HOST:PORT``
+        or ``tls://HOST:PORT``; ``dask://`` means ``tcp://``. For a ``tls`` address, the
+        certificates of Dask's configuration are used.
     patience_s
-        Longest time for an answer of the scheduler [s].
+        Longest wait for an answer of the scheduler [s].
 
     Raises
     ------
     InputError
-        If the scheduler's address cannot be read, Dask is not installed, certificates are missing,
-        or its workers have another version.
+        If the scheduler's address is not valid, Dask is not installed, certificates are missing, or
+        the workers have another version.
     ConnectionError
         If no scheduler answers.
     """
@@ -182,7 +183,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         ) from None
     if SCHEMES[kind] == "tls":
         _require_certificates(scheduler)
-    # the code that submits the work reports losses
+    # the code that submits the work reports lost workers
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=f"{patience_s:g}s", set_as_default=False)
@@ -194,7 +195,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         except OSError as error:
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
         for worker, version in versions.items():
-            # A worker lost during the query is not a reason to stop.
+            # A worker that is lost during the query is not a reason to stop.
             if version != package_version() and not isinstance(version, OSError):
                 raise InputError(
                     "workers",
@@ -205,7 +206,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         try:
             yield client.get_executor(pure=False)
         except (asyncio.CancelledError, CommClosedError) as error:
-            # executors do not raise errors of these types
+            # errors of these types do not come from executors
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
 
 

@@ -166,7 +166,7 @@ def calibrated_commands(
     """Return the function that gives the force to command for each person after a calibration.
 
     The calibration uses forces that the people rated with numbers, and maps each person to the
-    reference (equation E5).
+    reference.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Solvers of the linear system: direct, multigrid, condensed to the surface, reduced."""
+"""Solvers of the linear system: direct, multigrid, and compliances of the surface."""

@@ -1,12 +1,13 @@
-"""Compliance of the touchable nodes, ``W = H K^-1 H^T``: whole, reduced, or where the tool is.
+"""Compliance of the touchable nodes, ``W = H K^-1 H^T``: complete, reduced or near the tool.
 
 With W, a contact solve needs no unknowns inside the body (Duriez et al. 2006, IEEE Trans. Vis.
-Comput. Graph. 12:36). W is read off one factor and kept on disk. Where that factor would need too
-much memory to be inverted in part, W is computed by back-substitutions.
+Comput. Graph. 12:36). W is read from one factor of K and kept on disk. If this would need too much
+memory, W is computed by back-substitutions.
 
-One factor: with the touchable unknowns t last, ``K = L L^T`` has the Schur complement ``S = K_tt -
-K_tr K_rr^-1 K_rt = L_tt L_tt^T`` in its last block, and ``W = S^-1``. No back-substitution is made:
-on 36,000 unknowns, 1,350 of them touchable, back-substitutions took twenty times as long.
+The touchable unknowns t are eliminated last, after the other unknowns r. The last block of ``K = L
+L^T`` then is the Schur complement ``S = K_tt - K_tr K_rr^-1 K_rt = L_tt L_tt^T``, and ``W = S^-1``.
+No back-substitution is needed. With 36,000 unknowns, of which 1,350 are touchable,
+back-substitutions took twenty times as long.
 """
 
 from collections import OrderedDict, deque
@@ -27,17 +28,17 @@ from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, components_of
 __all__ = ["SCHUR_UNKNOWNS", "LazyCompliance", "reduced_compliance_m_N", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
-"""Largest dense matrix allowed.
+"""Largest allowed size of a dense matrix [bytes].
 
-Beyond it, ``LazyCompliance`` computes columns where the tool is.
+For a larger matrix, use ``LazyCompliance``, which computes only columns near the tool.
 """
 SCHUR_UNKNOWNS = 100_000
-"""Largest number of unknowns for which W is read off the factor.
+"""Largest number of unknowns for which W is read from the factor.
 
-Above it, copies of both halves would take more than 4 GB.
+With more unknowns, the copies that this needs would take more than 4 GB.
 """
 CHUNK = 8
-"""Nodes per task: one thread computes the columns of this number of nodes at a time."""
+"""Number of nodes per task: one thread computes the columns of these nodes at a time."""
 
 
 def surface_compliance_m_N(
@@ -50,27 +51,29 @@ def surface_compliance_m_N(
 ) -> Array:
     """Return W [m/N] from the cache, or compute it from a factor.
 
-    It is bitwise symmetric, shape (3t, 3t), x, y, z node by node.
+    W is the compliance of the touchable nodes. It is bitwise symmetric, shape (3t, 3t), with x, y,
+    z node by node.
 
     Parameters
     ----------
     body
         The stiffness and its supports.
     touchable
-        Nodes that a tool may touch, each once, shape (t,).
+        Nodes that a tool may touch, without duplicates, shape (t,).
     limit_bytes
         Largest memory of W [bytes].
     solver
-        Function that makes the solver of the body if W is not in the cache. Default: a new factor.
+        Function that makes the solver of the body. It is called if W is not in the cache. Default:
+        a new factorisation.
     progress
-        Called with the completed share, in (0, 1].
+        Function that is called with the completed share, in (0, 1].
 
     Raises
     ------
     InputError
-        If the memory exceeds the limit.
+        If W would need more memory than the limit.
     """
-    # 8 bytes a number, three components a node
+    # 8 bytes for each number, three components for each node
     needed = 8 * (3 * len(touchable)) ** 2
     if needed > limit_bytes:
         raise InputError(
@@ -113,18 +116,18 @@ def _found(
 
 
 TOGETHER = 96
-"""Number of columns computed at once: 30 MB for 36,000 unknowns."""
+"""Number of columns computed at once; they take 30 MB for 36,000 unknowns."""
 
 
 def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> Array:
     """Return W in a reduced basis [m/N], symmetric, shape (3t, 3t).
 
     The basis is the proper orthogonal decomposition, in the energy norm, of the displacements for
-    all unit forces on the touchable nodes. Their Gram matrix is W itself. The reduced compliance is
-    W cut to its largest eigenvalues, the best matrix of its rank (Eckart and Young 1936,
-    Psychometrika 1:211). The part left out yields mostly at the touched nodes. Its blocks at single
-    nodes replace it, like the residual flexibility for omitted modes (MacNeal 1971, Comput. Struct.
-    1:581).
+    all unit forces on the touchable nodes. The Gram matrix of these displacements is W itself. The
+    reduced compliance is W restricted to its largest eigenvalues, the best matrix of this rank
+    (Eckart and Young 1936, Psychometrika 1:211). The omitted part of the compliance is mostly local
+    to the loaded nodes. Its blocks on the diagonal are added, like the residual flexibility for
+    omitted modes (MacNeal 1971, Comput. Struct. 1:581).
 
     Parameters
     ----------
@@ -154,15 +157,15 @@ def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> 
 class LazyCompliance:
     """Columns of ``W = H K^-1 H^T`` for the nodes that were requested last.
 
-    Nodes are named by their position among the touchable nodes. ``want`` requests the nodes near
+    A node is identified by its index among the touchable nodes. ``want`` requests the nodes near
     the tool. ``fill`` computes their columns in the caller's thread, before the ticks. ``start``
-    lets a thread compute them in parallel. ``pour`` only copies. The node with the oldest request
-    is dropped first.
+    starts a thread that computes them during the ticks. ``pour`` only copies computed values. If
+    the buffer is full, the node with the oldest request is dropped first.
 
     Parameters
     ----------
     solver
-        Solver for the columns: a factor, or multigrid where a factor would not fit.
+        Solver for the columns: a direct solver, or multigrid if a factor would not fit into memory.
     touchable
         Nodes that may be touched, shape (t,).
     capacity_bytes
@@ -175,10 +178,10 @@ class LazyCompliance:
         self._solver = solver
         self._touchable = np.asarray(touchable, np.int64)
         self._rows = components_of(self._touchable)
-        # three columns of 8 bytes a row
+        # three columns, 8 bytes for each number
         each = 3 * 8 * len(self._rows)
         self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
-        """Nodes that the buffer holds."""
+        """Number of nodes that the buffer holds."""
         self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
         self._slot = np.full(len(self._touchable), -1)
         self._used: OrderedDict[int, None] = OrderedDict()
@@ -192,9 +195,9 @@ class LazyCompliance:
         self._ended = False
 
     def want(self, nodes: Ints) -> None:
-        """Request nodes, most urgent first.
+        """Request the columns of nodes, most urgent first.
 
-        Earlier requests that are not computed yet are dropped.
+        Earlier requests whose columns are not computed yet are dropped.
 
         Raises
         ------
@@ -222,13 +225,14 @@ class LazyCompliance:
     def pour(self, matrix_m_N: Array) -> int:
         """Write one newly computed node into a matrix of all touchable nodes, shape (3t, 3t).
 
-        The method writes the blocks between this node and all computed nodes, with equal values on
-        every call. Other blocks stay unchanged. One node per call keeps a tick short.
+        The method writes the blocks between this node and all computed nodes. The values of a block
+        are equal on every call. Other blocks stay unchanged. A call writes only one node, so that a
+        tick is short.
 
         Returns
         -------
         int
-            Nodes still to be written.
+            Number of nodes still to be written.
 
         Raises
         ------
@@ -265,7 +269,7 @@ class LazyCompliance:
             self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after its present node."""
+        """End the thread after it has computed its present node."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -293,7 +297,7 @@ class LazyCompliance:
             return self._waiting.popleft() if self._waiting else None
 
     def _find(self, node: int) -> None:
-        """Compute the columns of one node, three right sides.
+        """Compute the three columns of one node.
 
         A factor releases the interpreter lock during the solve.
         """
@@ -301,9 +305,9 @@ class LazyCompliance:
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
         with self._changed:
             if self._slot[node] >= 0:
-                return  # already computed: it was requested again during its computation
+                return  # the node was requested again during its computation
             if not self._spare and node not in self._wanted:
-                return  # the tool has moved on
+                return  # the tool has moved to other nodes
             if not self._spare:
                 oldest = next(other for other in self._used if other not in self._wanted)
                 del self._used[oldest]

@@ -1,10 +1,10 @@
-"""Sparse factorisation: exact to rounding, many right sides for one factor.
+"""Direct solver with a sparse Cholesky factor, for many right-hand sides.
 
-Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
-quarter of the time of SciPy's SuperLU with an equal order of elimination (docs/decisions.md).
+The factorisation is multifrontal. With 35,000 unknowns it takes a quarter of the time of SciPy's
+SuperLU with the same order of elimination (docs/decisions.md).
 
-The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
-1973, SIAM J. Numer. Anal. 10:345).
+The order of elimination is a nested dissection by the coordinates of the nodes, which gives a
+sparse factor (George 1973, SIAM J. Numer. Anal. 10:345).
 """
 
 from copy import copy
@@ -24,26 +24,26 @@ __all__ = ["DirectSolver", "dissected"]
 
 
 LEVELS = 10
-"""Number of halvings of the box along the curve: 1024 steps a side, finer than the nodes."""
+"""Number of halvings of the box for the Morton curve: 1024 steps along a side."""
 LEAF = 32
-"""Largest number of nodes of a set that is not cut further.
+"""Largest number of nodes of a set that is not divided further.
 
-Factors take equal times with 8 to 128; with 128 they have 15 % more entries.
+A factorisation takes the same time with 8 to 128 nodes. With 128 the factor has 15 % more entries.
 """
 
 
 def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
-    """Return sets of nodes in order of elimination: both sides of each cut, then their separator.
+    """Return sets of nodes in order of elimination: the two sides of a cut, then the separator.
 
-    A set is cut at the median of its longest extent. The nodes of one side that touch the other
-    side form the separator.
+    A set is cut at the median of its longest extent. The nodes on one side with a neighbour on the
+    other side are the separator.
 
     Parameters
     ----------
     nodes_m
         Node positions [m], shape (n, 3).
     graph
-        Nodes that share a cell, shape (n, n).
+        Matrix with an entry for each pair of nodes that share a cell, shape (n, n).
     """
     side = np.zeros(len(nodes_m), np.int8)
     last_first: list[Ints] = []
@@ -56,7 +56,7 @@ def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
             else np.zeros(1)
         )
         low = along < np.median(along)
-        # A small set, or more than half of its nodes lie in its lowest plane: no cut.
+        # A small set is not cut, nor a set with more than half of its nodes in its lowest plane.
         if not low.any():
             last_first.append(nodes)
             continue
@@ -86,11 +86,11 @@ def _touches(graph: csr_array, nodes: Ints, marked: Flags) -> Flags:
 def _along_curve(nodes_m: Array) -> Ints:
     """Return the nodes in the order of a Morton curve (Morton 1966), shape (n,).
 
-    The curve passes each octant of a box before the next.
+    The curve visits one octant of a box completely before the next octant.
     """
     low = nodes_m.min(axis=0)
     steps = (
-        # 1e-300: a single node has no extent
+        # 1e-300 avoids a division by zero: a single node has no extent
         (nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)
     ).astype(np.int64)
     code = np.zeros(len(nodes_m), np.int64)
@@ -101,12 +101,12 @@ def _along_curve(nodes_m: Array) -> Ints:
 
 
 TOGETHER = 48
-"""Right sides in one back-substitution: with 48, each takes a ninth of the time of a single one."""
+"""Number of right-hand sides in one back-substitution."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Order:
-    """Order of elimination of a body, for any stiffness with one pattern.
+    """Order of elimination of a body, for every stiffness with the same pattern.
 
     Attributes
     ----------
@@ -115,12 +115,12 @@ class _Order:
     unknowns
         Free unknowns in the order of elimination, shape (f,).
     position
-        Position of each unknown in that order, -1 for held ones, shape (3n,).
+        Position of each unknown in the order of elimination, -1 for held unknowns, shape (3n,).
     starts
-        First position of each block and f, shape (blocks + 1,).
+        First position of each block, followed by f, shape (blocks + 1,).
     sources, indices, indptr
-        Entries of the matrix in that order by column: their places in the stiffness, and the rows
-        and starts of the columns.
+        Entries of the ordered matrix, by column: positions of the entries in the stiffness, rows of
+        the entries, and starts of the columns.
     """
 
     last: Ints
@@ -133,12 +133,12 @@ class _Order:
 
     @classmethod
     def of(cls, body: HeldBody, last: Ints | None) -> "_Order":
-        """Find the order for a body and the nodes to eliminate last."""
+        """Compute the order for a body and for the nodes that are eliminated last."""
         stiffness = body.stiffness
         ends = np.zeros(0, np.int64) if last is None else np.unique(last)
         graph = pointwise_graph(stiffness)
         others = np.setdiff1d(np.arange(len(body.nodes_m)), ends)
-        # The last nodes need no separators.
+        # The nodes that are eliminated last need no separators.
         sets = dissected(body.nodes_m[others], graph[others][:, others])
         blocks = [*(others[nodes] for nodes in sets), *([ends] if len(ends) else [])]
         free = np.zeros(3 * len(body.nodes_m), np.bool_)
@@ -163,31 +163,30 @@ class _Order:
 
 
 class DirectSolver:
-    """Direct solver with a factor that is made once.
+    """Direct solver that factorises the stiffness once.
 
     Parameters
     ----------
     body
         The stiffness and its supports.
     last
-        Nodes that are eliminated last, so that the compliance between them can be read off the
-        factor.
+        Nodes that are eliminated last. The compliance between them can be read from the factor.
     like
-        Solver of the same body with another stiffness of the same pattern. Its order of
-        elimination and its precision are used again instead of `last` and `single`; default: the
-        order is found.
+        Solver of the same body with another stiffness of the same pattern. Its order of elimination
+        and its precision are used, and `last` and `single` are ignored. Default: a new order is
+        computed.
     single
-        Whether the factor is in single precision. It is made in two thirds of the time; `solve`
-        calls its solutions inaccurate.
+        True for a factor in single precision. The factorisation then takes two thirds of the time.
+        `solve` reports solutions with this factor as inaccurate.
 
     Raises
     ------
     NotPositiveDefiniteError
-        If the stiffness is not positive definite to rounding.
+        If the stiffness is not positive definite, apart from rounding.
     """
 
-    # Residual over the load from which a solve is inaccurate. Well-shaped cells leave 1e-12, so
-    # that this allows for contrasts and slivers.
+    # Ratio of residual to load above which a solve is inaccurate. With well-shaped cells the ratio
+    # is 1e-12. The limit allows for contrasts of stiffness and for slivers.
     tolerance = 1e-8
 
     def __init__(
@@ -201,11 +200,11 @@ class DirectSolver:
         self.body = body
         self._order: _Order = _Order.of(body, last) if like is None else like._order
         self.last = self._order.last
-        """Nodes that were eliminated last, rising."""
+        """Nodes that are eliminated last, rising."""
         self._matrix = self._order.ordered(body.stiffness)
         if single if like is None else like._matrix.dtype == np.float32:
             self._matrix = self._matrix.astype(np.float32)
-        # Threads on small blocks took five times longer on a busy machine.
+        # With several threads, small blocks took five times as long on a busy computer.
         with one_blas_thread():
             self._factor: Multifrontal = Multifrontal(
                 self._matrix,
@@ -228,7 +227,7 @@ class DirectSolver:
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def displacement_m(self, load_N: Array) -> Array:
-        """Return the displacement [m] under nodal forces [N], shape (n, 3), unchecked.
+        """Return the displacement [m] under nodal forces [N], shape (n, 3), without any check.
 
         Forces on held components have no effect.
         """
@@ -238,7 +237,7 @@ class DirectSolver:
         return moved.reshape(load_N.shape)
 
     def displacements_m(self, loads_N: Array) -> Array:
-        """Return the displacements [m] under several loads [N], shape (3n, k) both, unchecked."""
+        """Return displacements [m] under several loads [N], each of shape (3n, k), unchecked."""
         moved = np.zeros_like(loads_N)
         for start in range(0, loads_N.shape[1], TOGETHER):
             several = np.ascontiguousarray(loads_N[self._order.unknowns, start : start + TOGETHER])
@@ -246,9 +245,9 @@ class DirectSolver:
         return moved
 
     def with_springs(self, root: csr_array) -> "DirectSolver":
-        """Return the solver of the body with springs on nodes that were eliminated last.
+        """Return the solver of the body with springs on nodes that are eliminated last.
 
-        Only the last block is factorised anew. `displacement_m` alone may be used.
+        Only the last block is factorised anew. Use only `displacement_m` of the result.
 
         Parameters
         ----------
@@ -259,13 +258,13 @@ class DirectSolver:
         at = self._order.position[columns]
         near = root[:, columns[at >= 0]].toarray()
         found = copy(self)
-        # The product of an array with itself takes another BLAS routine, which rounds differently
-        # from the runs of earlier versions.
+        # A product of an array with itself would call another BLAS routine, whose rounding differs
+        # from the results of earlier versions.
         found._factor = self._factor.with_last(at[at >= 0], near.T @ near.copy())
         return found
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
-        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+        """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
 
         Rows of held unknowns are zero.
         """
@@ -279,10 +278,11 @@ class DirectSolver:
         return answers
 
     def compliance_between(self, nodes: Ints) -> Array:
-        """Compute the compliance [m/N] between nodes, x, y, z node by node, shape (3k, 3k).
+        """Compute the compliance between nodes [m/N], x, y, z node by node, shape (3k, 3k).
 
-        Zero for held nodes. For nodes that were eliminated last it is read off the last block of
-        the factor, the factor of their Schur complement. Other nodes take back-substitutions.
+        The compliance of held nodes is zero. For nodes that are eliminated last, the compliance is
+        read from the last block of the factor, which is the factor of their Schur complement. For
+        other nodes back-substitutions are computed.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = components_of(nodes)

@@ -1,4 +1,4 @@
-"""Body of ``K u = f`` with its supports, and the rigid motions that they leave free."""
+"""Body ``K u = f`` with supports, and check for rigid motions that the supports do not prevent."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,9 +23,10 @@ __all__ = [
 ]
 
 LEAST_HOLD = 1e-6
-"""Largest motion of the held components in a free motion, relative to the body's own motion.
+"""Relative motion of the held components below which a rigid motion is free.
 
-It is far above the rounding of such motions, 1e-8.
+It is the ratio of the motion of the held components to the motion of the whole body. The rounding
+error of this ratio is 1e-8.
 """
 
 
@@ -51,7 +52,7 @@ def free_motion_count(nodes_m: Array, held: Flags) -> int:
         Components that are fixed, shape (n, 3).
     """
     centre = nodes_m.mean(axis=0)
-    # A single node has no size.
+    # A single node has no extent.
     size = max(float(np.linalg.norm(nodes_m - centre, axis=1).max()), 1e-300)
     rows = rigid_modes((nodes_m - centre) / size, np.zeros(3))[held]
     values = np.linalg.eigvalsh(rows.T @ rows / max(len(rows), 1))
@@ -59,7 +60,7 @@ def free_motion_count(nodes_m: Array, held: Flags) -> int:
 
 
 class ColumnSolver(Protocol):
-    """Solver for columns of the inverse, for a compliance or a basis.
+    """Solver that computes columns of the inverse, for a compliance or a basis.
 
     Attributes
     ----------
@@ -70,7 +71,7 @@ class ColumnSolver(Protocol):
     body: "HeldBody"
 
     def columns(self, unknowns: Ints) -> Array:
-        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+        """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
 
         Rows of held unknowns are zero.
         """
@@ -78,7 +79,7 @@ class ColumnSolver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class HeldBody:
-    """Stiffness and supports of a body, checked to leave no part free to move.
+    """Stiffness and supports of a body; the supports must prevent every rigid motion.
 
     Attributes
     ----------
@@ -87,7 +88,7 @@ class HeldBody:
     nodes_m
         Node positions [m], shape (n, 3).
     fixed
-        Components with zero displacement, shape (n, 3).
+        True for components with zero displacement, shape (n, 3).
     is_grounded
         True if the stiffness itself contains supports, so that no component has to be held.
 
@@ -133,7 +134,7 @@ class HeldBody:
 
     @cached_property
     def carrying(self) -> Flags:
-        """Nodes that a cell uses, shape (n,)."""
+        """Mask of the nodes that belong to a cell, shape (n,)."""
         return np.asarray(self.stiffness.diagonal().reshape(-1, 3).any(axis=1))
 
     @cached_property
@@ -147,7 +148,7 @@ class HeldBody:
         Raises
         ------
         InputError
-            If the load has another shape, is not finite, or acts on nodes that no cell uses.
+            If the load has another shape, is not finite, or acts on nodes that belong to no cell.
         """
         load = np.asarray(load_N, np.float64)
         if load.shape != self.nodes_m.shape or not np.isfinite(load).all():
@@ -167,7 +168,7 @@ class HeldBody:
         return np.asarray(load.ravel()[self.free])
 
     def whole(self, free_m: Array) -> Array:
-        """Return displacements of all nodes [m] from the free unknowns, shape (n, 3)."""
+        """Return the displacements of all nodes [m], shape (n, 3), from the free unknowns."""
         displacement = np.zeros(self.nodes_m.shape)
         displacement.ravel()[self.free] = free_m
         return displacement

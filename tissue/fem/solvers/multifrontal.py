@@ -1,10 +1,10 @@
 """Multifrontal Cholesky factor of a sparse matrix.
 
-The factorisation is multifrontal (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302). Blocks of
-unknowns are eliminated one after the other. Each is eliminated in a dense front ``[[A, B^T], [B,
-C]]`` of its unknowns and of the later unknowns that it changes. ``A = L L^T``, ``B L^-T`` is kept,
-and ``C - B A^-1 B^T`` is added to the front that eliminates the first of the later unknowns. Nearly
-all of the time is then spent in LAPACK and in BLAS of level 3.
+The method is that of Duff and Reid (1983, ACM Trans. Math. Softw. 9:302). Blocks of unknowns are
+eliminated one after the other. A block is eliminated in a dense front ``[[A, B^T], [B, C]]`` of its
+own unknowns and of the later unknowns that its elimination changes. With ``A = L L^T``, L and ``B
+L^-T`` are stored. ``C - B A^-1 B^T`` is added to the front that eliminates the first of the later
+unknowns. Nearly all of the time is spent in LAPACK and in BLAS of level 3.
 """
 
 from copy import copy
@@ -23,16 +23,16 @@ __all__ = ["Front", "Multifrontal", "NotPositiveDefiniteError", "fronts_of"]
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Block of unknowns that is eliminated at once.
+    """Block of unknowns that are eliminated together.
 
     Attributes
     ----------
     start, stop
-        Its unknowns, in order of elimination.
+        Range of the block's unknowns, in order of elimination.
     below
-        Later unknowns that its elimination changes, rising, shape (r,).
+        Later unknowns that the elimination changes, rising, shape (r,).
     children
-        Fronts whose changes reach this one first.
+        Fronts whose changes are added to this front first.
     """
 
     start: int
@@ -42,14 +42,14 @@ class Front:
 
 
 def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
-    """Return the fronts of blocks of unknowns in order of elimination, children before parents.
+    """Return the fronts of blocks of unknowns in order of elimination, children first.
 
     Parameters
     ----------
     lower
         Lower triangle of the matrix in order of elimination, shape (n, n).
     starts
-        First unknown of each block and n, rising, shape (blocks + 1,).
+        First unknown of each block, followed by n, rising, shape (blocks + 1,).
     """
     marked = np.zeros(lower.shape[0], np.bool_)
     block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -70,12 +70,13 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
 
 
 FEW_RUNS = 16
-"""Largest number of pairs of consecutive runs for which a block is added pair by pair."""
+"""Largest number of pairs of runs for which a block is added pair by pair."""
 SHORT = 6
-"""Mean number of rows of a run below which a block is added entry by entry.
+"""Mean number of rows in a run below which a block is added entry by entry.
 
-Neither number is critical: on 51,795 unknowns of a liver, `FEW_RUNS` of 1 to 64 and `SHORT` of 2 to
-12 take equal times within the scatter of a tenth.
+A run is a group of consecutive rows. The values of `FEW_RUNS` and `SHORT` are not critical: for a
+liver with 51,795 unknowns, values of 1 to 64 and of 2 to 12 take the same time within the scatter
+of a tenth.
 """
 
 
@@ -84,22 +85,23 @@ class NotPositiveDefiniteError(InputError):
 
 
 class Multifrontal:
-    """Cholesky factor of a symmetric matrix, made once.
+    """Cholesky factor of a symmetric matrix.
 
     Parameters
     ----------
     matrix
-        Symmetric and positive definite, in order of elimination, shape (n, n); its lower triangle
-        alone is read. The factor has its precision, single or double.
+        Symmetric positive definite matrix in order of elimination, shape (n, n). Only its lower
+        triangle is read. The factor has the precision of the matrix, single or double.
     starts
-        First unknown of each block that is eliminated at once, and n, rising, shape (blocks + 1,).
+        First unknown of each block of unknowns that are eliminated together, followed by n, rising,
+        shape (blocks + 1,).
     fronts
-        Fronts of another matrix with these blocks and the same pattern; default: they are found.
+        Fronts of another matrix with these blocks and the same pattern. Default: they are computed.
 
     Raises
     ------
     NotPositiveDefiniteError
-        If the matrix is not positive definite to rounding.
+        If the matrix is not positive definite, apart from rounding.
     """
 
     def __init__(
@@ -130,12 +132,12 @@ class Multifrontal:
         return sum(part.size for part in [*self._diagonal, *self._under])
 
     def solve(self, right: Array) -> Array:
-        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
+        """Return the solution for one or several right-hand sides, shape (n,) or (n, m)."""
         found = np.array(right, dtype=self._dtype, order="C")
         parts = list(zip(self.fronts, self._diagonal, self._under, strict=True))
         for front, diagonal, under in parts:
             values = found[front.start : front.stop]
-            # Columns of a compliance are 0 in most fronts.
+            # The right-hand sides of a compliance are 0 in most fronts.
             if not values.any():
                 continue
             values[:] = self._solved(diagonal, values)
@@ -151,7 +153,8 @@ class Multifrontal:
     def inverse_of_last(self, count: int) -> Array:
         """Return the block of the inverse that belongs to the last unknowns, shape (count, count).
 
-        It is bitwise symmetric. The count must not exceed the block that is eliminated last.
+        The result is bitwise symmetric. The count must not exceed the size of the block that is
+        eliminated last.
         """
         inverse, _ = self._potri(self._diagonal[-1], lower=1)
         inverse = inverse[-count:, -count:]
@@ -175,8 +178,8 @@ class Multifrontal:
     def _solved(self, lower: Array, right: Array, *, transposed: int = 0) -> Array:
         """Solve with a lower triangle, or with its transpose, for the shapes of `solve`.
 
-        The routine for one right side reads each entry once, and takes 0.6 of the time of the
-        other.
+        For a single right-hand side another BLAS routine is used. It reads each entry once, and
+        takes 0.6 times as long as the routine for several right-hand sides.
         """
         if right.ndim == 1:
             return np.asarray(self._trsv(lower, right, lower=1, trans=transposed))
@@ -227,7 +230,7 @@ class Multifrontal:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rising rows of a matrix, with the start and end of each run of consecutive rows."""
+    """Rising row numbers of a matrix, with start and end of each run of consecutive rows."""
 
     at: Ints
     runs: list[tuple[int, int]]
@@ -241,8 +244,8 @@ class _Rows:
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
     """Add a block to some rows and columns of a matrix in place.
 
-    Of a square block, the lower triangle is added; the upper triangle may be added too. Long runs
-    of rows, which are contiguous in memory, are added run by run.
+    The lower triangle of a square block is added; its upper triangle may be added too. Long runs of
+    rows are contiguous in memory, and are added run by run.
     """
     if not block.size:
         return

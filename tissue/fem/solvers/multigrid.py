@@ -1,8 +1,9 @@
 """Conjugate gradients preconditioned by smoothed aggregation with the six rigid motions.
 
-For large meshes: memory and time of one right side increase linearly. The matrix is scaled by its
-diagonal, so that cells of all sizes have equal weight. It is kept in blocks of 3x3, so that nodes
-are aggregated and not components (Vanek, Mandel, Brezina 1996, Computing 56:179).
+The solver is for large meshes: its memory, and its time for one right-hand side, increase linearly
+with the mesh. The matrix is scaled by its diagonal, so that cells of all sizes have equal weight.
+It is stored in blocks of 3x3, so that whole nodes are aggregated instead of single components
+(Vanek, Mandel, Brezina 1996, Computing 56:179).
 """
 
 import warnings
@@ -28,28 +29,29 @@ __all__ = ["MultigridSolver"]
 COARSEST_NODES = 50
 """Largest number of aggregates of a level that is solved directly.
 
-From 10 to 400, livers of 2505 and 16,523 nodes take 18 to 20 iterations.
+With 10 to 400 aggregates, livers of 2505 and 16,523 nodes take 18 to 20 iterations.
 """
 WEAK = 0.05
-"""Coupling, relative to its nodes' own, below which nodes do not join an aggregate.
+"""Coupling of two nodes, relative to their own stiffness, below which they are not aggregated.
 
-It saves a third of the iterations with all couplings.
+Compared with aggregates over all couplings, this limit saves a third of the iterations.
 """
 
 
 class MultigridSolver:
-    """Iterative solver by multigrid, set up once.
+    """Iterative solver with a multigrid preconditioner that is set up once.
 
     Parameters
     ----------
     body
         The stiffness and its supports.
     tolerance
-        Relative error in the energy norm. It is estimated as ``sqrt(r . B r / l)``, r the residual,
-        B a cycle, and l the smallest eigenvalue of B K that the iterations have found (Meurant and
-        Strakos 2006, Acta Numer. 15:471).
+        Allowed relative error in the energy norm. The error is estimated as ``sqrt(r . B r / l)``,
+        with the residual r, a multigrid cycle B, and the smallest eigenvalue l of B K that the
+        iterations have found (Meurant and Strakos 2006, Acta Numer. 15:471).
     limit
-        Iterations allowed. A liver takes 20; far more mean that the cycle does not suit the body.
+        Largest number of iterations. A liver takes 20. If a body needs many more, the multigrid
+        cycle is not suitable for this body.
     """
 
     def __init__(self, body: HeldBody, *, tolerance: float = 1e-8, limit: int = 500) -> None:
@@ -69,7 +71,7 @@ class MultigridSolver:
             modes / size, self._scale[:, None], out=np.zeros_like(modes), where=self._free[:, None]
         )
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # small coarse grids cause warnings about their rank
+            warnings.simplefilter("ignore")  # on small coarse grids, pyamg warns about their rank
             self._hierarchy = smoothed_aggregation_solver(
                 self._matrix,
                 B=near_null,
@@ -81,7 +83,7 @@ class MultigridSolver:
         self._least = 1.0
 
     def _scaled(self) -> bsr_matrix:
-        """Return D^-1/2 K D^-1/2 with the identity at held components.
+        """Return D^-1/2 K D^-1/2, with the identity at held components.
 
         The indices have 32 bits, as pyamg requires.
         """
@@ -102,7 +104,7 @@ class MultigridSolver:
         )
 
     def columns(self, unknowns: Ints) -> Array:
-        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+        """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
 
         Rows of held unknowns are zero.
 
@@ -139,11 +141,11 @@ class MultigridSolver:
     def _error(self, now: Iterate, right: Array) -> float:
         """Estimate the relative error in the energy norm.
 
-        Where the error might satisfy the tolerance, the smallest eigenvalue is estimated anew.
+        If the error may be within the tolerance, the smallest eigenvalue is estimated anew.
         """
         energy = dot(now.found, right - now.residual)
         slope = now.slopes[-1]
-        # The start has no energy to compare with.
+        # At the start the displacement has no energy to compare the error with.
         if energy <= 0.0:
             return np.inf
         if now.lengths and slope <= self.tolerance**2 * energy:

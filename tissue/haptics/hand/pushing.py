@@ -217,7 +217,7 @@ class CompensatedPath:
     path
         Target position of the tool.
     tool
-        Held tool, with its present position.
+        Tool on the haptic device, with its present position.
     lead_s
         Time by which the aim reads its path in advance [s].
     furthest_m
@@ -276,7 +276,7 @@ class Thrust:
     start_m, path_m
         Start position and path vector of the tool [m], shape (3,).
     tool
-        Held tool, with its present position.
+        Tool on the haptic device, with its present position.
     push_N
         Push at the device [N].
     stretch_m

@@ -1,1 +1,1 @@
-"""Sampled loop of a device and a hand: filters, delays, stability and passivity."""
+"""Sampled loop of a device and a hand: filters, delays, vibration, stability and passivity."""

@@ -1,6 +1,6 @@
-"""Stability of a wall on a device before it runs, from eigenvalues of the sampled loop.
+"""Stability of a virtual wall on a device, computed from eigenvalues of the sampled loop.
 
-The delay is exact.
+The stability is known before the device runs. The delay of the loop is exact.
 """
 
 from collections.abc import Sequence
@@ -34,36 +34,38 @@ STIFFEST_N_M = 1e8
 """Search range of the critical stiffness [N/m]."""
 STEPS = 4
 NARROW_STEPS = 24
-"""Search steps per decade, and smaller steps where a narrow window of instability may exist.
+"""Search steps per decade: usual steps, and steps where a narrow unstable window may exist.
 
-A window may exist where the loop rings at half the frequency of its vibration. Over 5-60 Hz and
-shares up to 1 on a touch device, the windows missed by 24 steps grow by less than a part in 5000
-per tick. Some windows missed by 16 steps grow by a part in 700.
+An unstable window may exist where the loop oscillates at half the frequency of its tooth vibration.
+Vibrations of 5-60 Hz with shares up to 1 were tried on a touch device. In the windows that 24 steps
+miss, the oscillation grows by less than 1 / 5000 per tick. In some windows that 16 steps miss, it
+grows by 1 / 700 per tick.
 """
 ON_THE_CIRCLE = 1e-12
-"""Distance to 1 below which eigenvalues count as stable.
+"""Distance to 1 below which eigenvalues are treated as stable.
 
-It covers rounding, and a wall so soft that nothing moves.
+It allows for rounding, and for a wall so soft that the device does not move.
 """
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Stability of a loop before it runs.
+    """Stability of a loop, computed before the loop runs.
 
     Attributes
     ----------
     stable
-        True if every mode decays, in every given hand.
+        True if every mode decays, with every given hand.
     margin
-        Stability margin 1 - K / K_critical: 0 at the boundary, negative beyond it.
+        Stability margin 1 - K / K_critical. It is 0 at the stability limit, and negative above the
+        limit.
     critical_N_m
-        Stiffness at which the first mode stops decaying, in the worst hand [N/m].
+        Lowest stiffness at which a mode does not decay, with the worst hand [N/m].
     nearest_N_m
         The given stiffness if it is stable, otherwise the nearest stable stiffness, rounded down to
         three digits [N/m].
     spectral_radius
-        Growth of the slowest mode over one tick, in the worst hand.
+        Growth of the slowest mode over one tick, with the worst hand.
     """
 
     stable: bool
@@ -91,10 +93,10 @@ class Verdict:
 
 
 class LinearHand(NamedTuple):
-    """Linear part of a hand, as the stability analysis of a loop uses it.
+    """Linear part of a hand, for the stability analysis of a loop.
 
-    The units are N/m, N s/m and kg, and for the reflex N/m and s, see `WallLoop`. No hand is
-    (0, 0, 0).
+    The units are N/m, N s/m and kg; for the reflex they are N/m and s, see `WallLoop`. Without a
+    hand the values are (0, 0, 0).
     """
 
     stiffness_N_m: float
@@ -105,7 +107,7 @@ class LinearHand(NamedTuple):
 
 
 def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLoop, ...]:
-    """Return the loop in several hands, each with the entries of `LinearHand`."""
+    """Return the loop with each of several hands, which have the entries of `LinearHand`."""
     held = []
     for each in hands:
         hand = LinearHand(*each)
@@ -123,9 +125,10 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
 
 
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
-    """Return the hands without those whose reflex makes them oscillate on the device alone.
+    """Return the hands that do not oscillate on the device without a virtual wall.
 
-    Such a hand may oscillate with any coupling, so that no coupling can be chosen by it.
+    The reflex may make a hand oscillate. Such a hand may oscillate with any coupling, so that a
+    coupling cannot be chosen with it.
     """
     alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)
     return tuple(
@@ -138,21 +141,21 @@ def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearH
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Return the lowest stiffness at which the loop is unstable [N/m].
 
-    It is 0 if the softest wall is unstable, and inf if no wall is. The search goes upwards in
-    `STEPS` or `NARROW_STEPS` per decade, and then between the last two values by Brent's method to
-    rounding. Stiffness above the first unstable value is never called stable, even where a stable
-    window may exist.
+    It is 0 if the softest wall is unstable, and inf if no wall is unstable. The search goes upwards
+    with `STEPS` or `NARROW_STEPS` per decade. Brent's method then solves between the last two
+    values, down to rounding. A stiffness above the first unstable value is always reported as
+    unstable, even if a stable window exists there.
     """
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
 
-# A study judges some 250 loops again and again: methods, hands of three groups, and tasks. An entry
-# has some kilobytes.
+# A study checks about 250 loops repeatedly: methods, hands of three groups, and tasks. An entry has
+# a few kilobytes.
 @lru_cache(maxsize=1024)
 def _critical_N_m(loop: WallLoop) -> float:
     """Return the critical stiffness, cached for loops that differ only in their stiffness.
 
-    The choice of a stiffness and its verdict then need one search.
+    The choice of a stiffness and the check of this stiffness then need only one search.
     """
     from scipy.optimize import brentq
 
@@ -171,10 +174,11 @@ def _critical_N_m(loop: WallLoop) -> float:
 
 
 def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
-    """Return the search steps per decade from a stiffness on.
+    """Return the number of search steps per decade above a stiffness.
 
-    Steps are smaller where the undamped mass rings at f / 4 or above. Windows are near f / 2, and
-    damping and delay lower the frequency of the loop.
+    With a vibration of frequency f, the steps are smaller where the undamped mass oscillates at f /
+    4 or above. Unstable windows are near f / 2, but damping and delay lower the frequency of the
+    loop.
     """
     if loop.vibration is None:
         return STEPS
@@ -188,14 +192,14 @@ def nearest_stable_N_m(critical_N_m: float) -> float:
     if not 0.0 < critical_N_m < inf:
         return critical_N_m
     unit = 10.0 ** (floor(log10(critical_N_m)) - 2)
-    # 1e-9: a critical value of three digits must itself be rounded down.
+    # 1e-9: a critical value with exactly three digits must be rounded down, too.
     return floor((1.0 - 1e-9) * critical_N_m / unit) * unit
 
 
 def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> Verdict:
-    """Judge the stability of a loop.
+    """Check the stability of a loop.
 
-    With ``hands`` (see `in_hands`), the worst of these hands replaces the hand of the loop.
+    If ``hands`` are given (see `in_hands`), the worst of these hands replaces the hand of the loop.
     """
     loops = (loop,) if hands is None else in_hands(loop, hands)
     critical = min(critical_stiffness_N_m(each) for each in loops)
@@ -207,32 +211,32 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
 
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
-    """Return the largest eigenvalue minus the limit of stability; no mode grows below zero."""
+    """Return the largest eigenvalue minus the stability limit; below zero the loop is stable."""
     return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)
 
 
 def passive_bound_N_m(loop: WallLoop) -> float:
-    """Return the stiffness up to which the wall is passive (Colgate and Schenkel, 1997) [N/m].
+    """Return the largest stiffness of a passive wall (Colgate and Schenkel, 1997) [N/m].
 
     A passive wall is stable in any passive hand. The condition b > T / 2 Re{(1 - exp(-j w T)) H} /
-    (1 - cos w T) is solved for K on a grid of w. H contains wall, filter and a delay of whole
-    steps. A fraction of a step counts as a whole step, and the lag of the amplifier as delay. Only
-    the device's own damping counts. Without delay and filter, the bound is 2 (b - |B|) / T for
-    either sign of B. T is the time for which a force is held, so that a slow model counts with its
-    own step. One more step of delay is added if a filter changes the held force within the step.
-    The result is 0 if B, delay and filter leave no passive stiffness.
+    (1 - cos w T) is solved for K on a grid of w. H contains the wall, the filter and a delay of
+    whole steps. A fraction of a step is rounded up to a whole step, and the lag of the amplifier is
+    treated as delay. Only the device's own damping is included. Without delay and filter, the bound
+    is 2 (b - |B|) / T, for positive and negative B. T is the time for which a force is held. For a
+    slow model it is the step of the model. One more step of delay is added if a filter changes the
+    held force within the step. The result is 0 if B, delay and filter leave no passive stiffness.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
-    # The lowest frequencies decide: without those below 0.01 the bound is up to 5 times as high,
-    # from 1e-4 on up to 4 % lower.
+    # The lowest frequencies determine the bound. Without frequencies below 0.01 the bound is up to
+    # 5 times as high; with frequencies from 1e-4 it is up to 4 % lower.
     turn = np.concatenate([np.geomspace(1e-3, 1e-2, 100), np.linspace(1e-2, np.pi, 4000)])
     back = np.exp(-1j * turn)
     gain = low_pass_gain(loop.filter_s, step)
     passed = (
         gain
         / (1.0 - (1.0 - gain) * back)
-        # 1e-9: a lag of whole steps that is rounded up stays whole.
+        # 1e-9: a lag of whole steps must not be rounded up to one more step.
         * back ** (np.ceil(lag / step - 1e-9) + (gain < 1.0 and loop.model_ticks > 1))
     )
     paid = 2.0 * loop.damping_N_s_m / step * (1.0 - np.cos(turn))
@@ -248,7 +252,7 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 def delay_bound_N_m(loop: WallLoop) -> float:
     """Return K = (b + B) / (T / 2 + t_d) (Gil et al., 2009) [N/m].
 
-    It is a first-order guide with delay and can be unsafe.
+    With delay this is a first-order estimate, and may be larger than the true limit.
     """
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m + loop.wall_damping_N_s_m
     return max(damping / (0.5 * loop.tick_s * loop.model_ticks + loop.delay_s), 0.0)
@@ -271,9 +275,9 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
 def pade_bound_N_m(loop: WallLoop) -> float:
     """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
 
-    Hold and delay are combined into one delay t = t_d + T / 2, approximated as (1 - t s / 2) / (1 +
-    t s / 2). The bound follows from Routh's criterion for the third-order polynomial. Hand
-    stiffness is ignored.
+    Hold and delay are combined into one delay t = t_d + T / 2, which is approximated as (1 - t s /
+    2) / (1 + t s / 2). The bound is computed from Routh's criterion for the third-order polynomial.
+    The hand's stiffness is ignored.
     """
     delay = loop.delay_s + 0.5 * loop.tick_s * loop.model_ticks
     mass = loop.mass_kg + loop.hand_mass_kg

@@ -1,4 +1,4 @@
-"""Stages of a force before a device: low-pass, delay, relaxation, force range and slew limit."""
+"""Processing of a force before the device: low-pass, delay, force range and slew limit."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -22,26 +22,26 @@ __all__ = [
 ]
 
 VELOCITY_MEMORY = 0.85
-"""Memory of the velocity filter of a device.
+"""Memory of the filter that estimates the velocity of a device.
 
-Over the hands of all scenes, this value has the smallest error among filters with at most 4 ms of
-delay. The error is 41 % of the velocity, against 212 % for the raw difference; see
-tests/bench/bench_velocity.py.
+With the simulated hands of all scenes, this value has the smallest error among filters with at most
+4 ms of delay. The error is 41 % of the velocity, compared with 212 % for the difference of two
+positions; see tests/bench/bench_velocity.py.
 """
 OBSERVER_MEMORY = 0.93
-"""Memory of the filter that observes the position of a device in front of a tool that cuts.
+"""Memory of the position observer, the filter of a device's position for a tool that cuts.
 
-Chosen. A larger memory smooths encoder steps more, and lowers the critical stiffness of the loop
+Chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness of the loop
 (tests/tissue/haptics/test_velocity.py). An encoder step of 55 um changes the observed position by
-1 - 0.93^3 of it, 11 um, in its own tick, and by less in any later one.
+11 um, 1 - 0.93^3 of the step, in its own tick, and by less in each later tick.
 """
 
 
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
-    """Return the step gain of 1 / (1 + a s): 1 - exp(-T / a), and 1 without a filter (a = 0).
+    """Return the gain per step of 1 / (1 + a s): 1 - exp(-T / a), or 1 without a filter (a = 0).
 
-    It is the share of the gap that the filter closes in a step. The time constant is in seconds.
-    The amplitude falls to 1 / sqrt(2) at the frequency 1 / (2 pi a).
+    The output moves by this share of the difference between input and output in a step. The time
+    constant a is in seconds. The amplitude falls to 1 / sqrt(2) at the frequency 1 / (2 pi a).
     """
     require_range(
         "time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz"
@@ -53,7 +53,7 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
 class LowPass:
     """First-order low-pass of a vector: y += (1 - exp(-T / a)) (u - y).
 
-    The step is exact for an input that is held over it.
+    The step is exact for an input that is constant during the step.
     """
 
     def __init__(self, time_constant_s: float, *, step_s: float) -> None:
@@ -67,12 +67,12 @@ class LowPass:
 
 
 def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
-    """Return the matrix M (3, 3) and gains g (3,) of the filter s+ = M s + g x.
+    """Return the matrix M, (3, 3), and the gains g, (3,), of the filter s+ = M s + g x.
 
-    The state s is the position, its change per tick and the change of that change, after a position
-    x. The filter of Morrison (1969) fits a parabola to all previous samples, each weighted by
-    `memory` to the power of its age. It is an alpha-beta-gamma filter with all three poles at the
-    memory, without delay for a constant acceleration.
+    The state s has three entries after a position x: position, change of the position per tick, and
+    change of this change per tick. The filter of Morrison (1969) fits a parabola to all previous
+    samples. The weight of a sample is `memory` to the power of its age. It is an alpha-beta-gamma
+    filter whose three poles equal the memory. It has no delay for a constant acceleration.
     """
     fresh = 1.0 - memory
     # Gains of the fading-memory polynomial filter of second order (Morrison, 1969).
@@ -82,7 +82,7 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
 
 
 class ConstantAcceleration:
-    """Velocity of a vector from its samples, with the filter `constant_acceleration_map`.
+    """Estimator of a vector's velocity, with the filter `constant_acceleration_map`.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class ConstantAcceleration:
     def step(self, position: Array) -> Array:
         """Return the velocity after a sample, per second, shape (3,).
 
-        The first sample is at rest.
+        The velocity after the first sample is zero.
         """
         if self._state is None:
             self._state = np.zeros((3, len(position)))
@@ -124,7 +124,7 @@ class ConstantAcceleration:
         return estimate
 
     def pause(self) -> None:
-        """Reset after missing samples: the next sample is at rest."""
+        """Reset after missing samples; the velocity after the next sample is zero."""
         self._state = None
 
 
@@ -138,13 +138,13 @@ class DelayLine:
         self._queue = deque([np.zeros(3)] * samples)
 
     def step(self, value: Array) -> Array:
-        """Append a value, and return the delayed one."""
+        """Append a value, and return the delayed value."""
         self._queue.append(value.copy())
         return self._queue.popleft()
 
 
 class SlewLimit:
-    """Vector whose change per step is limited, straight towards the target.
+    """Vector that moves straight towards a target, with a limited change per step.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class SlewLimit:
         self.limited = 0
 
     def step(self, wanted: Array) -> Array:
-        """Return the new value, which is ``wanted`` if it is within the limit."""
+        """Return the new value; it is ``wanted`` if the change is within the limit."""
         change = wanted - self.value
         square = float(change.dot(change))
         if square <= self._most * self._most:
@@ -180,9 +180,8 @@ class SlewLimit:
 class ForceRange:
     """Compression of a force into the range of a device.
 
-    The direction is kept. The magnitude F' = scale F is unchanged up to a knee. Above the knee, it
-    is compressed, so that a larger force remains larger and the limit is approached but not
-    exceeded::
+    The direction is kept. The magnitude F' = scale F is unchanged up to a knee. Above the knee it
+    is compressed. A larger force remains larger, and the limit is approached but not exceeded::
 
         F'                                                              F' <= knee
         knee + (limit - knee) (1 - exp(-(F' - knee) / (limit - knee)))  otherwise
@@ -194,10 +193,10 @@ class ForceRange:
     limit_N
         Largest force of the device [N], or torque [N m].
     scale
-        Device newtons per newton.
+        Force at the device divided by force at the tool.
     knee_share
-        Share of the limit that is unchanged, below 1. The default 0.7 is chosen: forces above it
-        get the upper 30 % of the range.
+        Knee divided by the limit, below 1. The default of 0.7 is chosen: compressed forces are in
+        the upper 30 % of the range.
     """
 
     limit_N: float
@@ -210,7 +209,7 @@ class ForceRange:
         require_range("knee_share", self.knee_share, 0.0, 0.99, "use 0.7")
 
     def play(self, force: Array) -> tuple[Array, bool]:
-        """Return the force that the device plays, and whether it was above the knee and compressed.
+        """Return the force that the device plays, and True if it was compressed.
 
         Raises
         ------

@@ -21,7 +21,7 @@ __all__ = ["Forecast", "forecast_of"]
 
 
 PROBES = (1e-5, 1e-3, 1e-3)
-"""Changes used to probe a predictor: position [m], velocity [m/s], force [N].
+"""Changes of position [m], velocity [m/s] and force [N] used to probe a predictor.
 
 The position is 1 % of the depth of the contact, so that the response is linear.
 """
@@ -31,17 +31,19 @@ LONGEST = 512
 It is five times the longest memory of the built-in predictors, 102 ticks.
 """
 FADED = 1e-3
-"""Share of the largest response below which a response has decayed.
+"""Ratio to the largest response below which a response has decayed.
 
-Shorter responses make the analysis faster: the map of the loop has one state per tick of memory.
+The map of the loop has one state per tick of memory, so that shorter responses make the analysis
+faster.
 """
 RIGID = 1e6
 """Stiffness of the tissue under the tool during a probe, relative to the coupling stiffness.
 
-In the loop that is analysed, the coupling is the wall: a rigid tissue lies behind it.
+In the analysed loop the coupling is the virtual wall, so that the tissue behind the coupling must
+be rigid.
 """
 SETTLING = 300
-"""Ticks of a contact at rest before a predictor is probed.
+"""Number of ticks of a contact at rest before a predictor is probed.
 
 It is three times the longest memory of the built-in predictors.
 """
@@ -54,13 +56,14 @@ class Forecast:
     Attributes
     ----------
     taps
-        Responses, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]. The
-        phase is the tick of the observation, counted from the last model force. Only phase 0
-        contains a force.
+        Responses to position [N/m], velocity [N s/m] and force [N/N], shape (phases, ages, 3). The
+        phase is the tick of the observation, counted from the last model force. A force is observed
+        only in phase 0.
     gain
-        Gain C of F + C (F_ahead - F): 0 plays the present force, 1 the predicted force.
+        Gain C of the played force F + C (F_ahead - F): 0 plays the present force, 1 the predicted
+        force.
     stiffness_N_m
-        Coupling stiffness in the contact shown to the predictor. Its responses to position and
+        Coupling stiffness in the contact shown to the predictor. The responses to position and
         velocity are proportional to this stiffness. None for a predictor without contact.
     """
 
@@ -69,7 +72,7 @@ class Forecast:
     stiffness_N_m: float | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Compare by value, so that an equal predictor does not need another analysis."""
+        """Compare by value, so that an equal forecast does not need another analysis."""
         return isinstance(other, Forecast) and self._value == other._value
 
     def __hash__(self) -> int:
@@ -87,7 +90,7 @@ class Forecast:
 
 
 _forecasts: Kept["Forecast"] = Kept(256)
-"""Cache of forecasts: a study has some ten for each task and each changed latency or device."""
+"""Cache of forecasts; a study has about ten for each task, latency and device."""
 OUT = np.array([0.0, 0.0, 1.0])
 """Direction out of the tissue during a probe."""
 
@@ -101,15 +104,15 @@ def forecast_of(
     depth_m: float = 1e-3,
     gain: float = 1.0,
 ) -> Forecast:
-    """Linearise a predictor about a contact at rest, by small changes of its inputs.
+    """Linearise a predictor about a contact at rest, with small changes of its inputs.
 
-    Results are cached by the contents of the predictor, because a scene is judged several times:
-    for its stiffness, its run and its reference.
+    Results are cached by the contents of the predictor, because the stability of a scene is checked
+    several times: for its stiffness, its run and its reference.
 
     Parameters
     ----------
     predictor
-        Predictor, which is copied and stays unchanged.
+        Predictor. It is copied and not changed.
     lead_ticks
         Prediction horizon [ticks].
     stiffness_N_m, depth_m
@@ -122,7 +125,8 @@ def forecast_of(
     Raises
     ------
     InputError
-        If the response to a change does not decay: the predictor is not a stable filter there.
+        If the response to a change does not decay, because the predictor is not a stable filter
+        there.
     """
     probe = _Probe(lead_ticks, stiffness_N_m, model_ticks, depth_m)
     try:
@@ -165,7 +169,7 @@ class _Probe:
         )
 
     def _show(self, predictor: "Predictor", seen: Sequence[Array], tick: int) -> Array:
-        """Show a tick to a predictor, and return its force along the axis."""
+        """Pass the observations of a tick to a predictor, and return its force along the axis."""
         if isinstance(predictor, SeesContact):
             force = self.stiffness_N_m * self.depth_m * OUT
             rigid = RIGID * self.stiffness_N_m * np.outer(OUT, OUT)
@@ -176,14 +180,14 @@ class _Probe:
     def _answers(
         self, predictor: "Predictor", seen: Sequence[Array], changed: Sequence[Array], at: int
     ) -> Array:
-        """Return the predicted forces along the axis after other inputs in one tick [N]."""
+        """Return the predicted forces along the axis after changed inputs in one tick [N]."""
         ticks = range(LONGEST + 1 + self.model_ticks)
         return np.array([self._show(predictor, changed if n == at else seen, n) for n in ticks])
 
 
 def _faded(taps: Array) -> Array:
     """Return the responses up to the age at which they have decayed."""
-    # 1e-300: a channel without any response has the share 0.
+    # 1e-300 avoids a division by zero in a channel without any response.
     sizes = np.abs(taps) / np.maximum(np.abs(taps).max(axis=(0, 1)), 1e-300)
     ages = sizes.max(axis=(0, 2))
     if not np.isfinite(ages).all() or ages[-1] > FADED:
@@ -193,5 +197,6 @@ def _faded(taps: Array) -> Array:
             "a response that does not decay",
             "train the predictor with capped eigenvalues, or use another predictor",
         )
-    # A tenth of the bound is kept, so that the cut itself does not show in the analysis.
+    # Responses down to a tenth of the bound are kept, so that the truncation has no effect on the
+    # analysis.
     return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

@@ -1,4 +1,4 @@
-"""Loop of a device against a virtual wall, as one linear map from model step to model step."""
+"""Loop of a device and a virtual wall, as a linear map from one model step to the next."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 MOST_TICKS = 400
-"""Longest delay and longest model step that are analysed [ticks].
+"""Longest delay, and longest model step, in the analysis [ticks].
 
 The map has one state per tick of delay.
 """
@@ -54,15 +54,16 @@ class WallLoop:
     stiffness_N_m, wall_damping_N_s_m
         Stiffness [N/m] and damping [N s/m] of the wall, F = -K x - B v.
     velocity_memory
-        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the difference
-        of positions between model steps, and between ticks for a forecast.
+        Memory of the filter for v, see `constant_acceleration_map`. With None, v is computed from
+        the difference of positions between model steps; for a forecast, between ticks.
     observes
         True if the position estimated by this filter replaces x. Requires `velocity_memory`.
     tick_s
         Time between two forces at the device [s]. For a device that is slower than the loop, time
         between its samples.
     delay_s
-        Delay from the sample to the force, in addition to the hold [s]; any real number of ticks.
+        Delay from the sample to the force, in addition to the zero-order hold [s]; any real number
+        of ticks.
     model_ticks
         Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at
         1 kHz.
@@ -71,16 +72,17 @@ class WallLoop:
     amplifier_Hz
         Bandwidth of the amplifier [Hz]; infinite for no lag.
     hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
-        Linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
+        Stiffness, damping and mass of the linear hand that holds the device [N/m], [N s/m], [kg];
+        zeros for a hand that has let go.
     reflex_N_m, reflex_s
         Stiffness of the hand's reflex [N/m], and its delay [s], rounded to whole ticks. The reflex
-        pushes back in proportion to the position at that time before.
+        force is opposite to the position one delay earlier, and proportional to it.
     forecast
         Linear predictor of the force before the low-pass; None for no predictor. Its phases belong
         to `model_ticks`.
     vibration
-        Vibration of a cutter's teeth that is played in proportion to the force, after the low-pass;
-        None for no vibration.
+        Vibration of a cutter's teeth; None for no vibration. It is played after the low-pass, in
+        proportion to the force.
     """
 
     mass_kg: float
@@ -106,7 +108,7 @@ class WallLoop:
         require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
         require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
         longest_s = MOST_TICKS * self.tick_s
-        # The bounds refuse values in a wrong unit, and keep the matrix exponential finite.
+        # The bounds reject values in a wrong unit, and keep the matrix exponential finite.
         for name, low, high in (
             ("damping_N_s_m", 0.0, 1e9),
             ("stiffness_N_m", 0.0, 1e9),
@@ -149,15 +151,15 @@ class WallLoop:
         return replace(self, stiffness_N_m=stiffness_N_m)
 
 
-@lru_cache(maxsize=4096)  # a stability map needs 14 entries
+@lru_cache(maxsize=4096)  # a stability map uses 14 entries
 def plant_step(
     mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_Hz: float, step_s: float
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the exact step of a mass, spring and damper behind an amplifier, for held inputs.
+    """Return the exact step of a mass, spring and damper behind an amplifier.
 
-    Rows are position, velocity and motor force after the step. Columns are position, velocity,
-    motor force, commanded force and external force before the step. Shape (3, 5), as tuples.
-    Without lag, the motor force is the command.
+    The inputs are constant during the step. Rows are position, velocity and motor force after the
+    step. Columns are position, velocity, motor force, commanded force and external force before the
+    step. The shape is (3, 5), as tuples. Without lag, the motor force is the command.
     """
     generator = np.zeros((5, 5))
     generator[0, 1] = 1.0
@@ -178,11 +180,12 @@ def loop_matrix(loop: WallLoop) -> Array:
     The map is a square matrix. The state contains position, velocity and motor force, the position
     at the last model step, the filtered force, the pending forces and the velocity filter. With a
     forecast, it also contains the observed positions, velocities and forces. With a vibration, it
-    contains the envelope of the force, and with a reflex the positions during its delay. The map is
-    the response of the loop to the columns of a unit matrix, tick by tick. Over a period, it is the
-    product of the maps of its steps, whose eigenvalues determine stability (Floquet).
+    contains the envelope of the force, and with a reflex the positions during its delay. The
+    columns of the map are the responses of the loop to unit states, computed tick by tick. The map
+    over a period is the product of the maps of its steps; its eigenvalues determine the stability
+    (Floquet).
     """
-    # The small numbers are for delays that are whole ticks except for rounding.
+    # 1e-9 is for delays that are a whole number of ticks apart from rounding.
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
     parts = (
@@ -284,8 +287,8 @@ class ForecastMemory:
     loop
         Loop with or without a forecast.
     positions, speeds, forces
-        Previous observations, up to the memory of the forecast [m], [m/s], [N]. Speeds only for a
-        loop with a velocity filter.
+        Previous observations, up to the memory of the forecast [m], [m/s], [N]. Speeds are stored
+        only for a loop with a velocity filter.
     """
 
     def __init__(
@@ -299,7 +302,7 @@ class ForecastMemory:
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
         """Return the force to play at a tick of the model step.
 
-        It follows from the position, the filtered speed and the model force.
+        It is computed from the position, the filtered speed and the model force.
         """
         forecast = self._loop.forecast
         if forecast is None:
@@ -329,10 +332,10 @@ class ForecastMemory:
 
 
 def largest_eigenvalue(loop: WallLoop) -> float:
-    """Return the growth of the slowest mode over one step of the model.
+    """Return the factor of growth of the slowest mode over one step of the model.
 
     It is the largest eigenvalue of `loop_matrix`. The computation uses one thread. A second thread
-    gains nothing for so few states. On a busy machine, both threads wait for each other and take
+    is not faster for so few states. On a busy computer the two threads wait for each other and take
     ten times as long or more.
     """
     with one_blas_thread():
@@ -341,9 +344,9 @@ def largest_eigenvalue(loop: WallLoop) -> float:
 
 
 def spectral_radius(loop: WallLoop) -> float:
-    """Return the growth of the slowest mode over one tick.
+    """Return the factor of growth of the slowest mode over one tick.
 
-    Below 1 the loop is stable, above 1 it is unstable.
+    The loop is stable if this factor is below 1, and unstable if it is above 1.
     """
     return float(largest_eigenvalue(loop) ** (1.0 / loop.model_ticks))
 
@@ -351,8 +354,9 @@ def spectral_radius(loop: WallLoop) -> float:
 def motor_lag_ticks(loop: WallLoop) -> float:
     """Return the delay of a linearly increasing force from its sample to the motor [ticks].
 
-    The low-pass y += (1 - p) (u - y) delays by p / (1 - p) ticks, the loop by its delay, the hold
-    by half a tick and the amplifier of bandwidth f by 1 / (2 pi f) seconds.
+    The delay is a sum of four parts: p / (1 - p) ticks of the low-pass y += (1 - p) (u - y), the
+    delay of the loop, half a tick of the hold, and 1 / (2 pi f) seconds of the amplifier with
+    bandwidth f.
     """
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     return (1.0 - gain) / gain + loop.delay_s / loop.tick_s + 0.5 + _amplifier_ticks(loop)
@@ -361,9 +365,9 @@ def motor_lag_ticks(loop: WallLoop) -> float:
 def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     """Return the mean force of the motor over every tick [N], shape (n, 3).
 
-    It is the impulse on the hand divided by the tick. The result is exact even if the delay is not
-    a whole number of ticks. Each force is filtered, held for a tick after its delay, and passed
-    through the amplifier.
+    The mean force is the impulse of the motor in a tick divided by the length of the tick. The
+    result is exact even if the delay is not a whole number of ticks. Each force is filtered, held
+    for a tick after its delay, and passed through the amplifier.
 
     Parameters
     ----------
@@ -377,7 +381,7 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
 
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     delay = loop.delay_s / loop.tick_s
-    # 1e-9: a delay of whole ticks that is rounded down stays whole.
+    # 1e-9: a delay of whole ticks must not be rounded down to one tick less.
     whole = int(delay + 1e-9)
     part = max(delay - whole, 0.0)
     filtered = lfilter([gain], [1.0, gain - 1.0], force_N, axis=0)
@@ -386,8 +390,8 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     amplifier = _amplifier_ticks(loop)
     if amplifier == 0.0:
         return part * older + (1.0 - part) * newer
-    # From m, the motor reaches u + (m - u) exp(-s / a) after s ticks, first towards the older
-    # command, then towards the newer one.
+    # From the force m, the motor force is u + (m - u) exp(-s / a) after s ticks under the command
+    # u. In a tick, the older command acts first, then the newer command.
     first = exp(-part / amplifier)
     second = exp(-(1.0 - part) / amplifier)
     driven = second * (1.0 - first) * older + (1.0 - second) * newer
@@ -398,17 +402,17 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
 
 
 def mean_over_ticks_N(force_N: Array) -> Array:
-    """Return the mean over every tick of a force given at the ticks [N], shape (n - 1, 3).
+    """Return the mean force over every tick from the forces at the ticks [N], (n - 1, 3).
 
-    The force is linear between the ticks.
+    The force is interpolated linearly between the ticks.
     """
     return 0.5 * (force_N[:-1] + force_N[1:])
 
 
 def force_later_N(force_N: Array, ticks: float) -> Array:
-    """Return the force ``ticks`` later, linear between ticks [N], shape (n, 3).
+    """Return the force ``ticks`` later, interpolated linearly [N], shape (n, 3).
 
-    The last force is kept beyond the end.
+    After the end, the last force is used.
     """
     at = np.arange(len(force_N))
     return np.column_stack([np.interp(at + ticks, at, axis) for axis in force_N.T])

@@ -1,4 +1,4 @@
-"""Stability limit of a wall by simulation, against eigenvalues and theoretical bounds."""
+"""Stability limit of a virtual wall by simulation, eigenvalues and theoretical bounds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,14 +35,14 @@ __all__ = [
 
 SOFTEST_N_M = 0.1
 STIFFEST_N_M = 1e6
-"""Range of the bisection [N/m]: the limits of built-in devices are between 400 and 5000 N/m."""
+"""Range of the bisection [N/m]; built-in devices have limits between 400 and 5000 N/m."""
 BISECTIONS = 15
-"""Number of bisections of seven decades: resolution 0.05 %."""
+"""Number of bisections of seven decades, for a resolution of 0.05 %."""
 
 
 @dataclass(frozen=True)
 class StabilityChart:
-    """Chart of critical stiffness against one other quantity.
+    """Chart of the critical stiffness as a function of one other quantity.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class StabilityChart:
     measured_N_m, exact_N_m
         Critical stiffness by simulation of the loop and by its eigenvalues, shape (n,).
     lines_N_m
-        Theoretical bounds by name, each of shape (n,).
+        Theoretical bounds, as a dictionary by name, each of shape (n,).
     stiffnesses_N_m
-        Rows of the grid, shape (k,).
+        Stiffness of each row of the grid, shape (k,).
     growth
         Spectral radius on the grid, shape (k, n); stable below 1.
     """
@@ -71,7 +71,7 @@ class StabilityChart:
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """Charts over damping and delay, and the chosen point with its verdict."""
+    """Charts as functions of damping and of delay, and the chosen point with its stability."""
 
     chosen: WallLoop
     verdict: Verdict
@@ -84,18 +84,18 @@ def growth_while_running(
 ) -> Array:
     """Return the growth of the amplitude between two windows of a simulated run, shape (n,).
 
-    Several loops run at once after a push. They share tick, model ticks, velocity, forecast and
-    vibration. They run as on a device: sample, velocity, force, filter, delay, hold. The amplitude
-    is the root of kinetic and stored energy, weighted by windows around 45 and 85 % of the run. The
-    growth is infinite on overflow. With 4000 ticks, the critical stiffness of validation case 21 is
-    within 0.02 % of the eigenvalues.
+    Several loops run at once after a push. They have the same tick, model ticks, velocity filter,
+    forecast and vibration. A loop runs as on a device: sample, velocity, force, filter, delay,
+    hold. The amplitude is the square root of kinetic plus stored energy, averaged in two windows
+    around 45 and 85 % of the run. The growth is infinite after an overflow. With 4000 ticks, the
+    critical stiffness of validation case 21 differs by at most 0.02 % from that of the eigenvalues.
     """
     first = loops[0]
     tick = first.tick_s
     count = len(loops)
     of = lambda name: np.array([getattr(each, name) for each in loops])  # noqa: E731
     delay = of("delay_s")
-    # 1e-9: a delay of whole ticks that is rounded down stays whole.
+    # 1e-9: a delay of whole ticks must not be rounded down to one tick less.
     whole = (delay / tick + 1e-9).astype(int)
     part = np.maximum(delay - whole * tick, 0.0)
     mass = of("mass_kg") + of("hand_mass_kg")
@@ -103,8 +103,8 @@ def growth_while_running(
     damped = of("damping_N_s_m") + of("hand_damping_N_s_m")
     steps = []
     for behind, lengths in ((whole + 1, part), (whole, tick - part)):
-        # A loop with a whole delay has an empty first part alongside loops without one. A step of
-        # 1e-12 s changes nothing.
+        # A loop whose delay is a whole number of ticks has an empty first part of the tick. A step
+        # of 1e-12 s instead has no effect.
         given = (mass, damped, held, of("amplifier_Hz"), np.maximum(lengths, 1e-12))
         rows = [plant_step(*each) for each in zip(*(each.tolist() for each in given), strict=True)]
         steps.append((np.moveaxis(np.array(rows), 0, -1), behind))
@@ -129,8 +129,8 @@ def growth_while_running(
     before, force, filtered, envelope = np.zeros((4, count))
     follows = low_pass_gain(ENVELOPE_S, tick)
     share = np.arange(ticks) / ticks
-    # Smooth windows: the phase of the ringing at their ends does not matter. The first one begins
-    # after the transients of the push.
+    # The windows are smooth, so that the phase of the oscillation at their ends has no effect. The
+    # first window begins after the transients of the push.
     windows = [
         np.where(abs(share - at) < 0.15, np.cos((share - at) * np.pi / 0.3) ** 2, 0.0)
         for at in (0.45, 0.85)
@@ -163,10 +163,10 @@ def growth_while_running(
 
 
 def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Array:
-    """Return the stiffness above which a run grows instead of decaying [N/m], shape (n,).
+    """Return the stiffness above which the amplitude of a run grows [N/m], shape (n,).
 
-    It is found by bisection for all loops at once. It is zero if the softest wall (0.1 N/m) already
-    grows.
+    It is computed by bisection for all loops at once. It is zero if the amplitude grows even with
+    the softest wall (0.1 N/m).
     """
     low = np.full(len(loops), SOFTEST_N_M)
     high = np.full(len(loops), STIFFEST_N_M)
@@ -180,11 +180,11 @@ def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Ar
 
 
 def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> StabilityMap:
-    """Compute stability charts over wall damping and over delay, around a chosen loop.
+    """Compute stability charts as functions of wall damping and delay, around a chosen loop.
 
-    The damping ranges from zero to the value that stops the mass within a step and the delay, which
-    is well above the best one. The delay ranges to eight ticks. The rows of the chart range from a
-    twentieth of the lowest to three times the highest critical stiffness.
+    The damping ranges from zero to the value that stops the mass within the delay plus one step.
+    This is far above the best damping. The delay ranges from zero to eight ticks. The stiffness
+    ranges from a twentieth of the lowest critical stiffness to three times the highest one.
     """
     step_s = chosen.tick_s * chosen.model_ticks + chosen.delay_s
     most = (chosen.mass_kg + chosen.hand_mass_kg) / step_s
@@ -193,7 +193,7 @@ def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> Sta
         values = np.linspace(0.0, highest, columns)
         loops = [replace(chosen, **{along: value}) for value in values.tolist()]
         exact = np.array([critical_stiffness_N_m(each) for each in loops])
-        # A chart needs a range even if no stiffness is stable and the chosen one is 0.
+        # A chart needs a range even if no stiffness is stable and the chosen stiffness is 0.
         found = np.append(exact[(exact > 0.0) & (exact < inf)], chosen.stiffness_N_m or 100.0)
         stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)
         lines = {

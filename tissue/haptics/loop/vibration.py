@@ -1,4 +1,4 @@
-"""Vibration of a cutter's teeth within the bandwidth of a haptic loop."""
+"""Vibration of a cutter's teeth within the bandwidth of a haptic loop, and event cues."""
 
 from fractions import Fraction
 from math import cos, inf, lcm, pi, sin, sqrt
@@ -32,18 +32,18 @@ Vibration is felt best near this frequency (Pacinian receptors).
 ENVELOPE_S = 0.05
 """Averaging time of the force envelope that scales the vibration [s].
 
-A loop that may ring at 10 Hz and above gets at most a third of the ringing back, moved to 250 Hz,
-where a hand and a device hardly move.
+A loop may oscillate at 10 Hz and above. Through the envelope, at most a third of the oscillation
+returns to the loop. It is moved to frequencies near 250 Hz, at which hand and device hardly move.
 """
 MOST_PERIOD_TICKS = 200
 """Longest period used in the stability analysis of a loop [ticks].
 
-It covers frequencies from 5 Hz at 1 kHz, with an error of at most half a per cent of f.
+At 1 kHz it allows frequencies f from 5 Hz, with an error of at most 0.5 % of f.
 """
 SLEW_SHARE = 0.5
-"""Share of the device's slew that the vibration may use.
+"""Share of the device's slew rate that the vibration may use.
 
-The other half is left to the force itself, because a loop at its slew limit rings.
+The other half is for the force itself, because a loop at its slew limit oscillates.
 """
 
 
@@ -51,10 +51,10 @@ class Vibration:
     """Zero-mean modulation of the cutting force.
 
     A cutter with N edges that turns omega / 2 pi times per second causes a force ripple at f = N
-    omega / 2 pi. Sampled at the tick rate R, a ripple above R / 2 aliases to a false slow force, at
-    the distance of f from the nearest multiple of R. Here the model force is the average over a
-    revolution, which contains no ripple. The vibration is added at f, or at the band limit if f is
-    higher.
+    omega / 2 pi. If a ripple above R / 2 is sampled at the tick rate R, aliasing turns it into a
+    false slow force. Its frequency is the difference between f and the nearest multiple of R. Here
+    the model force is the average over a revolution, without ripple. The vibration is added at the
+    frequency f, or at the band limit if f is higher.
 
     Parameters
     ----------
@@ -72,16 +72,16 @@ class Vibration:
         self._turns = self.frequency_Hz * step_s
 
     def factor(self, tick: int) -> float:
-        """Return the factor of the average force that is added to the force at a tick."""
+        """Return the vibration at a tick, divided by the average force."""
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Return the factors over the common period of vibration and model, shape (model_ticks, n).
+        """Return the factors in the common period of vibration and model, (model_ticks, n).
 
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.
         """
-        # A vibration below half the slowest frequency would round to none.
+        # A vibration below half the lowest frequency would be rounded to zero periods.
         turns = Fraction(self._turns).limit_denominator(MOST_PERIOD_TICKS) or Fraction(
             1, MOST_PERIOD_TICKS
         )
@@ -93,20 +93,20 @@ class PlayedVibration:
     """Vibration as played by a device, added to its force.
 
     Amplitude and direction follow the force averaged with a time constant tau of 0.05 s: F_v =
-    share E cos(2 pi f t) with E' = (F - E) / tau. Within a period, the vibration therefore does not
-    depend on the state of the loop. A change of the force returns through it by at most share /
-    sqrt(1 + (2 pi f tau)^2), at frequencies f to either side of the frequency of the vibration. The
-    stability analysis (`tissue.haptics.loop.sampled_loop`) includes the vibration without limit and
-    slew, which only reduce it. The amplitude is limited so that the sum stays within the largest
-    force of the device. It leaves half of the slew to the force itself, because a loop at its slew
-    limit rings.
+    share E cos(2 pi f t) with E' = (F - E) / tau. Within a period, the vibration therefore hardly
+    depends on the state of the loop. A change of the force at the frequency g returns through the
+    vibration with a factor of at most share / sqrt(1 + (2 pi g tau)^2), at the frequencies f - g
+    and f + g. The stability analysis (`tissue.haptics.loop.sampled_loop`) includes the vibration
+    without its limits, which only reduce it. The amplitude is limited so that the sum stays within
+    the largest force of the device. The vibration uses at most half of the slew rate, because a
+    loop at its slew limit oscillates.
 
     Parameters
     ----------
     vibration
-        Frequency and share of the vibration.
+        Vibration with its frequency and its share.
     limit_N, slew_N
-        Largest force of the device and its largest change in a tick [N].
+        Largest force of the device, and largest change of the force in a tick [N].
     step_s
         Length of a tick [s].
     """
@@ -131,28 +131,30 @@ class PlayedVibration:
         return level * (factor if amplitude <= most else factor * most / amplitude)
 
     def pause(self) -> None:
-        """Reset the envelope after a tick without a sample, in which no force is played."""
+        """Reset the envelope after a tick without a sample and without a played force."""
         self._tick += 1
         self._envelope.value = np.zeros(3)
 
 
 CUE_HZ = 125.0
-"""Frequency of a transient [Hz].
+"""Frequency of the transient of a cue [Hz].
 
 It lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan, 2009). It is
 an eighth of the tick rate, so that it is played smoothly.
 """
 PERIODS = 5
-"""Periods of a transient under a Hann window: 40 ms, with a half-height bandwidth of 50 Hz."""
+"""Number of periods of a transient under a Hann window."""
 APART_S = 0.1
-"""Time without contact before a first contact, and shortest time between two transients [s].
+"""Time without contact before a new first contact, and shortest time between transients [s].
 
-A transient takes 40 ms, so that two never overlap, and a tool that bounces gets one.
+A transient takes 40 ms, so that two transients never overlap. A tool that bounces causes only one
+transient.
 """
 SETTLED_S = 0.01
-"""Time for which another layer must have the largest contact area [s].
+"""Time for which a new layer must have the largest contact area [s].
 
-On a border, the two areas are nearly equal and may change places from tick to tick.
+At a border between layers, the two areas are nearly equal, and either of the two layers may have
+the larger area in a tick.
 """
 
 
@@ -175,7 +177,7 @@ class TouchEvents:
         self._for = 0
 
     def step(self, engaged_m2: Array) -> bool:
-        """Return whether an event begins in this tick, for areas by layer [m2], shape (layers,)."""
+        """Return True if an event begins in this tick, for areas by layer [m2], shape (layers,)."""
         self._quiet += 1
         layer = int(engaged_m2.argmax())
         if not engaged_m2[layer] > 0.0:
@@ -195,7 +197,7 @@ class TouchEvents:
 
 
 class Cues:
-    """Transient of each event, added to the device force along its direction, with zero mean.
+    """Transient for each event, added along the direction of the device force, with zero mean.
 
     After its start, a transient does not depend on the force. It therefore does not affect the
     stability of the loop.
@@ -205,19 +207,19 @@ class Cues:
     amplitude_N
         Largest force of a transient [N].
     limit_N, slew_N
-        Largest force of the device and its largest change in a tick [N]. The transient is reduced
-        to fit.
+        Largest force of the device, and largest change of the force in a tick [N]. The transient is
+        reduced to stay within these limits.
     tick_s
         Time between two steps [s].
     """
 
     def __init__(self, amplitude_N: float, *, limit_N: float, slew_N: float, tick_s: float) -> None:
         count = round(PERIODS / (CUE_HZ * tick_s))
-        # A sine of whole periods under a Hann window; its mean is subtracted to push the hand
-        # nowhere.
+        # A sine of whole periods under a Hann window. Its mean is subtracted, so that the hand is
+        # not displaced.
         at = (np.arange(count) + 0.5) / count
         burst = np.sin(2.0 * pi * PERIODS * at) * np.sin(pi * at) ** 2
-        # See `PlayedVibration`: the largest change of a unit sine within a tick.
+        # The largest change of a unit sine within a tick, as in `PlayedVibration`.
         most = SLEW_SHARE * slew_N / (2.0 * sin(pi * CUE_HZ * tick_s))
         self._burst = (min(amplitude_N, most) * (burst - burst.mean())).tolist()
         self._events = TouchEvents(tick_s=tick_s)
@@ -233,7 +235,8 @@ class Cues:
         if not self._left:
             return np.zeros(3)
         size = sqrt(force_N.dot(force_N))
-        # The first tick of a contact may have no force and so no direction: the transient waits.
+        # In the first tick of a contact the force may be zero and have no direction. The transient
+        # then waits.
         if not self._along.any() and size > 0.0:
             self._along = force_N / size
         if not self._along.any():
@@ -249,7 +252,7 @@ class Cues:
 
 
 class PlayedForce:
-    """Last stages of a force before the device. Every stage except the range is optional.
+    """Last stages of the force before the device. Every stage except the range is optional.
 
     Parameters
     ----------
@@ -287,7 +290,7 @@ class PlayedForce:
         self.measures = np.zeros(len(self.names))
 
     def step(self, force_N: Array, response: Response) -> tuple[Array, bool]:
-        """Return the force to play [N], shape (3,), and whether the device's range compressed it.
+        """Return the force to play [N], shape (3,), and True if the device's range compressed it.
 
         Raises
         ------
@@ -317,7 +320,7 @@ class PlayedForce:
         return wanted, compressed
 
     def pause(self) -> None:
-        """Reset all stages after a tick without a valid device sample and a played force."""
+        """Reset all stages after a tick without a valid device sample and without a force."""
         for part in (self._person, self._vibration, self._cues):
             if part is not None:
                 part.pause()

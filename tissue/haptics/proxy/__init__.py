@@ -1,1 +1,1 @@
-"""Proxy of a tool on the voxel map, and its virtual coupling to the device."""
+"""Proxy (god-object) of a tool in contact, and virtual coupling of tool and device."""

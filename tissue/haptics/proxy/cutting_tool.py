@@ -15,67 +15,70 @@ from tissue.motion.quaternion import Quaternion, exponential, product, turn_betw
 __all__ = ["CutTissue", "CuttingTool"]
 
 NATURAL_Hz = 40.0
-"""Natural frequency of the tool on its spring [Hz]; it sets the mass of the tool.
+"""Natural frequency of the tool on its spring [Hz]; it determines the mass of the tool.
 
-Chosen. It is below the rate of encoder steps, which is 91 Hz for steps of 55 um at 5 mm/s. At 28
-kN/m, as in reaming, the mass is 0.44 kg. Handpieces have 0.05 to 0.5 kg.
+Chosen. It is below the rate of encoder steps, which is 91 Hz for steps of 55 um at 5 mm/s. For a
+spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a mass of 0.05 to 0.5 kg.
 """
 DAMPING_RATIO = 1.0
-"""Ratio of the damper to that of a critically damped tool in free space.
+"""Damping ratio of the tool in free space: damper divided by critical damping.
 
 Chosen: at critical damping no encoder step makes the tool oscillate.
 """
 GYRATION_M = 0.05
-"""Radius of gyration of the tool about its tip [m], of a rod of 0.09 m; assumed."""
+"""Radius of gyration of the tool about its tip [m], equal to a rod of 0.09 m; assumed."""
 LEVER = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
-"""Divisors of a wrench, and factors of a velocity, that give six forces [N] and speeds [m/s].
+"""Lengths that convert a wrench to six forces [N] and a velocity to six speeds [m/s].
 
-They are those at the radius of gyration. The mass of all six unknowns is then that of the tool.
+The wrench is divided by them, and the velocity is multiplied. Forces and speeds of the rotation are
+those at the radius of gyration. All six unknowns then have the mass of the tool.
 """
 LEVERS = np.outer(LEVER, LEVER)
-"""Divisors of the derivatives of a wrench by a velocity that give those of forces by speeds."""
+"""Divisors for the derivatives of a wrench with respect to a velocity, see `LEVER`."""
 TOLERANCE = 1e-6
-"""Largest residual of the balance, relative to the force that drives the tool.
+"""Largest residual of the force balance, relative to the force that drives the tool.
 
-It is the rounding of forces in single precision.
+It is the rounding error of forces in single precision.
 """
 LEAST_N = 1e-4
-"""Residual that is always accepted [N], so that a tool at rest on its spring needs no step.
+"""Residual that is always accepted [N]; a tool at rest on its spring then needs no step.
 
-Chosen, far below any force that a device can play.
+Chosen; it is far below any force that a device can play.
 """
 MOST_STEPS = 24
 """Largest number of evaluations of the force in a tick.
 
-Chosen, to bound the time of a tick. After it, the tool has the last accepted velocity.
+Chosen, to limit the time of a tick. When the limit is reached, the tool has the last accepted
+velocity.
 """
 SLOW = 1e-6
-"""Velocity at which Newton's method starts again, relative to that of a free tool.
+"""Velocity at which Newton's method restarts, relative to the velocity of a free tool.
 
-Chosen: small enough that the tool starts on the ramp of the edge force, and above zero, so that the
-direction of motion is known.
+Chosen. It is so small that no edge force has reached its full value. It is above zero, so that the
+direction of motion is defined.
 """
 SHORTEST = 1e-4
-"""Share of a Newton step below which a point is accepted.
+"""Share of a Newton step below which a point is accepted without a test.
 
-Chosen. The search ends there, at a kink across which no share of the step shortens the correction.
+Chosen. The search then has reached a kink of the force, where no share of the step makes the
+correction smaller.
 """
 
 
 @runtime_checkable
 class CutTissue(Protocol):
-    """Tissue whose force on a tool is known for any velocity."""
+    """Tissue that computes the force on a tool for any velocity."""
 
     def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
-        """Find the bone around the whole tool at a pose that it would reach in a step.
+        """Find the bone around the whole tool at a pose that the tool would reach in a step.
 
         The velocity is along the axes of the tool, shape (6,).
         """
 
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
-        """Return the tangent of force and torque on the tool at a velocity in the step.
+        """Return force and torque on the tool, linearised at a velocity in the step.
 
-        All vectors are along the axes of the tool at the pose of `find_bone`.
+        The components of all vectors are along the axes of the tool at the pose of `find_bone`.
         """
 
 
@@ -86,14 +89,14 @@ class CuttingTool(HeldTool):
 
         m (v - v_before) / T = k (x_device - x - T v) + b (v_device - v) + F(v)
 
-    F is the force of the tissue in this step, a Lipschitz function of the velocity. Its elements
-    are found once, at the pose that the tool would reach with its present velocity. Newton's method
-    solves the balance. The force is differentiable except at kinks, where it has a slope on each
-    side (semi-smooth).
+    F is the force of the tissue in this step, a Lipschitz function of the velocity. The bone at the
+    cutting elements is found once, at the pose that the tool would reach with its present velocity.
+    Newton's method solves the balance. The force is differentiable except at kinks, where it has
+    different slopes on the two sides (semi-smooth).
 
-    For a device that plays torque, the angular velocity is a further unknown, with the moment of
-    inertia about the tip, the spring of rotation and its damper. For any other device, the tool
-    turns with the device.
+    For a device that plays torque, the angular velocity is also solved for. Its balance has the
+    moment of inertia about the tip, the rotational spring and a damper. For any other device, the
+    tool turns with the device.
 
     Parameters
     ----------
@@ -103,11 +106,11 @@ class CuttingTool(HeldTool):
     Attributes
     ----------
     mass_kg, damping_N_s_m
-        Mass of the tool at its tip [kg] and damper of its coupling [N s/m].
+        Mass of the tool at its tip [kg], and damper of its coupling [N s/m].
     slope_N_s_m
-        Derivative of the force of the tissue by the velocity of the tip, shape (3, 3).
+        Derivative of the tissue force with respect to the velocity of the tip, shape (3, 3).
     steps
-        Evaluations of the force in the last step.
+        Number of evaluations of the force in the last step.
     tip_m, velocity, wrench
         See `HeldTool`.
     """
@@ -127,18 +130,18 @@ class CuttingTool(HeldTool):
         self._prepared: tuple[float, float] | None = None
         self._tissue: CutTissue | None = None
         self._start = np.eye(3)
-        # rotation of the last search, and the matrix of it
+        # rotation in the last search, and its matrix
         self._searched: Quaternion | None = None
         self._rotation = np.eye(3)
 
     def meet(self, tissue: CutTissue, rotation: Array) -> None:
-        """Put the tool, with its first orientation from tool to world, into a tissue."""
+        """Set the tissue, and the first rotation from tool to world."""
         self._tissue = tissue
         self._start = rotation.copy()
         self._searched = None
 
     def rest(self) -> None:
-        """Stop the tool where it is."""
+        """Set the velocity of the tool to zero."""
         self.velocity[:] = 0.0
         self.wrench[:] = 0.0
         self.slope_N_s_m[:] = 0.0
@@ -151,7 +154,7 @@ class CuttingTool(HeldTool):
         response: Response,
         step_s: float,
     ) -> Array:
-        """Move a step towards the device, and return the tip."""
+        """Move one step towards the device, and return the tip position."""
         if self._prepared != (self.mass_kg, step_s):
             self._prepare(step_s)
         unknowns = len(self._falling)
@@ -164,7 +167,7 @@ class CuttingTool(HeldTool):
             left[3:] = turn_between(turned, device)
         if unknowns == 3:
             found[3:] = left[3:] / step_s
-        # The driving forces act at the velocity 0, and fall in proportion to the velocity.
+        # The driving forces are given at zero velocity. They decrease linearly with the velocity.
         driving = self._inertia * found[free] + self._springs * left[free]
         driving += self._dampers * velocity[free]
         if self._tissue is not None:
@@ -186,11 +189,11 @@ class CuttingTool(HeldTool):
         return self.tip_m
 
     def _prepare(self, step_s: float) -> None:
-        """Compute the terms of the balance, which are constant for a mass and a step."""
+        """Compute the terms of the balance that are constant for a mass and a step."""
         springs = np.full(3, self.stiffness_N_m)
         turning = self._turn.stiffness_Nm_rad
         if turning < inf:
-            # The spring of rotation acts like a spring at the radius of gyration.
+            # The rotational spring acts like a spring at the radius of gyration.
             springs = np.append(springs, np.full(3, turning / GYRATION_M**2))
         dampers = 2.0 * DAMPING_RATIO * np.sqrt(self.mass_kg * springs)
         inertia = self.mass_kg / step_s
@@ -206,7 +209,8 @@ class CuttingTool(HeldTool):
         """Change the velocity until ``falling u = driving + F(u)``, and set `wrench`.
 
         The unknowns u are the first three or all six components of the velocity, multiplied by
-        `LEVER`. They are solved along the axes of the tool. `velocity` is that before the step.
+        `LEVER`. They are solved along the axes of the tool. `velocity` is the velocity before the
+        step.
         """
         rotation = self._rotation
         falling = self._falling
@@ -243,8 +247,9 @@ class CuttingTool(HeldTool):
                     break
                 line.begin(self._resisting - slopes[free], missing)
             elif not is_slow:
-                # Near rest no edge force is full. A Newton step from there does not jump over
-                # the ramp of an edge force, from which a step would jump back.
+                # Near zero velocity no edge force has reached its full value. A Newton step from
+                # there does not jump over the range in which an edge force increases. From a
+                # velocity in this range, a step could jump back.
                 is_slow = True
                 line = _Line(SLOW * driven / falling)
         if not meets:
@@ -255,16 +260,16 @@ class CuttingTool(HeldTool):
         velocity[free] = best.reshape(-1, 3).dot(rotation.T).reshape(unknowns) / lever
         self.slope_N_s_m[:] = rotation.dot(slope).dot(rotation.T)
         self.wrench[3:] = rotation.dot(self.wrench[3:])
-        # The momentum is balanced exactly by the force, which changes by the residual. A change of
-        # the velocity would change the force of the tissue far more.
+        # The force is changed by the residual, so that the momentum balance is exact. A change of
+        # the velocity instead would change the force of the tissue far more.
         self.wrench[free] = lever * (falling * lever * velocity[free] - driving)
 
 
 class _Line:
-    """Points along Newton steps, by the monotonicity test of Deuflhard (2004), algorithm NLEQ-ERR.
+    """Line search along Newton steps: monotonicity test of Deuflhard (2004), algorithm NLEQ-ERR.
 
-    A point is accepted if the correction that the system at the start of the step asks for there is
-    shorter than the step. Otherwise a shorter step is tried.
+    At a trial point, the correction is computed with the matrix at the start of the step. The point
+    is accepted if this correction is shorter than the step. Otherwise a shorter step is tried.
 
     Attributes
     ----------
@@ -280,16 +285,16 @@ class _Line:
         self._share = 0.0
 
     def begin(self, matrix: Array, missing: Array) -> None:
-        """Begin a Newton step at the accepted point, with the system there and its residual."""
+        """Begin a Newton step at the accepted point, with its matrix and its residual."""
         self._start = self.tried
         self._system = matrix
         *_, self._step, _ = dgesv(matrix, missing)
-        # After a short step, the next one is at most four times as long.
+        # After a shortened step, the next step is at most four times as long.
         self._share = min(1.0, 4.0 * self._share) if self._share > 0.0 else 1.0
         self.tried = self._start + self._share * self._step
 
     def accepts(self, missing: Array) -> bool:
-        """Return whether to accept the point with this residual; else set a shorter step."""
+        """Return True to accept the point with this residual; otherwise set a shorter step."""
         share = self._share
         if share == 0.0:
             return True

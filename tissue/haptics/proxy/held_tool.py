@@ -1,4 +1,4 @@
-"""Tool coupled to a haptic device by a spring, and its quasi-static balance on soft tissue."""
+"""Tool coupled to a haptic device by a spring, with its quasi-static balance on soft tissue."""
 
 from abc import ABC, abstractmethod
 from math import inf, sqrt
@@ -13,25 +13,25 @@ from tissue.motion.quaternion import UPRIGHT, Quaternion, exponential, product, 
 __all__ = ["FADE", "HeldTool", "HeldTurn", "PressingTool"]
 
 LEAST_RAD = 1e-5
-"""Smallest rotation for an estimate of the tissue stiffness [rad]; a tool of 20 mm moves 0.2 um."""
+"""Smallest rotation for an estimate of the stiffness [rad]; a tool of 20 mm moves 0.2 um."""
 FURTHEST_RAD = 2.5
-"""Largest rotation of the spring [rad]: at pi it would pull to either side."""
+"""Largest rotation of the spring [rad]; at pi its direction would be undefined."""
 
 
 class HeldTurn:
     """Rotation of the tool from its first orientation, as a unit quaternion.
 
-    Spring and tissue balance, k theta + T = 0. Here theta is the rotation vector from tool to
-    device, and T the torque on the tool about its tip. One Newton step per tick uses the torque of
-    the last tick. An isotropic stiffness of the tissue is estimated from the change of torque along
-    the last rotations of the tool. A larger value is used at once, a smaller one gradually. Without
-    a torque, the tool has the orientation of the device.
+    The torques of spring and tissue balance: k theta + T = 0. Here theta is the rotation vector
+    from tool to device, and T the torque on the tool about its tip. One Newton step per tick uses
+    the torque of the last tick. An isotropic stiffness of the tissue is estimated from the change
+    of torque along the last rotations of the tool. A larger estimate is used at once, and a smaller
+    estimate gradually. Without a torque, the tool has the orientation of the device.
 
     Parameters
     ----------
     stiffness_Nm_rad
-        Stiffness of the spring, in the tissue's newton metres [N m/rad]; infinite for a tool that
-        turns with its device.
+        Stiffness of the spring, for torques at the tissue [N m/rad]; infinite for a tool that turns
+        with its device.
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:
@@ -42,7 +42,7 @@ class HeldTurn:
         self._torque = np.zeros(3)
 
     def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
-        """Take a Newton step of the balance, and return the rotation of the tool.
+        """Compute a Newton step of the balance, and return the rotation of the tool.
 
         ``torque_Nm`` is the torque on the tool [N m], shape (3,).
         """
@@ -53,7 +53,8 @@ class HeldTurn:
         self._learn(torque_Nm)
         difference = np.array(turn_between(self.quaternion, device))
         turn = (spring * difference + torque_Nm) / (spring + self._learnt)
-        # The tissue would have to pull instead of push: the estimated stiffness is too small.
+        # The tissue would have to pull instead of push, because the estimated stiffness is too
+        # small.
         if float((turn - difference).dot(torque_Nm)) <= 0.0:
             self.quaternion = device
             return device
@@ -76,32 +77,33 @@ class HeldTurn:
 
 
 FADE = 0.8
-"""Factor per tick by which a remembered resistance or stiffness decays.
+"""Factor per tick with which a stored resistance or stiffness decays.
 
-It falls to a tenth in 10 ticks, about the time between two encoder steps of a slow hand, so that a
-tool does not jump between free space and contact in between.
+A value falls to a tenth in 10 ticks, about the time between two encoder steps at a slow motion. A
+tool therefore does not jump between free space and contact between two encoder steps.
 """
 LEAST_M = 2e-6
 """Smallest displacement for an estimate of the tissue stiffness [m].
 
-It is far below an encoder step (55 um on a Touch), and far above the rounding of the quotient.
+It is far below an encoder step (55 um on a Touch), and far above the rounding error.
 """
 
 
 class HeldTool(ABC):
-    """Law for the pose of a tool; its spring force is stiffness times distance to the device.
+    """Law for the pose of a tool that is coupled to a device by a spring.
 
-    The device pose is expressed as the desired tool pose: position in metres of the tool, and
-    rotation from the first orientation.
+    The spring force is the stiffness times the distance from tool to device. The device pose is
+    given as the pose that the tool should have: position [m] at the scale of the tool, and rotation
+    from the first orientation.
 
     Parameters
     ----------
     stiffness_N_m
-        Stiffness of the spring, in the tissue's newtons [N/m].
+        Stiffness of the spring, for forces at the tissue [N/m].
     tip_m
         Start position of the tip [m], shape (3,).
     turn
-        Spring of rotation; without it, the tool turns with the device.
+        Rotational spring; without it, the tool turns with the device.
 
     Attributes
     ----------
@@ -111,8 +113,8 @@ class HeldTool(ABC):
         Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,); None for a tool without
         inertia.
     wrench
-        Force [N] of the tissue and its torque about the tip [N m] in the last step, shape (6,);
-        None for a tool without inertia.
+        Force [N] of the tissue, and torque about the tip [N m], in the last step, shape (6,); None
+        for a tool without inertia.
     """
 
     velocity: Array | None = None
@@ -137,21 +139,21 @@ class HeldTool(ABC):
         response: Response,
         step_s: float,
     ) -> Array:
-        """Move a step towards the device [m], and return the tip.
+        """Move one step towards the device [m], and return the tip position.
 
         ``velocity`` is the smoothed velocity of the device [m/s] and its spin [rad/s], shape (6,).
         ``response`` is the last response of the tissue.
         """
 
     def lands(self, response: Response) -> bool:
-        """Return whether the response at the new position requires another step within the tick.
+        """Return True if the response at the new position requires another step in this tick.
 
-        It does if a free tool has entered the tissue.
+        This is the case if a free tool has entered the tissue.
         """
         return False
 
     def rest(self) -> None:
-        """Stop the tool where it is; a tool without inertia always does."""
+        """Stop the tool. A tool without inertia needs nothing for this."""
         return
 
 
@@ -161,9 +163,9 @@ class PressingTool(HeldTool):
     The tip balances spring and tissue, k (x_device - x) + F(x) = 0. One Newton step per tick uses
     the force F and the stiffness K of the last tick: x' = x + (k + K)^-1 (k (x_device - x) + F).
     For a tissue without a known K, an isotropic stiffness is estimated from the change of force
-    along the last motions of the tip. A larger value is used at once, a smaller one gradually. If
-    the balance required the tissue to pull instead of push, it is not used. The tip is then at the
-    device, as it is without contact.
+    along the last motions of the tip. A larger estimate is used at once, and a smaller estimate
+    gradually. If the tissue had to pull instead of push in the balance, the balance is not used.
+    The tip is then at the device, as without contact.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -182,7 +184,7 @@ class PressingTool(HeldTool):
         response: Response,
         step_s: float,
     ) -> Array:
-        """Take a Newton step of the balance."""
+        """Compute a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])
         force = response.wrench[:3]
         tip = self.tip_m
@@ -207,7 +209,7 @@ class PressingTool(HeldTool):
         return tip
 
     def lands(self, response: Response) -> bool:
-        """Return whether a free tool has entered the tissue."""
+        """Return True if a free tool has entered the tissue."""
         return self._free and any(response.wrench[:3].tolist())
 
     def _learn(self, force_N: Array) -> None:

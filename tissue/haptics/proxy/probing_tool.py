@@ -1,4 +1,4 @@
-"""Tool that does not spin or cut; its surface is in contact with rigid bone."""
+"""Tool that does not spin or cut, in contact with rigid bone."""
 
 from math import inf, sqrt
 
@@ -18,19 +18,19 @@ from tissue.motion.quaternion import Quaternion
 __all__ = ["ProbedBone", "ProbingTool"]
 
 RIGID_LEVER_M = 10.0
-"""Lever of the spring of rotation for a device that imposes its rotation [m].
+"""Lever of the rotational spring for a device that imposes its rotation [m].
 
-It is a hundred times the lever of any tool, so that contacts turn the tool by 1e-4 of what they
-would with its own lever (the compliance is 1 / lever^2).
+It is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2, so that
+contacts turn the tool only by 1e-4 of the rotation with the tool's own lever.
 """
 
 
 class ProbingTool(HeldTool):
     """God-object of a tool of any shape: its pose without penetration.
 
-    Contacts of the shell points with the bone balance the springs of translation and rotation, see
-    :class:`tissue.haptics.proxy.proxy.Proxy`. The bone is read in place, in voxels that other parts
-    may carve.
+    The contact forces at the shell points balance the springs of translation and rotation, see
+    :class:`tissue.haptics.proxy.proxy.Proxy`. The voxels of the bone are not copied, so that other
+    parts of the program may carve them.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -42,9 +42,9 @@ class ProbingTool(HeldTool):
         self.proxy: Proxy | None = None
 
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
-        """Place the tool at its start, with the field that it may touch.
+        """Place the tool at its first pose, and set the field that it may touch.
 
-        There, the shell is in the world's axes.
+        At this pose, the axes of the shell are those of the world.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class ProbingTool(HeldTool):
         response: Response,
         step_s: float,
     ) -> Array:
-        """Move as close to the device as the contacts allow, and return the tip."""
+        """Move as close to the device as the contacts allow, and return the tip position."""
         assert self.proxy is not None, "a probing tool must meet something first"
         result = self.proxy.advance(device_m, np.array(device))
         self.tip_m[:] = result.position_m
@@ -75,9 +75,9 @@ class ProbingTool(HeldTool):
 class ProbedBone(FreeSpace):
     """Rigid and unchanged voxels under a tool that does not cut.
 
-    Its measures are the number of pressing contacts, and 1 if the god-object ran out of steps
-    before it settled. ``engaged_m2`` is the share of the surface per shell point times the number
-    of contacts. It is booked to the layer at the centre of pressure.
+    The measures are the number of contacts with force, and 1 if the god-object did not settle
+    within its steps, otherwise 0. ``engaged_m2`` is the area per shell point times the number of
+    contacts. It is assigned to the layer at the centre of pressure.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class ProbedBone(FreeSpace):
     shell
         Surface of the tool, in its own frame.
     area_m2
-        Area of that surface [m2].
+        Area of the tool's surface [m2].
     tool
         Tool that is pressed against the bone.
     device
@@ -117,12 +117,12 @@ class ProbedBone(FreeSpace):
         self._field = ContactField(store=self.store)
 
     def place(self, motion: ToolMotion) -> None:
-        """Place the tool at its start.
+        """Place the tool at its first pose.
 
         Raises
         ------
         InputError
-            If the start is inside the bone.
+            If the first pose is inside the bone.
         """
         turn = motion.rotation.T
         shell = ToolShell(self._shell.points_m @ turn, self._shell.normals @ turn)
@@ -161,7 +161,7 @@ class ProbedBone(FreeSpace):
         """
         volume = self._volume
         size = float(np.sqrt(push_m @ push_m))
-        # The point is on the surface, and may lie in a voxel without bone.
+        # The point itself is on the surface and may lie in a voxel without bone.
         inward = -0.5 * volume.spacing_m / size * push_m if size > 0.0 else 0.0
         at = np.floor((point_m + inward - volume.origin_m) / volume.spacing_m).astype(int)
         return int(volume.layer[tuple(np.clip(at, 0, np.array(volume.shape) - 1))])

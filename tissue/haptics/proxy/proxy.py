@@ -1,10 +1,10 @@
 """God-object: pose of a tool without penetration, in three or six degrees of freedom.
 
-The device follows the hand, even through walls. The proxy follows the device as far as possible and
-stays outside. The coupling between both, see `tissue.haptics.renderer.ProxyRenderer`, is the force
-on the hand. The proxy is the static equilibrium of the tool between the coupling springs and the
-contacts. It is reached by local descent from the last proxy. A search for the nearest free point
-would end on the far side of a thin wall.
+The device follows the hand and may enter solids. The proxy follows the device as far as possible
+and stays outside. The coupling between device and proxy gives the force on the hand, see
+`tissue.haptics.renderer.ProxyRenderer`. The pose of the proxy is the static equilibrium of the tool
+between the coupling springs and the contacts. It is reached by local descent from the last pose. A
+search for the nearest free point could instead end on the far side of a thin wall.
 """
 
 from dataclasses import dataclass, field
@@ -43,7 +43,7 @@ __all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Proxy", "ProxyResult", "
 FELT_VOXELS = 0.5 * sqrt(3.0)
 """Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30
-"""Clearance where there is no bone at all [m]; finite in single precision."""
+"""Clearance if there is no bone at all [m]; the number is finite in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class HalfSpace:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Box.
+    """Solid box.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """Ball with centre ``centre_m`` [m], shape (3,), and radius ``radius_m`` [m]."""
+    """Solid ball with centre ``centre_m`` [m], shape (3,), and radius ``radius_m`` [m]."""
 
     centre_m: Array
     radius_m: float
@@ -93,19 +93,19 @@ Solid = HalfSpace | Box | Ball
 
 
 class ContactField:
-    """Solids, and optionally the bone in a store, as arrays for the proxy kernels.
+    """Solids, and optionally bone in voxels, as arrays for the proxy kernels.
 
     Parameters
     ----------
     *solids
-        Exact convex solids. A concave object consists of several solids: an inner corner is two
-        half-spaces.
+        Exact convex solids. A concave object consists of several solids. For example, an inner
+        corner consists of two half-spaces.
     store
-        Bone that may be carved during contact. Its surface is where the trilinear fraction is 1/4,
-        about a quarter of a voxel outside the true surface. A tool with normals corrects for this
-        offset; see :mod:`kernels.voxmap`.
+        Bone that may be carved during contact. Its contact surface has a trilinear fraction of 1/4,
+        and lies about a quarter of a voxel outside the true surface. A tool with normals corrects
+        for this offset; see :mod:`kernels.voxmap`.
     device
-        Warp device name; the device of a store takes precedence.
+        Warp device name. If a store is given, the device of the store is used.
     """
 
     def __init__(
@@ -135,11 +135,12 @@ class ContactField:
         self.arrays = arrays
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return distances to the nearest solid [m] and outward directions at points.
+        """Return the distances of points to the nearest solid [m], and the outward directions.
 
         The shapes are (n,) for distances, and (n, 3) for directions and points. The distances are
-        exact for solids. For voxels, the distance to the contact surface is first-order accurate
-        within half a voxel of it. Farther away, it is a lower bound and the direction is (0, 0, 0).
+        exact for solids. For voxels, the distance to the contact surface is accurate to first order
+        within half a voxel of this surface. Farther away, the distance is a lower bound and the
+        direction is (0, 0, 0).
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
@@ -160,7 +161,7 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
     match solid:
         case HalfSpace():
             z = np.asarray(solid.normal, dtype=np.float64) / np.linalg.norm(solid.normal)
-            # The axis that is farthest from the normal: the cross product never vanishes.
+            # With the axis that is farthest from the normal, the cross product is never zero.
             helper = np.eye(3)[int(np.argmin(np.abs(z)))]
             x = helper - z * (helper @ z)
             x /= np.linalg.norm(x)
@@ -172,9 +173,9 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Return a lower bound of the distance from cells of voxels to the contact range of bone [m].
+    """Return a lower bound of the distance from cells to the contact range of bone [m].
 
-    The bound holds anywhere in each cell.
+    The bound is valid everywhere in a cell.
     """
     counts = [ceil(n / CELL) for n in holds.shape]
     padded = np.pad(
@@ -184,14 +185,15 @@ def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32
     full = padded.reshape(x, CELL, y, CELL, z, CELL).any(axis=(1, 3, 5))
     if not full.any():
         return np.full(counts, NOWHERE_M, dtype=np.float32)
-    # Centres are compared, and a point lies up to half a diagonal from its centre, in both cells.
+    # Distances are computed between centres, but points of the two cells may lie half a diagonal
+    # from these centres.
     cells = distance_transform_edt(~full) - sqrt(3.0)
     return np.maximum(spacing_m * (CELL * cells - FELT_VOXELS), 0.0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class ToolShell:
-    """Surface points of a tool in its own frame: origin at the tip, z from tip to shank.
+    """Surface points of a tool in its frame: the origin is the tip, z runs from tip to shank.
 
     Attributes
     ----------
@@ -200,8 +202,8 @@ class ToolShell:
     normals
         Outward unit normals, shape (n, 3); zero where a point has no normal.
     radius_m
-        Radius of a ball around every point [m]. A tool of several balls is exact on solids. Voxels
-        are tested only against points.
+        Radius of a ball around every point [m]. For solids, the balls are exact. For voxels, only
+        the points are tested.
     """
 
     points_m: Array
@@ -214,7 +216,7 @@ class ToolShell:
     ) -> "ToolShell":
         """Return one exact ball of ``radius_m`` [m].
 
-        With radius 0, it is the point of the classical god-object.
+        With radius 0, the tool is the point of the classical god-object.
         """
         return cls(np.array([centre_m], dtype=np.float64), np.zeros((1, 3)), radius_m)
 
@@ -222,8 +224,9 @@ class ToolShell:
     def of_cutter(cls, cutter: Cutter, *, point_count: int = 700) -> "ToolShell":
         """Return about ``point_count`` points over the cutting surface of a cutter.
 
-        The default keeps a tick below 1 ms: a ball of 4 mm on rough voxels of 0.2 mm takes 0.2 ms
-        at the 99th percentile with 700 points, 0.9 ms with 1400 and 4 ms with 2800.
+        With the default, a tick takes less than 1 ms. For a ball of 4 mm on rough voxels of 0.2 mm,
+        the 99th percentile of the time is 0.2 ms with 700 points, 0.9 ms with 1400 points and 4 ms
+        with 2800 points.
         """
         shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / point_count) ** 0.5)
         return cls(shell.points_m, shell.normals)
@@ -235,25 +238,26 @@ class ToolShell:
 
 
 STEP_M = 2.5e-4
-"""Longest step near solids [m]; chosen. The tests on exact solids also pass with 1 and 10 mm."""
+"""Longest step near solids [m]; chosen. The tests with exact solids also pass with 1 and 10 mm."""
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel].
 
-On rough voxels of 0.2 mm, points of a burr sink in by up to 11 um with steps of 1, and by 23 um
-with steps of 2. The bound of the tests is 10 um.
+On rough voxels of 0.2 mm, points of a burr penetrate by up to 11 um with steps of 1 voxel, and by
+23 um with steps of 2 voxels. The tests allow 10 um.
 """
 TOLERANCE_M = 1e-12
 TOLERANCE_VOXELS = 1e-3
-"""Step below which the proxy has settled [m], [voxel].
+"""Steps below which the proxy has settled [m], [voxel].
 
-The first value covers rounding near exact solids. The second is a thousandth voxel near voxels.
+The first value is for exact solids, where it allows for rounding. The second value, a thousandth of
+a voxel, is for voxels.
 """
 STEP_LIMIT = 64
 SOLVE_LIMIT = 150
-"""Largest number of steps and of active-set solves in a tick; the rest is done in the next tick.
+"""Largest numbers of steps and of active-set solves in a tick.
 
-On a jerky path over rough voxels, 6 of 1500 ticks reach these limits. Half of them leave 49 ticks
-unsettled.
+The motion then continues in the next tick. On a jerky path over rough voxels, 6 of 1500 ticks reach
+these limits. With half of the limits, 49 ticks do not settle.
 """
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
@@ -265,7 +269,7 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 @dataclass
 class ProxyResult:
-    """State of the proxy, reused from tick to tick.
+    """State of the proxy; every tick overwrites it.
 
     Attributes
     ----------
@@ -274,13 +278,14 @@ class ProxyResult:
     quaternion
         Rotation from tool to world (x, y, z, w), shape (4,).
     settled
-        False if the steps of a tick ran out. The proxy then continues in the next tick.
+        False if the proxy did not settle within the steps of a tick. It then continues in the next
+        tick.
     contacts
-        Number of pressing contacts.
+        Number of contacts with force.
     push_m, push_moment_m2
-        Sum of the contact forces on the tool, and of their moments about its origin, both divided
-        by the coupling stiffness k. Multiplied by k, they are in N and N m. They balance the
-        coupling springs once the proxy has settled.
+        Sum of the contact forces on the tool, and sum of their moments about its origin, each
+        divided by the coupling stiffness k. Multiplied by k, the sums are in N and N m. When the
+        proxy has settled, they balance the coupling springs.
     arm_m
         Vector from the tool's origin to the centre of pressure, in the world's axes [m], shape
         (3,).
@@ -305,8 +310,8 @@ class Proxy:
     field
         Solids and bone that the tool may touch.
     lever_m
-        Square root of the coupling's rotational stiffness over its stiffness [m]; None for three
-        degrees of freedom, in which the tool keeps its initial orientation.
+        Square root of the ratio of the coupling's rotational stiffness to its stiffness [m]. None
+        for three degrees of freedom; the tool then keeps its initial orientation.
     friction
         Coulomb's coefficient.
     """
@@ -341,7 +346,7 @@ class Proxy:
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
         self._goal.host[_ROTATION] = self._state.host[_ROTATION] = _IDENTITY
-        self._field = field  # the recorded launch reads its arrays
+        self._field = field  # the recorded kernel launch reads the arrays of the field
         self._launch = wp.launch(
             advance_proxy,
             dim=1,
@@ -389,7 +394,7 @@ class Proxy:
         Raises
         ------
         InputError
-            If a number is not finite; the proxy then keeps its pose.
+            If a number is not finite. The proxy then keeps its pose.
         """
         self._aim(position_m, quaternion)
         self._run()
@@ -409,7 +414,7 @@ class Proxy:
         self._goal.push()
 
     def _run(self) -> None:
-        """Launch the tick and read its results."""
+        """Launch the kernel of a tick and read its results."""
         self._launch.launch()
         self._state.pull()
         self._report.pull()

@@ -1,1 +1,1 @@
-"""Real haptic devices: adapters, workspace mapping, and search for connected devices."""
+"""Real haptic devices: adapters, mapping of the workspace, and search for connected devices."""

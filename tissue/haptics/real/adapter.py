@@ -1,4 +1,4 @@
-"""Adapters of real haptic devices: their base, a recorded motion as a device, and their search."""
+"""Adapters of real haptic devices: base class, recorded motion as a device, and search."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -39,36 +39,36 @@ ADAPTERS = {
     "network": ("network", "NetworkAdapter"),
     "recorded": ("adapter", "RecordedAdapter"),
 }
-"""Module of this package and class that opens a real device, by the device's name."""
+"""Module in this package, and class, that open a real device, by the name of the device."""
 
 
 class HardwareSample(NamedTuple):
-    """Newest sample of a device, in the device's own frame and SI units."""
+    """Newest sample of a device, in the frame of the device and in SI units."""
 
     position_m: Triple
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
     quaternion: Quaternion = UPRIGHT
     spin_rad_s: Triple = (0.0, 0.0, 0.0)
     buttons: int = 0
-    """Bit i is set while button i is held."""
+    """Bit mask in which bit i is set while button i is held."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDevice:
-    """Device found by a search, or the reason that its adapter cannot search.
+    """Device found by a search, or the reason for which its adapter cannot search.
 
     Attributes
     ----------
     name
         Value of a scene's key ``device``.
     where
-        Address, serial number or path of the library; empty without a device.
+        Address, serial number, or path of the library; empty without a device.
     detail
-        Model and firmware, as stated by the device.
+        Model and firmware, as reported by the device.
     limits
         Limits of the device; None without a device.
     problem
-        One sentence with the missing part and its source; empty if the device can be opened.
+        One sentence with the missing part and where to get it; empty if the device can be opened.
     """
 
     name: str
@@ -79,24 +79,24 @@ class FoundDevice:
 
 
 class HardwareAdapter(ABC):
-    """Real device in its own frame; a `MappedDevice` turns it into a `Device`.
+    """Real device in its own frame. `MappedDevice` makes a `Device` from it.
 
-    Entering the adapter opens the device. Leaving it removes all force and closes the device.
-    ``close`` removes all force by other means than ``push`` and may be called repeatedly and from
-    another thread.
+    An adapter is a context manager. Entering it opens the device. Leaving it removes all force and
+    closes the device. ``close`` removes all force by other means than ``push``. It may be called
+    repeatedly, and from another thread.
 
     Parameters
     ----------
     hardware
-        Its ``address`` selects the device; empty for the usual one.
+        Settings of the device. Their ``address`` selects the device; empty for the default device.
 
     Attributes
     ----------
     limits
-        Limits of the device, used to judge the loop and to limit forces.
+        Limits of the device, used to check the stability of the loop and to limit forces.
     releases
-        Number of times that the adapter has removed the force by itself. The force must then begin
-        at zero.
+        Number of times that the adapter has removed the force by itself. After each time the force
+        must increase from zero.
     """
 
     name: ClassVar[str]
@@ -125,7 +125,7 @@ class HardwareAdapter(ABC):
 
     @abstractmethod
     def poll(self) -> HardwareSample | None:
-        """Return the newest sample; None if there is no new one since the last call.
+        """Return the newest sample; None if there is no new sample since the last call.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class HardwareAdapter(ABC):
 
     @abstractmethod
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque on the hand, in the device's frame, until the next call."""
+        """Play force and torque on the hand, in the device's frame, until the next call."""
 
     @abstractmethod
     def close(self) -> None:
@@ -147,7 +147,7 @@ class HardwareAdapter(ABC):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the connected devices of this kind, or the reason for none."""
+        """Return the connected devices of this kind, or the reason why there are none."""
         return []
 
     @classmethod
@@ -160,21 +160,23 @@ class HardwareAdapter(ABC):
 
     @classmethod
     def missing(cls, problem: object, where: str = "") -> list[FoundDevice]:
-        """Return the reason that a search has found no device."""
+        """Return the reason why a search has found no device."""
         return [FoundDevice(name=cls.name, where=where, problem=str(problem))]
 
 
 class RecordedAdapter(HardwareAdapter):
-    """Poses of a file, one for each call of `poll`; after the last one, the force fades.
+    """Device that plays the poses of a file, one pose for each call of `poll`.
 
-    A run plays the poses at their recorded positions: its tool starts at the first pose. Unlike
-    ``motion.kind = "replay"``, which moves the tool itself, the poses move the device. Coupling,
-    prediction and commanded force are those for a hand with this motion.
+    After the last pose the force fades. The poses are played at their recorded positions, so that
+    the tool of a run starts at the first pose. The poses move the device, whereas ``motion.kind =
+    "replay"`` moves the tool itself. Coupling, prediction and commanded force are those for a hand
+    with this motion.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is a file as for ``motion.file``, such as a run's trace.csv.
+        Settings of the device. Their ``address`` is a file as for ``motion.file``, such as a run's
+        trace.csv.
 
     Raises
     ------
@@ -184,7 +186,7 @@ class RecordedAdapter(HardwareAdapter):
 
     name = "recorded"
     bounds_itself = True
-    """No reach is applied, because a file has no arm that bounds its positions."""
+    """True, so that no reach is checked: a file has no arm that bounds its positions."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)
@@ -200,7 +202,7 @@ class RecordedAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the file as a device, or the reason for none."""
+        """Return the file as a device, or the reason why it cannot be used."""
         from tissue.scene.coupling import Hardware
 
         try:
@@ -211,7 +213,7 @@ class RecordedAdapter(HardwareAdapter):
         return [cls.found(address, f"{lasts:g} s of poses")]
 
     def open(self) -> None:
-        """Begin at the first pose."""
+        """Start at the first pose."""
         self._next = 0
 
     def poll(self) -> HardwareSample | None:
@@ -222,7 +224,7 @@ class RecordedAdapter(HardwareAdapter):
         return self._samples[self._next - 1]
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Ignore a force and a torque."""
+        """Ignore a force and a torque, because a file has no motors."""
 
     def close(self) -> None:
         """End the recording."""
@@ -230,13 +232,13 @@ class RecordedAdapter(HardwareAdapter):
 
 
 def _samples(path: Path) -> list[HardwareSample]:
-    """Return the poses of a file at every tick, with their rates of change."""
+    """Return the poses of a file at every tick, with their velocities."""
     from scipy.spatial.transform import Rotation
 
     with names_of_caller({"motion.file": "hardware.address"}):
         motion = read_replay(path, step_s=TICK_S)
     tips = motion.sweep_m()
-    # Speeds need two poses.
+    # Velocities need two poses.
     if len(tips) < 2:
         raise InputError(
             "hardware.address",
@@ -255,12 +257,12 @@ def checked_url(
 ) -> tuple[SplitResult, str, int]:
     """Return the parts of ``hardware.address`` as a URL, with its host and port.
 
-    Port 0 means any free port of this machine, so it is valid only with `any_port`.
+    Port 0 means any free port of this computer, so that it is valid only with `any_port`.
 
     Raises
     ------
     InputError
-        If it has another scheme, no host, no port, or a path.
+        If the address has another scheme, no host, no port, or a path.
     """
     try:
         parts = urlsplit(address)
@@ -276,7 +278,7 @@ def checked_url(
 
 
 def adapter_class(name: str) -> type[HardwareAdapter]:
-    """Return the class of the adapter that opens a device, called with the scene's `Hardware`."""
+    """Return the adapter class of a device. Call it with the `Hardware` of the scene."""
     module, attribute = ADAPTERS[name]
     found: type[HardwareAdapter] = getattr(
         import_module(f"tissue.haptics.real.{module}"), attribute
@@ -285,9 +287,10 @@ def adapter_class(name: str) -> type[HardwareAdapter]:
 
 
 def devices() -> list[FoundDevice]:
-    """Return the real devices of this machine, and the reason for each kind without one.
+    """Return the real devices of this computer; for each missing kind, return the reason.
 
-    A search takes seconds: it opens each device for a moment and waits for one on the network.
+    A search takes some seconds: it opens each device for a moment, and waits for a device on the
+    network.
     """
     found: list[FoundDevice] = []
     for name in DEVICES:

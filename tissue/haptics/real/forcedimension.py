@@ -1,8 +1,9 @@
 """Adapters for devices of Force Dimension, with forcedimension-core.
 
-The package loads the vendor's library at run time. Facts from forcedimension-core 1.0.0: every call
-takes the number of the device, returns -1 for an error, and fills a buffer. Positions are in m.
-Matrices contain the axes of the handle as columns. x points to the hand, y to its right, z up.
+The package loads the vendor's library at run time. The following is from forcedimension-core 1.0.0.
+Every call takes the number of the device, returns -1 for an error, and fills a buffer. Positions
+are in m. Matrices contain the axes of the handle as columns. x points to the hand, y to its right,
+z up.
 """
 
 from collections import Counter
@@ -23,11 +24,12 @@ __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 
 FAILED = -1
 UNCHANGED = 1
-"""Return values of a call: error, and no new data so soon after the last call (TIMEGUARD)."""
+"""Return values of a call: error; no new data, because the last call was too recent (TIMEGUARD)."""
 MOST_FAILURES = 100
-"""Number of consecutive failed calls after which the device counts as lost.
+"""Number of consecutive failed calls after which the device is treated as lost.
 
-Two calls in each tick take 50 ms, after which the force of a silent device is removed anyway.
+With two calls in each tick, this takes 50 ms. After this time the force of a silent device is
+removed anyway.
 """
 MISSING = (
     "must be installed for a device of Force Dimension, got none. Run pip install "
@@ -35,19 +37,20 @@ MISSING = (
     "forcedimension.com"
 )
 _OPEN: Counter[int] = Counter()
-"""Number of adapters of this process that have a device open, by the library's number."""
+"""Number of adapters of this process that use an open device, by the library's number."""
 
 
 class ForceDimensionAdapter(HardwareAdapter):
-    """Device of Force Dimension whose wrist, if any, has no motors, such as the omega.6.
+    """Device of Force Dimension without motors for rotation, such as the omega.6.
 
-    Each call queries the device by USB and returns within a fraction of a millisecond. The calls
-    therefore run in the loop's thread. The orientation of a wrist without motors is read.
+    Each call queries the device over USB and returns within a fraction of a millisecond. The calls
+    therefore run in the thread of the loop. If the device has a wrist without motors, its
+    orientation is read.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is the device's serial number; empty for the first device.
+        Settings of the device. Their ``address`` is the serial number; empty for the first device.
 
     Raises
     ------
@@ -57,7 +60,7 @@ class ForceDimensionAdapter(HardwareAdapter):
 
     name = "forcedimension"
     has_motors = False
-    """True if the wrist has motors."""
+    """True if the device has a wrist with motors."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)
@@ -79,14 +82,15 @@ class ForceDimensionAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the connected devices of this kind, or the reason for none.
+        """Return the connected devices of this kind, or the reason why there are none.
 
         Each device is opened for a moment.
         """
         try:
             dhd = _library()
         except InputError as error:
-            # Both classes need the same library: only one of them reports that it is missing.
+            # This class and `SigmaAdapter` need the same library. Only one of them reports that it
+            # is missing.
             return [] if cls.has_motors else cls.missing(error)
         found = []
         for index in range(max(dhd.getDeviceCount(), 0)):
@@ -99,11 +103,12 @@ class ForceDimensionAdapter(HardwareAdapter):
                 serial = str(dhd.getSerialNumber(number))
                 model = dhd.getSystemName(number) or "unknown model"
             finally:
-                if not _OPEN[number]:  # closing would end the run of an adapter that uses it
+                if not _OPEN[number]:  # closing would end another adapter's run
                     dhd.close(number)
             if address in ("", serial):
                 found.append(cls.found(serial, model))
-        # Both classes search the same library: only one of them reports that nothing is connected.
+        # The two classes search with the same library. Only one of them reports that nothing is
+        # connected.
         if not found and not cls.has_motors:
             return cls.missing("a device must be connected, got none. Check power and cable")
         return found
@@ -134,7 +139,7 @@ class ForceDimensionAdapter(HardwareAdapter):
             raise InputError(_refused(dhd))
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest pose; None if the device was not queried again, or did not answer."""
+        """Return the newest pose; None if the device was not queried again or did not answer."""
         dhd = self._dhd
         number = self._id
         if self._has_wrist:
@@ -144,8 +149,8 @@ class ForceDimensionAdapter(HardwareAdapter):
         self._count(answer)
         if answer in (FAILED, UNCHANGED):
             return None
-        # Both calls need two positions within their window, and fail before. The device then
-        # counts as resting.
+        # The two velocity calls fail until there are two positions within their time window. Until
+        # then the velocity is set to zero.
         moves = dhd.getLinearVelocity(self._velocity, number) != FAILED
         turns = self._has_wrist and dhd.getAngularVelocityRad(self._spin, number) != FAILED
         (x, y, z) = self._position
@@ -156,12 +161,12 @@ class ForceDimensionAdapter(HardwareAdapter):
             (vx, vy, vz) if moves else NOTHING,
             of_matrix(self._matrix) if self._has_wrist else UPRIGHT,
             (wx, wy, wz) if turns else NOTHING,
-            # The vendor's mask has 32 bits, and so has the one of `HardwareSample`.
+            # The vendor's bit mask has 32 bits, like the mask of `HardwareSample`.
             dhd.getButtonMask(number) & 0xFFFFFFFF,
         )
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and, with motors in the wrist, a torque, until the next call."""
+        """Play a force until the next call, and a torque if the wrist has motors."""
         torque = torque_Nm.tolist() if self.has_motors else NOTHING
         self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
 
@@ -180,7 +185,7 @@ class ForceDimensionAdapter(HardwareAdapter):
                 call()
 
     def _count(self, answer: int) -> None:
-        """Count consecutive failed calls, and give up a device that does not answer."""
+        """Count consecutive failed calls, and raise an error if the device does not answer."""
         self._failures = self._failures + 1 if answer == FAILED else 0
         if self._failures >= MOST_FAILURES:
             raise DeviceError(_refused(self._dhd))
@@ -189,7 +194,7 @@ class ForceDimensionAdapter(HardwareAdapter):
 class SigmaAdapter(ForceDimensionAdapter):
     """Device of Force Dimension whose wrist has motors, such as the sigma.7.
 
-    It also plays torque.
+    The device also plays torque.
     """
 
     name = "sigma-7"

@@ -1,13 +1,16 @@
 """Adapter for Haply's Inverse3 with the Inverse Service.
 
-The device plays force in three degrees of freedom. Its handle provides orientation and buttons. Not
-for clinical use. Tested with a stand-in that uses the documented protocol, not with the device.
+The device plays force in three degrees of freedom. Its handle provides orientation and buttons. The
+adapter is not for clinical use. It was tested with a stand-in that uses the documented protocol,
+and not with the device.
 
 A thread sends the newest force and receives the newest state. The service answers every frame with
-one state, and plays a force while it is sent again. At most one frame therefore waits for its
-answer. The answer belongs to the previous force, and a sample is no older than its exchange. Frames
-do not identify the request that they answer. After a late answer, zero is sent. The thread then
-sends nothing more until all pending answers have arrived or are given up.
+one state. It plays a force only as long as the force is sent again and again. The thread sends a
+frame only after the answer to the frame before, so that at most one answer is pending. An answer
+contains the state under the force that was sent before. A sample is therefore not older than one
+exchange of a frame and its answer. Answers do not identify the frame to which they belong. If an
+answer is late, zero force is sent. The thread then sends nothing more until all pending answers
+have arrived or are treated as lost.
 """
 
 import socket
@@ -42,35 +45,35 @@ __all__ = ["HaplyAdapter"]
 
 
 PERIOD_S = 1e-3
-"""Longest time between an answer and the next frame [s]: a tick."""
+"""Longest time between an answer and the next frame [s]: one tick."""
 ANSWER_S = 0.02
-"""Longest time for an answer [s].
+"""Longest wait for an answer [s].
 
-It is the default of ``hardware.watchdog_ms``. The vendor states no time.
+It equals the default of ``hardware.watchdog_ms``. The vendor does not give a time.
 """
 LOST_S = 0.5
-"""Silence after which late answers count as lost [s].
+"""Time without answers after which late answers are treated as lost [s].
 
-No force is sent meanwhile, so that a long wait is safe.
+No force is sent in this time, so that a long wait is safe.
 """
 PATIENCE_S = 0.01
 """Interval at which the thread checks whether it must end [s]."""
 HOLD_S = 0.03
-"""Longest time for which a force is sent again without a new command of the loop [s].
+"""Longest time for which a force is repeated without a new command of the loop [s].
 
-It allows for ticks that are late, and removes the force within 50 ms.
+It allows for late ticks, and the force is still removed within 50 ms.
 """
 GIVE_UP_S = 3.0
 """Longest time for which a run continues without a sample [s].
 
-It is longer than `AGAIN_S`, so that an attempt to reconnect can end first.
+It is longer than `AGAIN_S`, so that the attempts to reconnect end first.
 """
 AGAIN_S = 2.5
-"""Longest time for attempts to reconnect to the service, as after its restart [s]."""
+"""Longest time for attempts to reconnect to the service, for example after a restart [s]."""
 MOST_EVENTS = 100
-"""Largest number of stored events: a service that flickers would otherwise fill memory."""
+"""Largest number of stored events; an unstable connection would otherwise fill memory."""
 MOST_BEHIND = 20
-"""Largest number of frames read at once, if a service sends more than requested."""
+"""Largest number of frames read at once, if the service sends more than requested."""
 OPEN_S = 2.0
 """Longest time for the service to open and to send its first frame [s]."""
 START_IT = (
@@ -80,16 +83,16 @@ START_IT = (
 
 
 class HaplyAdapter(HardwareAdapter):
-    """Inverse3 in its own frame: x to the right, y forward, z up.
+    """Adapter of an Inverse3 in its own frame: x to the right, y forward, z up.
 
     `poll` and `push` only exchange numbers with the thread of a `_Session`, so that they never
-    wait. Torque is not played. However the block ends, the last force sent to the service is zero.
+    wait. Torque is not played. At every kind of end, the last force sent to the service is zero.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is the address of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one
-        of several devices.
+        Settings of the device. Their ``address`` is the address of the service, ``ws://HOST:PORT``,
+        with ``#DEVICE`` to select one of several devices.
     """
 
     name = "haply"
@@ -100,7 +103,7 @@ class HaplyAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the devices of a service, or the reason for none."""
+        """Return the devices of a service, or the reason why there are none."""
         try:
             session = _Session(address)
             session.connect()
@@ -123,7 +126,7 @@ class HaplyAdapter(HardwareAdapter):
             session.end()
 
     def open(self) -> None:
-        """Start to exchange frames, without force, and wait for the first sample.
+        """Start the exchange of frames, without force, and wait for the first sample.
 
         Raises
         ------
@@ -131,27 +134,27 @@ class HaplyAdapter(HardwareAdapter):
             If the service does not answer, or the device cannot be used in its present state.
         """
         self._session.end()
-        # The thread of the last session may still try to reconnect. It keeps its own session, which
-        # has ended, so it cannot send over the new connection.
+        # The thread of the last session may still try to reconnect. It uses the last session, which
+        # has ended, so that it cannot send over the new connection.
         self._session = _Session(self._given)
         self._session.connect()
         self._session.start()
         self.releases = self._session.releases
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest sample; None if there is no new one since the last call."""
+        """Return the newest sample; None if there is no new sample since the last call."""
         session = self._session
         sample = session.newest()
         self.releases = session.releases
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force now, and again every millisecond while it is renewed."""
+        """Set the force that is sent every millisecond, for `HOLD_S` after the last call."""
         x, y, z = force_N.tolist()
         self._session.play((x, y, z))
 
     def close(self) -> None:
-        """Send zero as the last force and disconnect from the service."""
+        """Send zero as the last force, and disconnect from the service."""
         self._session.end()
 
     def happened(self) -> list[str]:
@@ -160,7 +163,7 @@ class HaplyAdapter(HardwareAdapter):
 
 
 class _Session:
-    """One session with the service, and the thread that exchanges its frames.
+    """Session with the service, and the thread that exchanges frames.
 
     Parameters
     ----------
@@ -172,13 +175,13 @@ class _Session:
     url
         Address of the service.
     state
-        State of the devices, as stated by the service.
+        State of the devices, as reported by the service.
     version
-        Major and minor version of the service; None if not stated.
+        Major and minor version of the service; None if the service does not report them.
     events
         Events so far, as sentences.
     releases
-        Number of times that the force was removed here.
+        Number of times that this session has removed the force.
     """
 
     def __init__(self, address: str) -> None:
@@ -200,7 +203,7 @@ class _Session:
         self._wake = threading.Event()
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._sending = threading.Lock()  # no frame may follow the zero of the end
+        self._sending = threading.Lock()  # no frame may follow the zero force at the end
 
     def start(self) -> None:
         """Start the thread, without force, and wait for the first sample.
@@ -222,10 +225,10 @@ class _Session:
         self._thread.start()
         until = perf_counter() + OPEN_S
         while self._sample is None and not self._problem and perf_counter() < until:
-            sleep(PERIOD_S)  # the state in the first frame may be old by now
+            sleep(PERIOD_S)  # the state in the first frame may be old
 
     def newest(self) -> HardwareSample | None:
-        """Return the newest sample; None if there is no new one since the last call.
+        """Return the newest sample; None if there is no new sample since the last call.
 
         Raises
         ------
@@ -255,19 +258,19 @@ class _Session:
     def end(self) -> None:
         """Send zero as the last force and disconnect.
 
-        It may be called repeatedly and from any thread.
+        The method may be called repeatedly, and from any thread.
         """
         self._force = NOTHING
         self._ended.set()
         self._wake.set()
         if self._thread is not None and self._thread is not threading.current_thread():
-            # The waits of this function take 0.3 s together. A run gives up a device after 1 s.
+            # The waits of this function take 0.3 s in total. A run gives up a device after 1 s.
             self._thread.join(0.15)
         zero = force_frame(self.state.device_id, NOTHING, self._spelling)
         is_read = self._thread is None
         if self._thread is not None and self._sending.acquire(timeout=0.05):
-            # On a busy machine, the thread may not have sent it. A service that no longer reads
-            # would block it.
+            # On a busy computer, the thread may not have sent the zero force. If the service no
+            # longer reads, sending would block the thread.
             is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
             self._sending.release()
         self._disconnect(cut=not is_read)
@@ -315,7 +318,7 @@ class _Session:
         self._spelling = spelling_of(self.version, has_session=b"session_id" in text)
 
     def _run(self) -> None:
-        """Exchange frames until the end, and reconnect to a restarted service."""
+        """Exchange frames until the end; reconnect to a service that was restarted."""
         from websockets.exceptions import WebSocketException
 
         goes_on = True
@@ -326,7 +329,7 @@ class _Session:
                 why = " ".join(str(error).split())
                 goes_on = not self._ended.is_set() and self._reached_again(why)
             except Exception as error:
-                # the loop must not wait for a thread that has ended
+                # otherwise the loop would wait for a thread that has ended
                 failed = f"{type(error).__name__} ({error})"
                 self._problem = str(
                     InputError(
@@ -363,7 +366,7 @@ class _Session:
             self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
 
     def _receive(self, seconds: float) -> bool:
-        """Receive the answer and all frames behind it, and return whether it came in time."""
+        """Receive the answer and all later frames; return True if the answer came in time."""
         link = self._open_socket
         answered = False
         with suppress(TimeoutError):
@@ -373,7 +376,7 @@ class _Session:
         return answered
 
     def _take(self, text: str | bytes) -> None:
-        """Merge a frame, and store its new sample."""
+        """Merge a frame into the state, and store its new sample."""
         if not self.state.take(text):
             return
         if problem := problem_of(self.state):
@@ -382,9 +385,9 @@ class _Session:
         elif (sample := self.state.sample()) is not None:
             was_wrong = self._order.is_wrong
             now = perf_counter()
-            # States in a wrong order are no samples.
+            # States in a wrong order are not used as samples.
             if not self._order.observe(sample, now):
-                # this thread may have been suspended before it received the answer
+                # the thread may have been suspended before it received the answer
                 if now - self._asked_s < ANSWER_S:
                     self._sample = sample
                     self._sampled_s = now
@@ -399,13 +402,13 @@ class _Session:
         self._log(why)
 
     def _await_answers(self) -> None:
-        """Remove the force, and wait for the late answers, which are not used as samples."""
+        """Remove the force and wait for late answers; they are not used as samples."""
         self._release(
             f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
         )
         self._send(NOTHING)
         link = self._open_socket
-        # The late answer, and the one to the zero that was just sent.
+        # The late answer, and the answer to the zero force that was just sent.
         missing = 2
         until = perf_counter() + LOST_S
         while missing > 0 and perf_counter() < until and not self._ended.is_set():
@@ -415,10 +418,10 @@ class _Session:
                 until = perf_counter() + LOST_S
 
     def _reached_again(self, why: str) -> bool:
-        """Reconnect to a restarted service, and return whether it answers in time."""
+        """Reconnect to a restarted service; return True if the service answers in time."""
         self._release("the service closed the connection: the force is zero until it is back")
         until = perf_counter() + AGAIN_S
-        # A pause between attempts: a service that restarts refuses connections for a while.
+        # Wait between attempts, because a service that restarts refuses connections for some time.
         while perf_counter() < until and not self._ended.wait(0.05):
             self._disconnect()
             with suppress(InputError):
@@ -435,7 +438,7 @@ class _Session:
 
     @property
     def _open_socket(self) -> "ClientConnection":
-        """Connection, if no other thread has ended it."""
+        """Connection, unless another thread has ended it."""
         if self._socket is None:
             raise OSError("the session was ended")
         return self._socket
@@ -445,7 +448,7 @@ class _Session:
             self.events.append(what)
 
     def _disconnect(self, *, cut: bool = False) -> None:
-        """Close the connection, and cut it first if the service no longer reads a pending frame."""
+        """Close the connection; abort it first if the service no longer reads."""
         stack = self._stack
         link = self._socket
         self._stack = ExitStack()

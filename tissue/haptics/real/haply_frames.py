@@ -1,9 +1,9 @@
-"""Frames of Haply's Inverse Service: merge received frames, and build frames to send.
+"""Frames of Haply's Inverse Service: merging of received frames, and frames to send.
 
-Source: the vendor's pages websocket-protocol, control-commands, json-conventions and http of the
-Inverse SDK 3.5, read. Units are m, m/s and N in a right-handed frame with x to the right, y forward
-and z up. The first frame contains the whole state of every device. Later frames may contain parts
-of it. Quaternions are w, x, y, z by name.
+The sources are the vendor's pages websocket-protocol, control-commands, json-conventions and http
+of the Inverse SDK 3.5. Units are m, m/s and N in a right-handed frame with x to the right, y
+forward and z up. The first frame contains the whole state of every device. Later frames may contain
+only parts of the state. Quaternions are tables with the entries w, x, y and z.
 """
 
 import json
@@ -33,49 +33,50 @@ __all__ = [
 ]
 
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
-"""Handles with orientation and buttons, in search order."""
+"""Kinds of handles with orientation and buttons, in search order."""
 VECTOR_SINCE = (3, 5)
-"""First service version that names a force ``vector``; earlier versions use ``values``."""
+"""First service version in which the key of a force is ``vector``; before, it is ``values``."""
 MOST = 1e6
-"""Bound on valid numbers: no position, velocity or quaternion in SI units has this size."""
+"""Bound on valid numbers; positions, velocities and quaternions in SI units are far smaller."""
 PROFILE = "tissue:simulation"
-"""Name of the session in the vendor's window."""
+"""Name of the session in the window of the vendor's software."""
 
 USUAL = "ws://localhost:10001"
 ANSWER_S = 0.5
 STATED_S = 2.0
-"""Longest silence of the service before it states its version, and longest total time [s]."""
+"""Longest wait for data with the service's version, and longest total time [s]."""
 LONGEST = 65_536
-"""Largest number of bytes read from a version answer: another program may use the port."""
+"""Largest number of bytes read for the version, because another program may use the port."""
 MEMORY_S = 0.024
 LONGEST_S = 0.005
-"""Averaging time of contradictions, and longest time for which one state counts [s].
+"""Averaging time of contradictions, and longest time for which a state is counted [s].
 
-With this averaging time, a velocity may lag 6 ms behind a blow.
+With this averaging time, a velocity may lag behind a blow by 6 ms without an error.
 """
 WRONG = 0.25
 RIGHT = 0.05
-"""Share of contradictions above which the order is wrong, and below which it is right again."""
+"""Shares of contradictions above which the order is wrong, and below which it is right again."""
 LEAST_M = 2e-4
 LEAST_M_S = 0.05
-"""Smallest step [m] and speed [m/s] that are judged.
+"""Smallest step [m], and smallest speed [m/s], that are checked.
 
-Below them, a wrong order has no perceptible effect.
+For smaller values, a wrong order of states has no perceptible effect.
 """
 AGAINST = -0.5
 """Cosine of the angle between step and velocity below which they contradict each other.
 
-In a turn, step and velocity differ. More than 120 degrees need a step back.
+On a curved path, step and velocity differ. An angle of more than 120 degrees requires a step
+backwards.
 """
 
 
 class ServiceState:
-    """State of the devices of a service: the first frame, updated by later frames.
+    """State of the devices of a service: the first frame, updated with later frames.
 
     Attributes
     ----------
     device_id
-        Id of the used device: the first one that was listed, or the requested one.
+        Id of the used device: the first device that was listed, or the requested device.
     """
 
     def __init__(self, device_id: str = "") -> None:
@@ -83,7 +84,7 @@ class ServiceState:
         self._known: dict[str, dict[str, dict[str, Any]]] = {}
 
     def take(self, text: str | bytes) -> bool:
-        """Merge a frame, and return whether it contains a state of the device, for a new sample.
+        """Merge a frame; return True if it contains a state of the device, for a new sample.
 
         Invalid JSON, or a frame of another structure, is ignored.
         """
@@ -115,13 +116,13 @@ class ServiceState:
         return self._known.get("inverse3", {}).get(self.device_id, {})
 
     def status(self, name: str) -> object:
-        """Return an entry of the device's status; None if it was not stated."""
+        """Return an entry of the device's status; None if the entry is missing."""
         return _part(self.device, "status").get(name)
 
     def sample(self) -> HardwareSample | None:
         """Return the device's sample with orientation and buttons of the handle.
 
-        It is None if a number is missing or invalid.
+        The sample is None if a number is missing or invalid.
         """
         state = _part(self.device, "state")
         grips = [each for group in GRIPS for each in self._known.get(group, {}).values()]
@@ -139,7 +140,7 @@ class ServiceState:
         )
 
     def model(self) -> str:
-        """Return type, id, firmware and handedness of the device as a text, as far as stated."""
+        """Return type, id, firmware and handedness of the device as a text, as far as known."""
         config = _part(self.device, "config")
         info = _part(config, "device_info")
         parts = [str(config.get("type", "inverse3")), self.device_id]
@@ -151,9 +152,10 @@ class ServiceState:
 
 
 def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
-    """Return the name of the force in a command, ``vector`` or ``values``.
+    """Return the key of the force in a command, ``vector`` or ``values``.
 
-    The version decides. If it is unknown, the presence of a session decides.
+    The key depends on the version. If the version is unknown, it depends on the presence of a
+    session.
     """
     is_new = has_session if version is None else version >= VECTOR_SINCE
     return "vector" if is_new else "values"
@@ -177,7 +179,7 @@ def version_in(text: str | bytes) -> tuple[int, int] | None:
 def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
     """Return the command for a force in the device's frame.
 
-    The service drops a force that is not sent again.
+    The service removes a force that is not sent again.
     """
     x, y, z = force_N
     vector = f'{{"x":{x:.6f},"y":{y:.6f},"z":{z:.6f}}}'
@@ -188,7 +190,7 @@ def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
 
 
 def opening_frame(device_id: str, spelling: str) -> str:
-    """Return the first frame to send: the name of the session, and zero force."""
+    """Return the first frame to send: name of the session, and zero force."""
     frame = read_json(force_frame(device_id, NOTHING, spelling))
     return json.dumps({"session": {"configure": {"profile": {"name": PROFILE}}}} | frame)
 
@@ -207,7 +209,7 @@ def service_address(address: str) -> tuple[str, str, int, str]:
 
 
 def problem_of(state: ServiceState) -> str:
-    """Return the reason that the device cannot be used, in one sentence; empty if it can."""
+    """Return a sentence on why the device cannot be used; empty if it can be used."""
     name = state.device_id
     ids = state.device_ids
     if not ids:
@@ -231,18 +233,18 @@ def problem_of(state: ServiceState) -> str:
             "wait until the light of the device shows that it is ready, and start the run again",
         ),
     ):
-        # A status that is not stated does not prevent the use.
+        # If a status is missing, the device can be used.
         if state.status(entry) is False:
             return str(InputError("haply", must, f"{entry} = false of {name}", remedy))
     return ""
 
 
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
-    """Return the service's version from HTTP at the same port; None without a timely answer."""
+    """Return the service's version by HTTP on the same port; None without a timely answer."""
     found: list[tuple[int, int]] = []
 
     def ask() -> None:
-        # Versions before 3.5 answer at the second path.
+        # Versions before 3.5 answer under the second path.
         for path in ("/version", "/3.1/version"):
             with suppress(OSError, HTTPException):
                 connection = HTTPConnection(host, port, timeout=ANSWER_S)
@@ -280,13 +282,13 @@ def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
 
 
 def _part(whole: object, name: str) -> dict[str, Any]:
-    """Return a table within a table; empty without one."""
+    """Return a table inside a table; empty if it is missing."""
     part = whole.get(name) if isinstance(whole, Mapping) else None
     return part if isinstance(part, dict) else {}
 
 
 def _numbers(table: object, names: str) -> list[float]:
-    """Return finite numbers of a table by name; empty if one is missing or invalid."""
+    """Return finite numbers of a table by name; empty if any is missing or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
     # bool is a subclass of int.
     numbers = [
@@ -298,9 +300,9 @@ def _numbers(table: object, names: str) -> list[float]:
 
 
 def _buttons(state: Mapping[str, Any]) -> int:
-    """Return the buttons with bit i for the i-th button by name.
+    """Return a bit mask of the buttons, with bit i for the i-th button in order of names.
 
-    A handle with a single button calls it ``button``.
+    A single button of a handle has the name ``button``.
     """
     buttons = state.get("buttons")
     if not isinstance(buttons, dict):
@@ -310,15 +312,16 @@ def _buttons(state: Mapping[str, Any]) -> int:
 
 
 class StateOrder:
-    """Comparison of the steps between states with the velocities of the states.
+    """Check of the order of states: comparison of steps between states with their velocities.
 
-    A state that is older than the previous one steps back against the velocity of both. In a random
-    order, about half of the states do. A share of a quarter is reached within 17 ms.
+    If a state is older than the previous state, the step between them is opposite to their
+    velocities. In a random order, about half of the states contradict in this sense. Their share
+    reaches a quarter within 17 ms.
 
     Attributes
     ----------
     is_wrong
-        True if recent states came in a wrong order.
+        True if the recent states arrived in a wrong order.
     """
 
     def __init__(self) -> None:
@@ -327,7 +330,7 @@ class StateOrder:
         self._last: HardwareSample | None = None
 
     def observe(self, sample: HardwareSample, time_s: float) -> bool:
-        """Process a state that came at a time [s], and return whether the order is wrong."""
+        """Process a state that arrived at a time [s], and return True if the order is wrong."""
         last = self._last
         elapsed = min(time_s - self._came_s, LONGEST_S)
         self._last = sample

@@ -1,4 +1,4 @@
-"""Real device in the scene's frame, with limits, fading and removal of its force."""
+"""Real device in the frame of the scene, with limits, ramps and removal of the force."""
 
 from collections.abc import Callable
 from math import isfinite, radians, sqrt
@@ -30,15 +30,16 @@ __all__ = ["MappedDevice", "Workspace"]
 class Workspace:
     """Mapping of device poses into the scene, and of forces back into the device axes.
 
-    Positions become ``R x + d``. The rotation R is constant, and d places the first pose at the
-    start of the tool. While the clutch is held, the pose in the scene stays. When it is released, d
-    and the reference orientation are updated, so that the pose continues without a jump. As R is a
-    rotation, force times velocity is the same power in both frames.
+    A position x is mapped to ``R x + d``. The rotation R is constant, and d places the first pose
+    at the start of the tool. While the clutch button is held, the pose in the scene is constant.
+    When the button is released, d and the reference orientation are updated, so that the pose
+    continues without a jump. Because R is a rotation, the power (force times velocity) is equal in
+    the two frames.
 
     Parameters
     ----------
     turn_deg
-        Rotation of the device's axes into the world's, about the world's x, then y, then z
+        Rotation from the device's axes to the world's axes, about the world's x, then y, then z
         [degrees].
     start_m
         Position of the first pose in the scene [m].
@@ -61,7 +62,7 @@ class Workspace:
         self.forget()
 
     def forget(self) -> None:
-        """Make the next pose the first one."""
+        """Treat the next pose as the first pose."""
         self.is_placed = False
         self._clutched = False
         self._shift: Triple = NOTHING
@@ -70,7 +71,7 @@ class Workspace:
         self._onto = UPRIGHT
 
     def turned(self, vector: Triple) -> Triple:
-        """Return a vector in the device's axes in the world's axes."""
+        """Convert a vector from the device's axes to the world's axes."""
         a, b, c = vector
         x, y, z = self._rows
         return (
@@ -80,7 +81,7 @@ class Workspace:
         )
 
     def at_device(self, vector: Array) -> Array:
-        """Return a vector in the world's axes in the device's axes, shape (3,)."""
+        """Convert a vector from the world's axes to the device's axes, shape (3,)."""
         return vector @ self._matrix
 
     def pose(
@@ -88,7 +89,7 @@ class Workspace:
     ) -> tuple[Triple, Quaternion]:
         """Return position [m] and orientation in the scene for a device pose.
 
-        The orientation in the scene starts without a rotation.
+        The first orientation in the scene is no rotation.
         """
         if clutched and self.is_placed:
             self._clutched = True
@@ -110,40 +111,42 @@ class Workspace:
         return pose
 
     def _in_world(self, quaternion: Quaternion) -> Quaternion:
-        """Return an orientation of the device in the world's axes.
+        """Convert an orientation from the device's axes to the world's axes.
 
-        A quaternion that is far from unit length keeps its length, so that the loop's guard refuses
-        it.
+        A quaternion that is far from unit length keeps its length, so that the sample guard of the
+        loop rejects it.
         """
         length_one = (unit(quaternion) if is_nearly_unit(quaternion) else None) or quaternion
         return product(product(self._turn, length_one), conjugate(self._turn))
 
 
 MOST_EVENTS = 100
-"""Largest number of stored events: a device that flickers would otherwise fill memory."""
+"""Largest number of stored events; an unstable connection would otherwise fill memory."""
 
 
 class MappedDevice:
-    """Real device as used by a run: an adapter, its workspace in the scene, and safety functions.
+    """Real device as used in a run: adapter, workspace in the scene, and safety functions.
 
-    The first sample is placed at the start of the tool. The scale is ``coupling.motion_scale`` of
-    the run and not applied here. Without a new sample, the last one is repeated until the watchdog
-    time ends. Then there is no sample, and the force is zero at once.
+    The first sample is placed at the start of the tool. The run applies the scale
+    ``coupling.motion_scale``; it is not applied here. Without a new sample, the last sample is
+    repeated until the watchdog time has passed. After that, there is no sample, and the force is
+    zero at once.
 
-    The force is the commanded one, shortened to the cap, times a share. The share rises linearly
-    from 0 to 1 during the ramp: after the start, a lost device, the clutch, and the force button.
-    While there must be no force, for example while the clutch is held, the share is 0.
+    The played force is the commanded force, limited to a largest magnitude, times a share. The
+    share increases linearly from 0 to 1 during a ramp. A ramp begins at the start, after a lost
+    connection, and when the clutch or the force button changes. While there must be no force, for
+    example while the clutch is held, the share is 0.
 
     Parameters
     ----------
     adapter
-        Device in its own frame. The ramp restarts after each of its ``releases``.
+        Device in its own frame. A ramp begins after each of its ``releases``.
     hardware
-        Placement of the workspace in the scene, and limits.
+        Settings: placement of the workspace in the scene, and limits.
     start_m
         Start position of the tool in the scene [m].
     now
-        Clock of the watchdog [s].
+        Function that returns the time for the watchdog [s].
 
     Attributes
     ----------
@@ -157,9 +160,9 @@ class MappedDevice:
 
     in_process = False
     real_time = True
-    """True if a run must follow real time."""
+    """True, because a run with the device must follow real time."""
     bounds_itself = True
-    """The workspace bounds the positions of the device; with a clutch, the tool may go further."""
+    """True, because `read` checks the reach. With a clutch, the tool may move farther."""
 
     def __init__(
         self,
@@ -205,20 +208,20 @@ class MappedDevice:
             self._adapter.__exit__(*raised)
 
     def close(self) -> None:
-        """Remove all force from the device by other means than a command."""
+        """Remove all force from the device by other means than `command`."""
         self._adapter.close()
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the newest sample in the world frame, held by the clutch.
+        """Return the newest sample in the world frame, constant while the clutch is held.
 
         It is None after the watchdog time.
 
         Raises
         ------
         DeviceError
-            If the device leaves its reach, as a device that reports millimetres does.
+            If the device leaves its reach, for example because it reports millimetres.
         """
-        # Time that goes back means another run with the same device.
+        # If the time is earlier than before, another run has started with the same device.
         if time_s < self._time or not self._space.is_placed:
             self._begin(time_s)
         elapsed = time_s - self._time
@@ -247,7 +250,7 @@ class MappedDevice:
         newest = self._newest
         clutched = _held(newest.buttons, self._settings.clutch_button, otherwise=False)
         wanted = not clutched and _held(newest.buttons, self._settings.force_button, otherwise=True)
-        # Without a ramp the whole force is played at once.
+        # If the ramp has no duration, the whole force is played at once.
         step = elapsed / self._ramp if self._ramp > 0.0 else 1.0
         self.share = min(self.share + step, 1.0) if wanted else 0.0
         position, quaternion = self._space.pose(
@@ -260,7 +263,7 @@ class MappedDevice:
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque of the world frame, limited by share and cap."""
+        """Play a force and a torque, in the world frame, with largest magnitude and share."""
         size = sqrt(force_N.dot(force_N))
         share = self.share * (self._cap / size if size > self._cap else 1.0)
         self.played = share * force_N, self.share * torque_Nm
@@ -269,12 +272,12 @@ class MappedDevice:
         )
 
     def happened(self) -> list[tuple[float, str]]:
-        """Return the events of watchdog and adapter so far, each as time [s] and a sentence."""
+        """Return the events of watchdog and adapter so far, each with time [s] and a sentence."""
         self._note()
         return self._events
 
     def _begin(self, time_s: float) -> None:
-        """Start a run: place the next sample at the tool's start, and ramp the force from zero."""
+        """Start a run: place the next sample at the tool's start, and begin a ramp."""
         self.share = 0.0
         self._time = time_s
         self._space.forget()
@@ -294,5 +297,5 @@ class MappedDevice:
 
 
 def _held(buttons: int, button: int | None, *, otherwise: bool) -> bool:
-    """Return whether a button is held; ``otherwise`` without a button number."""
+    """Return True if a button is held; return ``otherwise`` without a button number."""
     return otherwise if button is None else bool(buttons >> button & 1)

@@ -28,45 +28,49 @@ __all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
 
 
 USUAL = "udp://127.0.0.1:24930"
-"""Default address at which a device is awaited."""
+"""Default address on which the program listens for a device."""
 MOST_READS = 256
-"""Largest number of packets per poll: a quarter of a second of a device, in about 2 ms."""
+"""Largest number of packets per poll: those of a quarter of a second, read in about 2 ms."""
 LONGEST_PACKET = 1024
-"""Bytes read of a datagram: a longer one is cut, and its length refuses it. A pose has 140."""
+"""Number of bytes read of a datagram.
+
+A longer datagram is truncated, and rejected because of its length. A pose has 140 bytes.
+"""
 LOOK_S = 0.6
-"""Longest time for which a search waits for a device [s]; a device asks ten times a second."""
+"""Longest time that a search waits for a device [s]; a device sends hello every 0.1 s."""
 OPEN_S = 5.0
 """Longest time for the thread to start listening, and to end [s].
 
-It needs milliseconds to start, and at most three times `CLOSE_S` to end.
+The thread needs milliseconds to start, and at most three times `CLOSE_S` to end.
 """
 LONGEST_MESSAGE = 4096
-"""Largest message of a WebSocket that is accepted [bytes]: a pose has 140."""
+"""Size of the largest accepted message of a WebSocket [bytes]; a pose has 140 bytes."""
 CLOSE_S = 0.2
 """Longest time of each step of a close [s].
 
-The steps: the device receives its last packets, ends its connection, and is cut off. Together
-they take less than the second after which a run gives up a device that does not close.
+There are three steps: the device receives its last packets, it ends its connection, and the
+connection is aborted. In total, they take less than the time of 1 s after which a run gives up a
+device that does not close.
 """
 SEND_S = 0.25
-"""Longest time for which a device may receive no packets before its connection is ended [s].
+"""Longest time in which a device may receive no packets before its connection is ended [s].
 
-It is half of the silence after which the session gives the device up.
+It is half of the silence after which the session gives up the device.
 """
 HANDSHAKE_S = 2.0
 """Longest time for a connection to become a WebSocket [s].
 
-A program that only connects would otherwise hold a connection for as long as it likes.
+Without this limit, a program that only connects could keep a connection for any time.
 """
 MOST_WAITING = 2
-"""Largest number of packets that wait for the thread; a further wrench replaces the oldest.
+"""Largest number of packets that wait for the thread; a new wrench replaces the oldest one.
 
-Zero and goodbye can wait together.
+With two places, zero force and goodbye can wait at the same time.
 """
 
 
 class UdpTransport:
-    """Packets as datagrams, read when they are polled.
+    """Transport of packets as UDP datagrams. They are read when `read` is called.
 
     Parameters
     ----------
@@ -78,7 +82,7 @@ class UdpTransport:
     Attributes
     ----------
     port
-        Port of the listener.
+        Port on which the program listens.
 
     Raises
     ------
@@ -106,7 +110,7 @@ class UdpTransport:
                 data, sender = self._socket.recvfrom(LONGEST_PACKET)
             except BlockingIOError:
                 return
-            except ConnectionError:  # Windows reports that an earlier packet had no receiver
+            except ConnectionError:  # on Windows: an earlier packet had no receiver
                 continue
             except OSError:
                 # Another thread has closed the socket during the read.
@@ -117,13 +121,13 @@ class UdpTransport:
                 self.send(sender, reply)
 
     def wait(self, seconds: float) -> None:
-        """Wait for a packet, for at most some seconds."""
+        """Wait for a packet, for at most ``seconds``."""
         select.select([self._socket], [], [], seconds)
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet, and drop it if the system does not accept it at once.
+        """Send a packet; drop it if the operating system does not accept it at once.
 
-        Without packets, the device fades to zero force.
+        Without packets, the force of the device fades to zero.
         """
         with suppress(OSError):
             self._socket.sendto(data, peer)  # type: ignore[call-overload]
@@ -135,10 +139,11 @@ class UdpTransport:
 
 
 class WebTransport:
-    """Packets as messages; the newest wrenches are sent, and older waiting ones are dropped.
+    """Transport of packets as WebSocket messages.
 
-    Connections with an ``Origin``, as sent by every browser, are refused, because a web page must
-    not move a tool.
+    The newest wrenches are sent; older wrenches that still wait are dropped. Connections with the
+    header ``Origin``, which every browser sends, are refused, because a web page must not move a
+    tool.
 
     Parameters
     ----------
@@ -150,7 +155,7 @@ class WebTransport:
     Attributes
     ----------
     port
-        Port of the listener.
+        Port on which the program listens.
 
     Raises
     ------
@@ -189,15 +194,15 @@ class WebTransport:
             raise self._failed[0]
 
     def read(self) -> None:
-        """Do nothing: the thread passes packets to the session."""
+        """Do nothing, because the thread passes packets to the session."""
 
     def wait(self, seconds: float) -> None:
-        """Wait for a message, for at most some seconds."""
+        """Wait for a message, for at most ``seconds``."""
         self._came.wait(seconds)
         self._came.clear()
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Queue a packet for the thread, in place of an older one that waits."""
+        """Queue a packet for the thread; it may replace an older packet that waits."""
         self._waiting.append((peer, data))
         with suppress(RuntimeError):  # the thread has ended
             self._loop.call_soon_threadsafe(self._news.set)
@@ -224,9 +229,9 @@ class WebTransport:
         lines = self._lines
 
         class Line(ServerConnection):
-            """Connection that is known from its first byte.
+            """Connection that is registered from its first byte.
 
-            It can therefore be ended before it is a WebSocket.
+            It can therefore be ended before it becomes a WebSocket.
             """
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -260,7 +265,7 @@ class WebTransport:
             async with asyncio.timeout(CLOSE_S):
                 await self._send_waiting()
         for connection, line in list(lines.items()):
-            # Lines that are no WebSockets yet cannot be closed in order.
+            # Connections that are not WebSockets yet can only be aborted.
             if connection not in self._connections.values():
                 _abort(line)
         server.close()
@@ -276,7 +281,7 @@ class WebTransport:
         self._connections[connection.id] = connection
         try:
             async for message in connection:
-                # A text message is no packet: it is counted as foreign.
+                # A text message is not a packet. It is counted as ``foreign``.
                 reply = self._session.receive(
                     message if isinstance(message, bytes) else b"", connection.id
                 )
@@ -304,7 +309,7 @@ class WebTransport:
                 try:
                     async with asyncio.timeout(SEND_S):
                         await connection.send(data)
-                except TimeoutError:  # the device no longer reads, and others must not wait
+                except TimeoutError:  # the device no longer reads; others must not wait
                     _abort(connection.transport)
                 except ConnectionClosed:
                     pass
@@ -317,25 +322,25 @@ def _abort(line: asyncio.BaseTransport) -> None:
 
 
 async def _ended_within(seconds: float) -> None:
-    """Wait until all other tasks of the thread have ended, for at most some seconds."""
+    """Wait until all other tasks of the thread have ended, for at most a number of seconds."""
     others = asyncio.all_tasks() - {asyncio.current_task()}
     if others:
         await asyncio.wait(others, timeout=seconds)
 
 
 class NetworkAdapter(HardwareAdapter):
-    """User's device that sends its pose and receives a wrench.
+    """Adapter of a user's device that sends its pose and receives a wrench over the network.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, on which this program listens;
-        empty for `USUAL`.
+        Settings of the device. Their ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, on
+        which this program listens; empty for `USUAL`.
 
     Attributes
     ----------
     session
-        Connected device, and number of dropped packets by reason.
+        Session with the connected device. It counts dropped packets by reason.
 
     Raises
     ------
@@ -358,7 +363,7 @@ class NetworkAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
+        """Return the device that sends a hello within `LOOK_S`, or the reason why there is none."""
         from tissue.scene.coupling import Hardware
 
         try:
@@ -366,7 +371,7 @@ class NetworkAdapter(HardwareAdapter):
                 until = perf_counter() + LOOK_S
                 while adapter.session.peer is None and perf_counter() < until:
                     adapter.poll()
-                    # Ten checks between two packets of a device that asks.
+                    # Ten checks between two hellos of a device.
                     sleep(0.01)
                 peer = adapter.session.peer
                 dropped = adapter.happened()
@@ -384,17 +389,17 @@ class NetworkAdapter(HardwareAdapter):
 
     @property
     def address(self) -> str:
-        """Address of the listener, with the port that replaced 0."""
+        """Address on which the program listens, with the port that replaced 0."""
         port = self._transport.port if self._transport else self._port
         return f"{self._scheme}://{self._host}:{port}"
 
     @property
     def round_trip_s(self) -> float:
-        """Time from a wrench to the first packet of the device that has seen it [s]; nan before."""
+        """Time from a wrench to the first packet of the device that confirms it [s]; nan before."""
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:
-        """Return the dropped and lost packets so far, in one sentence or none."""
+        """Return the numbers of dropped and lost packets so far, as one sentence or none."""
         good = ("poses", "heartbeats", "hellos")
         found = [
             f"{count} as {what}"
@@ -418,33 +423,33 @@ class NetworkAdapter(HardwareAdapter):
             ) from None
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest pose; None if there is no new one since the last call."""
+        """Return the newest pose; None if there is no new pose since the last call."""
         if (transport := self._transport) is None:
             return None
         transport.read()
         return self.session.take()
 
     def wait(self, seconds: float) -> None:
-        """Wait for a packet, for at most some seconds."""
+        """Wait for a packet, for at most ``seconds``."""
         if self._transport is not None:
             self._transport.wait(seconds)
 
     def refuse(self, sentence: str) -> None:
-        """Refuse the device with a sentence, and free its place for the next one."""
+        """Refuse the device with a sentence, so that another device may connect."""
         sending = self.session.refused(sentence)
         if self._transport is not None and sending is not None:
             self._transport.send(*sending)
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force and a torque; the device plays them until the next packet, or for 50 ms."""
+        """Send a force and a torque; the device plays them until the next packet or for 50 ms."""
         transport = self._transport
         sending = self.session.wrench((*force_N.tolist(), *torque_Nm.tolist()))
-        # after a close, the number of the packet would be old
+        # after a close, the packet would have an old number
         if transport is not None and sending is not None:
             transport.send(*sending)
 
     def close(self) -> None:
-        """Send zero and goodbye, and stop listening."""
+        """Send zero force and goodbye, and stop listening."""
         transport = self._transport
         self._transport = None
         if transport is None:

@@ -1,4 +1,4 @@
-"""Session with one network device: identity, new samples, and counts of dropped packets."""
+"""Session with one network device: identity, new samples, and number of dropped packets."""
 
 import struct
 import threading
@@ -33,17 +33,18 @@ MAGIC = b"TDEV"
 """First four bytes of every packet."""
 VERSION = 1
 HEADER = struct.Struct("<4sBBHIId")
-"""Magic, version, kind, bytes of the payload, sequence number, echo, sender's time [s]."""
+"""Magic bytes, version, kind, bytes of the payload, sequence number, echo, sender's time [s]."""
 CHECKSUM = struct.Struct("<I")
 POSE = struct.Struct("<13dII")
-"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, four zero bytes."""
+"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, 4 zero bytes."""
 WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 HALF = 1 << 31
 WHOLE = 1 << 32
-"""Half of the number of sequence numbers, and their number.
+"""Half of the number of sequence numbers, and the number of sequence numbers.
 
-Numbers restart after 2^32 packets. One of two numbers is newer if it is less than half ahead.
+Sequence numbers restart after 2^32 packets. A number is newer than another if it is ahead by less
+than half of this range.
 """
 
 
@@ -51,28 +52,28 @@ class Kind(IntEnum):
     """Kind of a packet."""
 
     HELLO = 1
-    """The device asks to be used, or has been accepted."""
+    """Request of a device to be used, or confirmation that it is accepted."""
     POSE = 2
     """Pose of the device."""
     WRENCH = 3
     """Force and torque to play."""
     HEARTBEAT = 4
-    """The sender is active and has nothing else to send."""
+    """Sign that the sender is active, although it has nothing else to send."""
     BYE = 5
-    """The sender ends."""
+    """End of the sender."""
     REFUSED = 6
-    """The device is refused, with a sentence."""
+    """Refusal of the device, with a sentence."""
 
 
 LENGTHS = {Kind.HELLO: 0, Kind.POSE: POSE.size, Kind.HEARTBEAT: 0, Kind.BYE: 0}
-"""Bytes of the payload of the packets that a device sends."""
+"""Number of bytes of the payload, for each kind of packet that a device sends."""
 Wrench = tuple[float, float, float, float, float, float]
 """Force [N] and torque [N m] on the hand, in the device's frame."""
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PacketError(Exception):
-    """Error of an unusable packet; its text is the name under which it is counted."""
+    """Error of an unusable packet. Its text is the name under which the packet is counted."""
 
 
 class Packet(NamedTuple):
@@ -83,11 +84,12 @@ class Packet(NamedTuple):
     kind
         Kind of the packet.
     sequence
-        Number of the packet among the packets of its sender, from 1; 0 follows 4294967295.
+        Sequence number of the packet among the packets of its sender. The first is 1, and 0 follows
+        4294967295.
     echo
         Sequence number of the newest packet that the sender has received; 0 before the first.
     time_s
-        Clock of the sender, with any start [s].
+        Time on the clock of the sender, with any start [s].
     sample
         Sample of a pose; None for other packets.
     """
@@ -111,8 +113,8 @@ def unpacked(data: bytes) -> Packet:
     Raises
     ------
     PacketError
-        With the name under which it is counted: ``foreign``, ``version``, ``length``, ``checksum``,
-        ``kind`` or ``number``.
+        If the packet is not valid. The text is the name under which the packet is counted:
+        ``foreign``, ``version``, ``length``, ``checksum``, ``kind`` or ``number``.
     """
     if data[:4] != MAGIC:
         raise PacketError("foreign")
@@ -144,19 +146,20 @@ def unpacked(data: bytes) -> Packet:
 
 
 def is_newer(sequence: int, before: int) -> bool:
-    """Return whether a sequence number follows another, including a restart from 0 in between."""
+    """Return True if a sequence number is newer than another, including a restart from 0."""
     return 0 < (sequence - before) % WHOLE < HALF
 
 
 SILENCE_S = 0.5
-"""Silence after which a device is given up and another one may connect [s].
+"""Silence after which a device is given up and another device may connect [s].
 
-A device sends at least five packets a second, so that two in a row are missing.
+A device sends at least five packets a second, so that after this time two packets in a row are
+missing.
 """
 KEPT = 1024
-"""Number of wrenches whose send time is stored for round trips, a second at 1 kHz.
+"""Number of wrenches whose send time is stored for round trips, about a second at 1 kHz.
 
-It is a power of two, so that the places stay consecutive when the sequence numbers restart.
+It is a power of two, so that the storage places stay consecutive when the sequence numbers restart.
 """
 MOST_WORDS = 400
 """Largest length of the sentence of a refusal [bytes]."""
@@ -167,28 +170,29 @@ BUSY = (
 
 
 class NetworkSession:
-    """Session with one device: receives its packets and builds packets for it, without waiting.
+    """Session with one device. It processes received packets and builds packets to send.
 
-    The session does not read a socket. The first device that asks is accepted. Others are refused
-    until it has ended or was silent for `SILENCE_S`. A pose that is late, repeated, damaged or not
-    finite is dropped and counted.
+    The session never waits, and does not read a socket. The first device that sends a hello is
+    accepted. Other devices are refused until the first device has ended or was silent for
+    `SILENCE_S`. A pose that is late, repeated, damaged or not finite is dropped and counted.
 
     Parameters
     ----------
     clock
-        Clock with any start [s].
+        Function that returns the time, with any start [s].
 
     Attributes
     ----------
     peer
         Address of the accepted device; None without a device.
     counts
-        Packets by outcome: ``poses``, ``heartbeats``, ``hellos``, ``lost`` on the line, and dropped
-        ones as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``,
-        ``repeated``, ``stranger`` or ``refused``. ``silences`` counts devices that were given up.
+        Number of packets by outcome. Received packets are ``poses``, ``heartbeats`` and ``hellos``.
+        Packets lost in the network are ``lost``. Dropped packets are ``foreign``, ``version``,
+        ``length``, ``checksum``, ``kind``, ``number``, ``late``, ``repeated``, ``stranger`` or
+        ``refused``. ``silences`` counts devices that were given up.
     round_trip_s
-        Time from the newest wrench that the device has seen to the first packet that shows it [s];
-        nan before.
+        Time from the newest wrench that the device has confirmed to the first packet with this
+        confirmation [s]; nan before.
     """
 
     def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
@@ -201,7 +205,7 @@ class NetworkSession:
         self._newest: HardwareSample | None = None
         self._seen = 0  # newest sequence number of the device
         self._sent = 0
-        self._shown = 0  # newest of our packets that the device has shown
+        self._shown = 0  # newest of our packets that the device has confirmed
         self._sent_at = [nan] * KEPT
         # sequence number and time of the hello that was accepted
         self._greeting = (0, nan)
@@ -216,7 +220,7 @@ class NetworkSession:
                 return None
 
     def take(self) -> HardwareSample | None:
-        """Return the newest pose; None if there is no new one since the last call."""
+        """Return the newest pose; None if there is no new pose since the last call."""
         with self._lock:
             self._forget_silent()
             newest = self._newest
@@ -224,7 +228,7 @@ class NetworkSession:
             return newest
 
     def wrench(self, wrench: Wrench) -> tuple[Hashable, bytes] | None:
-        """Return the receiver and the packet of a wrench; None without a device."""
+        """Return the receiver of a wrench and the packet; None without a device."""
         with self._lock:
             self._forget_silent()
             if self.peer is None:
@@ -232,7 +236,7 @@ class NetworkSession:
             return self.peer, self._packet(Kind.WRENCH, WRENCH.pack(*wrench))
 
     def bye(self) -> tuple[Hashable, bytes] | None:
-        """Return the receiver and the last packet, and free the device; None without a device."""
+        """End the session: return the receiver and the last packet; None without a device."""
         with self._lock:
             if self.peer is None:
                 return None
@@ -242,12 +246,12 @@ class NetworkSession:
             return peer, data
 
     def refused(self, sentence: str) -> tuple[Hashable, bytes] | None:
-        """Return the receiver and a refusal, and free the device; None without a device."""
+        """End the session: return the receiver and a refusal; None without a device."""
         with self._lock:
             if self.peer is None:
                 return None
             peer = self.peer
-            # A character that is cut in two is dropped.
+            # A character that is truncated within its bytes is dropped.
             payload = sentence.encode()[:MOST_WORDS].decode(errors="ignore").encode()
             data = packed(Kind.REFUSED, 0, echo=self._seen, time_s=0.0, payload=payload)
             self._forget()
@@ -284,7 +288,7 @@ class NetworkSession:
         return None
 
     def _hello(self, packet: Packet, sender: Hashable) -> bytes:
-        """Accept a device, or the same device after a restart; refuse any other."""
+        """Accept a device, or the same device after a restart; refuse any other device."""
         if self.peer is not None and sender != self.peer:
             self.counts["refused"] += 1
             return packed(Kind.REFUSED, 0, echo=packet.sequence, time_s=0.0, payload=BUSY.encode())
@@ -294,7 +298,7 @@ class NetworkSession:
             self._seen = packet.sequence
             self._newest = None
             self._greeting = packet.sequence, packet.time_s
-        else:  # a repeated hello: earlier poses must not count as new
+        else:  # after a repeated hello, earlier poses must not be new
             self.counts["repeated"] += 1
         self._heard = self._clock()
         return self._packet(Kind.HELLO)
@@ -302,12 +306,12 @@ class NetworkSession:
     def _packet(self, kind: Kind, payload: bytes = b"") -> bytes:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
-        # Only wrenches are measured: a device may answer other packets at its own time.
+        # Only wrenches are measured, because a device may confirm other packets later.
         self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
-        """Record the round trip if a packet is the first to show one of our wrenches."""
+        """Record the round trip if a packet is the first that confirms one of our wrenches."""
         # Send times of older packets have been overwritten.
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo

@@ -1,15 +1,16 @@
 """Adapter for 3D Systems' Touch devices with pyOpenHaptics.
 
-The package loads the vendor's OpenHaptics at run time. Facts from pyOpenHaptics 1.0.1: a transform
-is in mm, with the axes of the handle in its first three rows and the position in the fourth. x
-points right, y up, z to the hand. The library calls a function in its own thread, a thousand times
-a second. The device may be read or driven only inside this function. This thread and the loop's
-thread share a few attributes, each replaced as a whole. The class HapticDevice of the package does
-not report a missing device, so that its functions are called one by one.
+The package loads the vendor's OpenHaptics at run time. The following is from pyOpenHaptics 1.0.1. A
+transform is in mm, with the axes of the handle in its first three rows and the position in the
+fourth row. x points right, y up, z to the hand. The library calls a scheduled function in its own
+thread, a thousand times a second. The device may be read or driven only inside this function. The
+thread of the library and the thread of the loop share a few attributes, and each attribute is
+replaced as a whole. The class HapticDevice of the package does not report a missing device.
+Therefore the functions of the package are called directly.
 
 All devices of a process share the scheduler of the library. The first device starts it, and the
-last one stops it. The package opens a frame of the current device. Each scheduled function
-therefore first makes its own device current.
+last one stops it. The package begins a frame for the device that is current. Each scheduled
+function therefore first makes its own device current.
 """
 
 import threading
@@ -33,42 +34,44 @@ __all__ = ["OpenHapticsAdapter"]
 
 
 USUAL = "Default Device"
-"""Name of a single device in the vendor's configuration."""
+"""Default name of a device in the vendor's configuration."""
 NONE = (None, 0x0104, 0xFFFFFFFF)
-"""Values returned in place of a device: none, HD_BAD_HANDLE and HD_INVALID_HANDLE."""
+"""Values that are returned if there is no device: None, HD_BAD_HANDLE, HD_INVALID_HANDLE."""
 HELD_S = 0.05
-"""Longest time for which a force is played without a new one [s].
+"""Longest time for which a force is played without a new force [s].
 
-It is the time of the network protocol, after which a device removes its force by itself.
+It equals the time in the network protocol after which a device removes its force by itself.
 """
 REST_S = 0.05
-"""Longest time for the vendor's thread to play zero at the end [s]: 50 of its calls."""
+"""Longest time for the vendor's thread to play zero force at the end [s]: 50 calls."""
 ROUND_S = 5e-3
 """Time in which the vendor's thread calls the functions of all devices at least once [s].
 
-It calls them a thousand times a second. Five periods allow for a busy machine.
+The thread calls them a thousand times a second. Five periods allow for a busy computer.
 """
 WINDOW = 10
-"""Number of calls of the vendor's thread over which velocities are computed, 10 ms.
+"""Number of calls of the vendor's thread, 10 ms, over which velocities are computed.
 
-An encoder step of a Touch (0.055 mm) changes the velocity by 5.5 mm/s, instead of 55 mm/s.
+An encoder step of a Touch (0.055 mm) then changes the velocity by 5.5 mm/s. Over one call it would
+change it by 55 mm/s.
 """
 MISSING = (
     "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
     "and install OpenHaptics with the driver of the device from 3dsystems.com"
 )
 _OPEN: dict[int, str] = {}
-"""Names of the devices that this process has open, by the library's number."""
+"""Names of the devices that this process has opened, by the library's number."""
 _OPENING = threading.Lock()
 
 
 class OpenHapticsAdapter(HardwareAdapter):
-    """Touch, Touch X or Omni: pose in six degrees of freedom, force in three.
+    """Adapter of a Touch, Touch X or Omni: pose in six degrees of freedom, force in three.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is the name of the device in the vendor's setup; empty for a single device.
+        Settings of the device. Their ``address`` is the name of the device in the vendor's setup;
+        empty for the default device.
     """
 
     name = "openhaptics"
@@ -77,7 +80,7 @@ class OpenHapticsAdapter(HardwareAdapter):
         super().__init__(hardware)
         self._hd: Any = None
         self._id = 0
-        self._callback: object = None  # must be kept: the library does not hold a reference
+        self._callback: object = None  # kept, because the library does not hold a reference
         self._sample: HardwareSample | None = None
         self._taken: HardwareSample | None = None
         self._force: tuple[list[float], float] = ([0.0, 0.0, 0.0], 0.0)  # with its time [s]
@@ -88,9 +91,9 @@ class OpenHapticsAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the device of that name, or the reason for none; it is opened for a moment."""
+        """Return the device of that name, opened for a moment; or the reason why there is none."""
         name = address or USUAL
-        if name in _OPEN.values():  # opening and closing it again would end the run that uses it
+        if name in _OPEN.values():  # opening and closing it would end the run that uses it
             return [cls.found(name, "in use by this program")]
         try:
             hd = _library()[0]
@@ -138,7 +141,7 @@ class OpenHapticsAdapter(HardwareAdapter):
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Set the force of the vendor's thread until the next call, or for `HELD_S`.
 
-        Torque is not played, because the device has no motors for it.
+        Torque is not played, because the device has no motors for rotation.
         """
         self._force = (force_N.tolist(), perf_counter())
 
@@ -161,7 +164,7 @@ class OpenHapticsAdapter(HardwareAdapter):
             with suppress(Exception):
                 hd.stop_scheduler()
         else:
-            # wait until another device is current, so that no frame is opened for this device
+            # wait until another device is current, so that no frame begins for this device
             sleep(ROUND_S)
         with suppress(Exception):
             hd.close_device(self._id)
@@ -176,7 +179,7 @@ class OpenHapticsAdapter(HardwareAdapter):
             now = perf_counter()
             if hd is None:
                 return
-            # The package opens a frame of the current device, which may be another one.
+            # The package begins a frame for the current device, which may be another device.
             current = hd.get_current_device()
             if current != self._id:
                 hd.end_frame(current)
@@ -195,13 +198,13 @@ class OpenHapticsAdapter(HardwareAdapter):
             )
 
     def _read(self, transform: Any, buttons: int, now: float) -> HardwareSample:
-        """Return a sample with velocities over the last calls."""
+        """Return a sample whose velocities are computed over the last calls."""
         x, y, z = (1e-3 * transform[3][axis] for axis in range(3))
         rows = [[transform[axis][row] for axis in range(3)] for row in range(3)]
         sample = HardwareSample((x, y, z), quaternion=of_matrix(rows), buttons=buttons)
         before, oldest = self._past[0] if self._past else (now, sample)
         self._past.append((now, sample))
-        # The first call, or a coarse clock: no time has passed.
+        # On the first call, or with a coarse clock, no time has passed.
         if now <= before:
             return sample
         rate = 1.0 / (now - before)
@@ -214,7 +217,7 @@ class OpenHapticsAdapter(HardwareAdapter):
 
 
 def _opened(hd: Any, name: str) -> int:
-    """Return the number of a device that was opened by its name."""
+    """Open a device by its name, and return its number."""
     number: int | None = hd.init_device(name)
     if number is None or number in NONE:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Self-test of a device: sample rate, regularity, latency, and a perceptible push."""
+"""Self-test of a device: sample rate, jitter, latency, and a perceptible push."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,16 +25,16 @@ BUMP_S = 0.3
 The force is above the friction of a Touch (0.26 N) and below its continuous force (0.88 N).
 """
 FEWEST = 20
-"""Smallest number of samples for a result: the slowest device, 10 Hz, gives 20 in 2 s."""
+"""Smallest number of samples for a result; a device at 10 Hz gives 20 samples in 2 s."""
 PAUSE_S = 5e-5
-"""Pause between two calls [s]: short against a tick, and other threads can run."""
+"""Pause between two calls [s]; it is much shorter than a tick, but other threads can run."""
 START_S = 5.0
 """Longest time for the first sample [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTest:
-    """Measurements of a device while zero is commanded in each tick.
+    """Measurements of a device while zero force is commanded in each tick.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class SelfTest:
     samples, rate_Hz
         Number of new samples, and their rate [Hz].
     interval_s, interval_99_s, longest_s
-        Time between two samples [s]: median, 99 %, longest.
+        Time between two samples [s]: median, 99th percentile, longest.
     call_s, call_99_s
-        Time of reading and commanding together [s]: median and 99 %.
+        Duration of a read plus a command [s]: median and 99th percentile.
     round_trip_s, round_trip_99_s
-        Time from a command to the first sample that has seen it [s]: median and 99 %; nan if the
-        device does not show it.
+        Time from a command to the first sample that confirms it [s]: median and 99th percentile;
+        nan if the device does not confirm commands.
     """
 
     seconds: float
@@ -64,21 +64,21 @@ class SelfTest:
 
     @property
     def delay_s(self) -> float:
-        """Latency of the device in addition to the hold [s].
+        """Latency of the device in addition to the zero-order hold [s].
 
-        It is the round trip, or else the duration of its calls.
+        It is the round trip if it is known, otherwise the duration of the calls.
         """
         return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
 
     @property
     def delay_99_s(self) -> float:
-        """99 % value of the latency [s]."""
+        """99th percentile of the latency [s]."""
         return self.round_trip_99_s if isfinite(self.round_trip_s) else self.call_99_s
 
 
 @dataclass(frozen=True)
 class Bump:
-    """Motion of the handle in a push, along the push and in total [m]."""
+    """Motion of the handle during a push [m]: along the push, and in total."""
 
     along_m: float
     moved_m: float
@@ -96,17 +96,17 @@ def self_test(
     Parameters
     ----------
     adapter
-        Device. If it has ``round_trip_s``, this value is stored with each sample.
+        Adapter of the device. If it has ``round_trip_s``, this value is stored with each sample.
     seconds
         Duration of the measurement, from the first sample [s].
     clock, pause
-        Functions that return the time [s], and that wait.
+        Function that returns the time [s], and function that waits.
 
     Raises
     ------
     InputError
-        If too few samples come. `DeviceError` if positions leave the device's reach, as millimetres
-        do.
+        If there are too few samples. `DeviceError` is raised if positions leave the device's reach,
+        for example because they are in millimetres.
     """
     require_range("seconds", seconds, 0.1, 600.0, "use 2")
     zero = np.zeros(3)
@@ -163,14 +163,15 @@ def bump(
     clock: Callable[[], float] = perf_counter,
     pause: Callable[[float], None] = sleep,
 ) -> Bump:
-    """Push the hand by at most `BUMP_N` along the device's z, as half a sine over `BUMP_S`.
+    """Push the hand along the device's z with half a sine of force: `BUMP_N`, `BUMP_S`.
 
-    However the push ends, the last force is zero.
+    `BUMP_N` is the largest force and `BUMP_S` the duration. At every kind of end, the last force is
+    zero.
 
     Raises
     ------
     InputError
-        If no sample comes during the push.
+        If there is no sample during the push.
     """
     places = []
     start = clock()
@@ -208,9 +209,9 @@ def _middle_and_99(
 
 
 EVERY_TICK = 0.95
-"""Share of ticks with a new sample above which the device counts as running at our rate.
+"""Share of ticks with a new sample above which the device's rate is taken as the tick rate.
 
-A busy machine misses some samples of a device that gives one in every tick.
+On a busy computer, some samples of a device that has one sample in every tick are missed.
 """
 SLOWEST_HZ = 10.0
 LONGEST_S = 0.2
@@ -218,11 +219,11 @@ LONGEST_S = 0.2
 
 
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
-    """Write the rate and latency of a device as constants with their ranges.
+    """Write rate and latency of a device as constants with ranges.
 
-    The rate is the mean rate. It is the tick rate if nearly every tick has a sample. The low end of
-    its range is the rate that 99 % of the intervals reach. The latency is the round trip, or the
-    duration of the calls if the device does not report one.
+    The rate is the mean rate, or the tick rate if nearly every tick has a new sample. The low end
+    of its range is the rate that 99 % of the intervals reach. The latency is the round trip, or the
+    duration of the calls if the device does not report a round trip.
     """
     most = 1.0 / TICK_S
     rate = min(max(test.rate_Hz, SLOWEST_HZ), most)

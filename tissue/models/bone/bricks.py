@@ -1,4 +1,4 @@
-"""Voxels cut into bricks: only bricks that hold bone are stored."""
+"""Voxels in bricks, blocks of 8 x 8 x 8 voxels; only bricks that hold bone are stored."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,19 +21,20 @@ __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickState", "BrickStore", "voxels_o
 BYTES_PER_VOXEL = 14
 """Bytes stored per voxel of a brick.
 
-They are remaining 2, swept 2, middle 2, older 2, material 4 and nearby 2.
+The arrays take 2 bytes (`remaining`, `swept`, `middle`, `older`, `nearby`) or 4 bytes (`material`)
+each.
 """
 NEVER_SWEPT = 65535
-"""Stored distance of a voxel that the tool has never reached."""
+"""Stored value of `swept`, `middle` and `older` for a voxel that the tool has never reached."""
 STEPS = FULL // 255
-"""Stored steps per step of the volume's 8-bit fraction."""
+"""Ratio of the stored 16-bit fraction to the 8-bit fraction of the volume."""
 CHANGED = ("remaining", "swept", "middle", "older", "alive")
-"""Arrays of the brick store that carving changes and depends on."""
+"""Arrays of the brick store that carving reads and changes."""
 
 
 @dataclass(frozen=True, eq=False)
 class BrickGrid:
-    """Lattice of the bricks of a bone, most of which may be empty or not made yet.
+    """Lattice of the bricks of a bone. Most bricks may be empty or not made yet.
 
     Attributes
     ----------
@@ -53,7 +54,7 @@ class BrickGrid:
     layer_names: tuple[str, ...]
 
     def agrees(self, other: "BrickGrid") -> bool:
-        """Return whether equal brick positions are equal places of another lattice."""
+        """Return True if a brick position means the same place on another lattice."""
         return (
             self.spacing_m == other.spacing_m
             and self.counts == other.counts
@@ -72,9 +73,9 @@ class BrickState:
     places
         Grid position of each of these bricks, shape (n, 3).
     rows
-        Their rows of the arrays that carving changes, by name.
+        Rows of these bricks in the arrays that carving changes, as a dictionary by array name.
     flags
-        Their flags, see `BrickStore.touched`.
+        Flags of these bricks, see `BrickStore.touched`.
     """
 
     grid: BrickGrid
@@ -86,7 +87,7 @@ class BrickState:
 class BrickStore:
     """Voxels on a device, in the layout of :mod:`kernels.bricks`.
 
-    They are the voxels of a volume, or of parts that are added one by one.
+    The voxels come from one volume, or from parts that are added one by one.
 
     Parameters
     ----------
@@ -100,10 +101,10 @@ class BrickStore:
     grid
         Lattice of the bricks.
     volume
-        The volume it was made from; its fractions are the state before any cut. None where parts
-        were added.
+        Volume from which the store was made; its fractions are the state before any cut. None if
+        parts were added.
     start_steps
-        Stored steps of each layer before any cut, shape (layers,).
+        Sum of `remaining` in each layer before any cut, shape (layers,).
     brick_of
         Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
     remaining
@@ -112,18 +113,19 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     middle
-        Copy of `swept` at the last time that cuts in the voxel's block became older cuts, uint16,
-        shape (capacity, 512).
+        Copy of `swept`, made the last time that the cuts in the voxel's block became older cuts,
+        uint16, shape (capacity, 512).
     older
-        Distance to the solid of older cuts, uint16, shape (capacity, 512), see `kernels.carving`.
+        Distance to the solid that older cuts have swept, uint16, shape (capacity, 512), see
+        `kernels.carving`.
     material
-        Density and layer before any cut in one word, uint32, shape (capacity, 512).
+        Density and layer before any cut, packed in one word, uint32, shape (capacity, 512).
     nearby
-        Distances to the original surface and to the nearest change of layer in one word, uint16,
-        shape (capacity, 512).
+        Distances to the original surface and to the nearest change of layer, packed in one word,
+        uint16, shape (capacity, 512).
     alive
-        One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of
-        it, uint64, shape (capacity,).
+        One bit for each block of 2 x 2 x 2 voxels: 1 if the block may hold bone or lies within two
+        voxels of bone, uint64, shape (capacity,).
     touched
         Flags of each brick, uint8, shape (capacity,): `kernels.bricks.LOST` if it lost material
         since `take_touched`, and `kernels.bricks.REACHED` if a tool came near since `keep_base`.
@@ -159,24 +161,26 @@ class BrickStore:
         return store
 
     def add(self, volume: VoxelVolume, *, at: tuple[int, int, int], margin: int = 0) -> bool:
-        """Store the bricks of a volume on the grid, where none is stored yet.
+        """Store the bricks of a volume at grid positions where no brick is stored yet.
 
         Parameters
         ----------
         volume
-            Voxels of the grid's spacing and layers.
+            Voxels with the spacing and the layers of the grid.
         at
-            Position of its first brick on the grid.
+            Position of the volume's first brick on the grid.
         margin
-            Bricks at each of its faces that are not stored. They only show how the bone continues.
+            Number of layers of bricks at each face of the volume that are not stored. They only
+            show how the bone continues.
 
         Returns
         -------
-        True if the device arrays were replaced, so that launches have to be recorded again.
+        True if the device arrays were replaced. The kernel launches then have to be recorded again.
         """
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
-        # Subtracted, since blocks are padded with zeros.
+        # `_blocked` pads with zeros, and the padding must be outside: `OUTSIDE` minus the distance
+        # is padded.
         near = _blocked(OUTSIDE - surface, counts)
         holds: Flags = np.asarray(
             _blocked(volume.fraction, counts).any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5))
@@ -186,7 +190,7 @@ class BrickStore:
         kept[inner] = holds[inner]
         first = len(self.places)
         if first == 0 and not kept.any():
-            kept[inner][0, 0, 0] = True  # kernels need at least one brick
+            kept[inner][0, 0, 0] = True  # the kernels need at least one brick
 
         def stored(array: NDArray[Any]) -> NDArray[Any]:
             return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[kept])
@@ -198,7 +202,8 @@ class BrickStore:
         stored_surface = stored(_filled_up(surface, counts))
         blocks = (fraction.astype(bool) | (stored_surface < OUTSIDE)).reshape(-1, 64, 8).any(axis=2)
         layers = stored(layer)
-        # One word for density and layer: one cache line instead of two.
+        # Density and layer share one word, so that reading both takes one cache line instead of
+        # two.
         material = stored(density).astype(np.uint32) << np.uint32(16)
         material |= layers
         nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored_surface
@@ -229,7 +234,7 @@ class BrickStore:
         return grown
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
-        """Write rows after the stored ones and return True if the arrays had to grow.
+        """Write rows after the stored rows, and return True if the arrays had to grow.
 
         The first rows fit exactly; later the arrays grow to twice the needed length.
         """
@@ -253,7 +258,7 @@ class BrickStore:
         return [self.brick_of, self.material, self.nearby, self.older, self.alive]
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
-        """Return rows and a copy of the content of bricks that lost material since the last call.
+        """Return row and remaining fraction of the bricks that lost material since the last call.
 
         The cost is proportional to the number of these bricks, so that a tick can afford it.
         """
@@ -264,18 +269,21 @@ class BrickStore:
         return rows, self.remaining.numpy()[rows]
 
     def _send(self, name: str, host: NDArray[Any]) -> None:
-        """Send an array that was changed on the host; on a CPU both share their memory."""
+        """Send an array that was changed on the host to the device.
+
+        On a CPU, host and device share their memory.
+        """
         array = getattr(self, name)
         if not array.device.is_cpu:
             array.assign(host)
 
     def begin(self, owner: object) -> None:
-        """Reserve states for a cutter; the next `state` begins from the bricks of that time."""
+        """Allow only this cutter to copy states; the next call of `state` keeps the base."""
         self._owner = owner
         self._base = None
 
     def _require_owner(self, owner: object) -> None:
-        """Refuse a cutter that a later one has replaced, which may have cut the bone."""
+        """Raise an error if a later cutter has replaced this one: it may have cut the bone."""
         if self._owner is not owner:
             raise InputError(
                 "bone",
@@ -285,7 +293,7 @@ class BrickStore:
             )
 
     def keep_base(self) -> None:
-        """Take the present bricks as the base that states are differences from."""
+        """Keep the present bricks as the base; states store the differences from it."""
         count = len(self.places)
         self._base = {name: getattr(self, name).numpy()[:count].copy() for name in CHANGED}
         flags = self.touched.numpy()
@@ -316,8 +324,8 @@ class BrickStore:
         Raises
         ------
         InputError
-            If another cutter began later, or the state has other voxels or bricks that are not made
-            here.
+            If another cutter began later, if the state belongs to another lattice of voxels, or if
+            it has bricks that this store does not hold.
         """
         self._require_owner(owner)
         if not self.grid.agrees(state.grid):
@@ -389,7 +397,7 @@ class BrickStore:
         Parameters
         ----------
         first, last
-            Position of the first brick, and one after the position of the last.
+            Position of the first brick, and the position one after the last brick.
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
@@ -399,7 +407,7 @@ class BrickStore:
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
 
     def steps_by_layer(self) -> Ints:
-        """Return the stored steps that remain in each layer, shape (layers,)."""
+        """Return the sum of `remaining` in each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
         # The lower byte of a word is the layer.
@@ -410,7 +418,7 @@ class BrickStore:
 
 
 def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
-    """Return the indices and values of the voxels whose value is not 0.
+    """Return the indices and values of the voxels whose values are not 0.
 
     ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
     positions of the store's bricks, and ``rows`` names some of these bricks.
@@ -425,7 +433,7 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
 
 
 def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
-    """Return stored steps as 8-bit fractions."""
+    """Return stored 16-bit fractions as 8-bit fractions."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
@@ -434,7 +442,8 @@ def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored surface distance padded to whole bricks.
 
-    The padding of each face lies one voxel farther out, and is outside in any case.
+    The padding at a face is one voxel farther outside than the voxels at that face. It is outside
+    the bone even where those voxels are inside.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")

@@ -1,6 +1,6 @@
-"""Bone whose bricks are made where a tool first reaches.
+"""Bone whose bricks (blocks of voxels) are made when a tool first reaches them.
 
-A whole tibia at 0.1 mm would have 2e9 voxels.
+A whole tibia would have 2e9 voxels of 0.1 mm.
 """
 
 from collections.abc import Iterator
@@ -19,21 +19,21 @@ from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 __all__ = ["Boxes", "BricksOnDemand"]
 
 Boxes = tuple[Array, Array]
-"""Lowest and highest corners of boxes [m], shape (n, 3) both."""
+"""Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4
-"""Bricks along the edge of a patch, the unit that is made at once; chosen."""
+"""Number of bricks along the edge of a patch; a patch is made in one call. The value is chosen."""
 MARGIN = 1
-"""Bricks voxelised around a patch and not kept.
+"""Number of bricks around a patch that are voxelised but not kept.
 
-They are wider than the distances that its voxels store.
+This margin is wider than the distances that the voxels of the patch store.
 """
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Bytes of memory per voxel while it is made.
+"""Bytes of memory per voxel while a patch is made.
 
-They cover the stored voxel, space to grow, and the source arrays.
+They are for the stored voxel, space for growth, and the source arrays.
 """
 MOST_BRICKS = 2.5e8
-"""Largest number of bricks of the lattice: 1 GB."""
+"""Largest number of bricks of the lattice; its index array then takes 1 GB."""
 
 
 class BricksOnDemand:
@@ -46,7 +46,7 @@ class BricksOnDemand:
     spacing_m
         Edge of a voxel [m].
     minus
-        Solid taken out first (a pilot hole).
+        Solid that is removed from the bone first, such as a pilot hole.
     device
         Warp device name.
 
@@ -81,7 +81,7 @@ class BricksOnDemand:
         self._made = np.zeros(self._patches, bool)
 
     def make(self, boxes: Boxes) -> bool:
-        """Make all bricks that boxes touch; return True if launches have to be recorded again.
+        """Make all bricks that some boxes touch; return True if launches have to be recorded again.
 
         Parameters
         ----------
@@ -103,14 +103,15 @@ class BricksOnDemand:
         return grown
 
     def _require_memory(self, patches: int) -> None:
-        """Check that patches fit the memory that is free now."""
+        """Check that a number of patches fits into the free memory."""
         if patches == 0:
             return
         import psutil
 
         free = psutil.virtual_memory().available
         needed = patches * (PATCH * BRICK) ** 3 * BYTES_WHILE_MADE
-        # A tenth is left to the rest of the run; the suggestion leaves a fifth.
+        # A tenth of the free memory is kept for the rest of the run. The suggested spacing keeps a
+        # fifth.
         if needed > 0.9 * free:
             raise _too_fine(
                 self.store.grid.spacing_m,
@@ -119,17 +120,20 @@ class BricksOnDemand:
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
-        """Return True if all bricks that a box touches are made; corners [m], shape (3,) each."""
+        """Return True if all bricks that a box touches are made.
+
+        The corners of the box [m] have shape (3,).
+        """
         patch_m = PATCH * self._brick_m
         low = np.floor(low_m / patch_m - self._first / PATCH).astype(np.int64).clip(0)
         high = np.floor(high_m / patch_m - self._first / PATCH).astype(np.int64) + 1
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut: bone before any cut, and its remainder, 255 = full.
+        """Yield the parts that tools have cut: bone before any cut, and remainder, 255 = full.
 
-        The parts are boxes that share one layer of voxels, so that a surface between voxel centres
-        continues from one part to the next.
+        The parts are boxes. Neighbouring boxes share one layer of voxels, so that a surface between
+        voxel centres continues from one part to the next.
         """
         lost = self.store.touched.numpy()[: len(self.store.places)] & LOST
         at = self.store.places[np.flatnonzero(lost)]
@@ -144,7 +148,7 @@ class BricksOnDemand:
             low = PATCH * first
             high = PATCH * last
             before = self._voxels(low - MARGIN, high + MARGIN)
-            # + 1: the layer that is shared with the next part.
+            # + 1: the layer of voxels that is shared with the next part.
             kept = tuple(
                 slice(MARGIN * BRICK, MARGIN * BRICK + n + 1)
                 for n in (BRICK * (high - low)).tolist()
@@ -187,14 +191,15 @@ class BricksOnDemand:
 
 
 def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
-    """Return the error for a spacing whose number of voxels is a multiple of the largest one."""
-    # A tenth coarser than the largest number, and rounded up to 0.01 mm.
+    """Return the error for a spacing that gives `share` times the largest number of voxels."""
+    # The suggestion is a tenth coarser than the largest number of voxels requires, rounded up to
+    # 0.01 mm.
     fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
     return InputError("spacing_mm", requirement, f"{1e3 * spacing_m:g}", f"use {fits_mm:g}")
 
 
 def _box_of(wanted: Flags) -> tuple[Ints, Ints]:
-    """Return the first and one after the last patch of a box of wanted patches.
+    """Return the first patch of a box of wanted patches, and the patch one after its last.
 
     The box is grown from the first wanted patch along z, then y, then x.
     """

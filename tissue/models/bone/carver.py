@@ -1,7 +1,9 @@
 """Removal of the bone that a moving tool reaches, during a run and in its replay.
 
-The bone at any tick of a run follows from the tool's poses, which are carved again by the kernel of
-the run. After equal poses the bricks are bitwise equal.
+The bone at any tick of a run follows from the tool's poses. A replay carves these poses again with
+the kernel of the run, so that the bricks (blocks of 8 x 8 x 8 voxels) are bitwise equal. The bricks
+are divided into groups. A tick visits some of the groups in turn: it carves their bricks at the
+present pose.
 """
 
 from dataclasses import dataclass
@@ -42,40 +44,42 @@ __all__ = ["Carver", "CarverState", "CarvingReplay", "Removal"]
 Removal = Literal["subvoxel", "binary"]
 
 CARVE_LAG_M = 2.0e-5
-"""Largest motion of the tool between two visits of a brick, at most a quarter voxel [m]; chosen.
+"""Largest motion of the tool between two visits of a brick [m]; chosen.
 
-A fast tool moves up to `FAST_LAG_VOXELS`. The force hardly depends on when a brick was visited, see
-`STEADY_GROUPS`.
+It is limited to a quarter of a voxel. A fast tool may move by up to `FAST_LAG_VOXELS`. The force
+hardly depends on the time of a visit, see `STEADY_GROUPS`.
 """
 STEADY_GROUPS = 16
-"""Number of groups that a tick visits, unless `FAST_LAG_VOXELS` requires more; chosen.
+"""Number of groups of bricks that a tick visits, unless `FAST_LAG_VOXELS` requires more; chosen.
 
-A group takes 20 us under the drill of `pedicle`. By hand at 16 mm/s, `CARVE_LAG_M` requires 25
-groups a tick. Relative to visits of all groups in every tick, the force of the first 2.5 s of
-`pedicle` by an expert on a Touch then differs by 0.05 % RMS, with 16 groups by 0.12 % and with 12
-groups by 0.15 %. In `milling` the differences are 0.012, 0.007 and 0.006 %.
+A group takes 20 us under the drill of `pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires 25
+groups a tick. The force was compared with the force when every tick visits all groups, in the first
+2.5 s of `pedicle` with a simulated expert on a Touch. The RMS difference is 0.05 % with 25 groups,
+0.12 % with 16 groups and 0.15 % with 12 groups. In `milling` the differences are 0.012, 0.007 and
+0.006 %.
 """
 FAST_LAG_VOXELS = 0.4
 """Largest motion of a fast tool between two visits of a brick [voxel]; chosen.
 
-A ball of 10 voxels' radius leaves ridges of 0.002 voxel, a fifth of
+At this distance a ball with a radius of 10 voxels leaves ridges of 0.002 voxel, a fifth of
 `kernels.older_cuts.RAMP`.
 """
 LONGEST_STEP_VOXELS = 0.5
-"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
+"""Longest motion between two carved poses [voxel]; the motion of a faster tool is divided."""
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-The last poses of the tool reach further back, see `tissue.models.bone.recent_poses`.
+The last poses of the tool that are kept cover more than this motion, see
+`tissue.models.bone.recent_poses`.
 """
 TURN = 0.9
-"""Cosine of the smallest change of direction that counts, 26 degrees; chosen.
+"""Cosine of the smallest angle that counts as a change of direction, 26 degrees; chosen.
 
 After a change of direction, bone in front of the tool may have been cut before.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Number of workers that share a carving launch; chosen."""
+"""Number of workers that share a carving launch on a GPU; chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +91,9 @@ class CarverState:
     bricks
         Bricks that the tool has reached.
     poses
-        Present pose, pose at the last visit of every group of bricks, pose at which the cuts in it
-        last became older cuts, and the motion before that, shape (1 + 3 groups, 6).
+        Present pose. Then, for each group of bricks: the pose at its last visit, the pose at which
+        its cuts last became older cuts, and its motion at the last change of direction. Shape (1 +
+        3 groups, 6).
     marks
         Travel of the tool at the time the cuts in each group of bricks last became older cuts
         [voxel], shape (groups,).
@@ -97,7 +102,8 @@ class CarverState:
     turned
         True for each group whose last motion was a change of direction, shape (groups,).
     counts
-        Next group, number of visits due, number of groups not yet visited at the present pose.
+        Next group to visit, number of visits due, and number of groups not yet visited at the
+        present pose.
     """
 
     bricks: BrickState
@@ -123,16 +129,18 @@ class Carver:
     device
         Warp device name.
     cores
-        Processor cores to split large launches over; default all. The result does not depend on it.
+        Number of processor cores to split large kernel launches over; default all. The result does
+        not depend on it.
 
     Attributes
     ----------
     tool
         The cutter's distance table on the device.
     removed_steps
-        Stored steps removed so far, by layer, shape (layers,).
+        Decrease of the sum of `BrickStore.remaining` so far, by layer, shape (layers,).
     changes
-        Number of visits and restores of the bone: while it is constant, the bone does not change.
+        Number of visits and restores so far. While this number is constant, the bone does not
+        change.
     """
 
     def __init__(
@@ -158,7 +166,7 @@ class Carver:
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._older_lag = OLDER_LAG_M / spacing
-        # motion that each group last counted as a change of direction [voxel], and of the axis
+        # motion of tip [voxel] and axis of each group at its last change of direction
         self._motions = np.zeros((PHASES, 6))
         # travel of the tool so far, and at the time the cuts in each group last became older cuts
         # [voxel]
@@ -169,11 +177,11 @@ class Carver:
         # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
-        # Groups follow the world's lattice, so that an equal cut in a larger region is visited at
-        # the same ticks.
+        # The groups are fixed in the world frame. The same cut in a larger region of voxels is
+        # therefore visited at the same ticks.
         factors = ALONG_X, ALONG_Y, 1
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)) @ factors) % PHASES
-        self._debt = 0.0  # visits owed for the path so far
+        self._debt = 0.0  # visits that are due for the path so far
         self._behind = 0  # groups not visited at the present pose
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
@@ -185,7 +193,7 @@ class Carver:
         self.record()
 
     def record(self) -> None:
-        """Record the launch on the present arrays of the store."""
+        """Record the kernel launch on the present arrays of the store."""
         store = self.store
         self._carve = SplitLaunch(
             carve,
@@ -239,15 +247,15 @@ class Carver:
             if groups > 0:
                 self._visit(groups)
         elif self._behind > 0:
-            self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
+            self._visit(1)  # at rest: visit the remaining groups, one a tick
 
     def _distance(self, one: Array, other: Array) -> float:
-        """Return a bound of the distance [voxel] by which the tool's points move between poses."""
+        """Return an upper bound of the motion of the tool's points between two poses [voxel]."""
         moved = one - other
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _turns(self, group: int, motion: Array) -> bool:
-        """Return whether a motion deviates from that after the group's last change of direction."""
+        """Return True if a motion deviates from that at the group's last change of direction."""
         before = self._motions[group]
         travelled = self._travelled - self._marks[group]
         return float(motion.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
@@ -261,11 +269,11 @@ class Carver:
         return now
 
     def _sweep(self, now: Array, *, parts: int) -> None:
-        """Carve a fast tool at several poses on its path."""
+        """Carve the motion of a fast tool at several poses on its path."""
         before = self._pose.host[0].copy()
         for part in range(1, parts + 1):
             pose = before + part / parts * (now - before)
-            # An axis between two axes is shorter than one.
+            # An axis interpolated between two unit axes is shorter than 1.
             pose[3:] /= np.linalg.norm(pose[3:])
             self._pose.host[0] = pose
             self._visit(PHASES)
@@ -287,7 +295,7 @@ class Carver:
         )
 
     def restore(self, state: CarverState) -> None:
-        """Return to a copied state; the counted removal stays."""
+        """Return to a copied state; `removed_steps` keeps its value."""
         self.store.restore(state.bricks, self)
         self.changes += 1
         self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
@@ -298,7 +306,7 @@ class Carver:
         self._next_group, self._debt, self._behind = state.counts
 
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
-        """Carve ``groups`` groups of bricks at the current pose and add up their loss."""
+        """Carve the next groups of bricks at the present pose, and add up the removed material."""
         self.changes += 1
         first = self._next_group
         poses = self._pose.host
@@ -312,7 +320,8 @@ class Carver:
         plan[BINARY] = self._binary
         plan[EVERY_SIDE] = every_side
         plan[MOVED] = sum(1 << group for group in moved)
-        # The cuts just before a change of direction become older cuts at the next booking.
+        # The cuts just before a change of direction become older cuts the next time that the group
+        # moved far enough.
         plan[TURNED] = sum(1 << group for group in moved if group in turned or self._turned[group])
         plan[ORIGIN] = self._first_group
         self._plan.push()
@@ -329,7 +338,7 @@ class Carver:
             self._marks[group] = self._travelled
             self._turned[group] = group in turned
         self._next_group = (first + groups) % PHASES
-        # A visit of all groups leaves none to be visited.
+        # After a visit of all groups no visit is due.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
         self._behind -= min(groups, self._behind)
 
@@ -362,13 +371,14 @@ class CarvingReplay:
     poses
         Poses of the run, see `tissue.simulation.loop.PoseLog`.
     device
-        Warp device name; the device of the run gives bitwise equal results.
+        Warp device name. The results are bitwise equal to the run's if this is the device of the
+        run.
 
     Attributes
     ----------
     fraction
-        Bone in every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz); the next call of
-        `at` changes it.
+        Remaining fraction of every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz). The
+        next call of `at` overwrites it.
     """
 
     def __init__(
@@ -387,9 +397,9 @@ class CarvingReplay:
         self._start = self._carver.state()
         self.fraction = volume.fraction.copy()
         self._next = 0  # first pose that was not carved yet
-        # bricks whose entry in `fraction` is out of date
+        # True for bricks whose part of `fraction` is out of date
         self._changed = np.zeros(0, np.intp)
-        self._cut = np.zeros(0, np.intp)  # bricks that differ from the start
+        self._cut = np.zeros(0, np.intp)  # True for bricks that differ from the start
 
     def at(self, tick: int) -> Bytes:
         """Return the bone at the end of a tick, see `fraction`.
@@ -417,11 +427,11 @@ class CarvingReplay:
         return self.fraction
 
     def removals(self) -> tuple[Ints, Ints]:
-        """Return the voxels that fall below half during the run, and the tick of each, increasing.
+        """Return the voxels whose fraction falls below half during the run, and the tick of each.
 
-        The indices have shape (n, 3). Removal is fractional; a voxel that was below half before the
-        first cut is not included. A slow tool's bricks take turns, so that a voxel may be up to 20
-        µm of the tool's path late.
+        The indices have shape (n, 3), and the ticks increase. A voxel that was below half before
+        the first cut is not included. Under a slow tool the bricks are carved in turn, so that a
+        voxel may be removed late, by up to 20 µm of the tool's path.
         """
         self._carver.restore(self._start)
         self._store.take_touched()

@@ -1,4 +1,4 @@
-"""Elements of a cutter's surface on a device, and the cutting forces on them."""
+"""Cutting elements, the small parts of a cutter's surface, and the cutting forces on them."""
 
 from typing import Any
 
@@ -26,9 +26,10 @@ __all__ = [
 ]
 
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
-"""Components of the forces and torques of element loads that are not 0 on every element.
+"""Indices of the load components that are not 0 on every element.
 
-The loads are tangential, radial and axial.
+An element has a tangential, a radial and an axial load, each with three components of force and of
+torque.
 """
 
 
@@ -36,7 +37,7 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
     """Return the cutter's point shell on a device."""
     elements = Elements()
     elements.point = put(shell.points_m, wp.vec3, device)
-    missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
+    missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not cut
     eights = (
         np.pad(np.hstack([shell.points_m, shell.normals]), missing)
         .reshape(-1, LANES, 6)
@@ -63,10 +64,10 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
-    """Return the directions of a tangential, a radial and an axial load on each element, (n, 18).
+    """Return the directions and moments of the three loads on each element, shape (n, 18).
 
-    Each direction is scaled by its load factor, see `Cutter.load_factors`. Each is followed by its
-    moment about the tip [m].
+    The loads are tangential, radial and axial. Each direction is multiplied by its load factor, see
+    `Cutter.load_factors`, and is followed by its moment about the tip [m].
     """
     around = np.column_stack(
         [-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))]
@@ -83,15 +84,18 @@ def levers_of(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
-    """Return the mean length of cutting edge in each element, N A / (2 pi r) [m], shape (n,)."""
+    """Return the mean length of cutting edge in each element [m], shape (n,).
+
+    It is N A / (2 pi r), with N flutes, the element's area A and its radius r.
+    """
     return np.asarray(cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m))
 
 
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
     """Return a bounding ball and a cone of normals for each chunk of points.
 
-    Each array has shape (chunks, 4). A ball is its centre and radius [m]. A cone is its axis and
-    the sine of its half angle, 2 where it is wider than a half space.
+    Each array has shape (chunks, 4). A ball has a centre and a radius [m]. A cone has an axis and
+    the sine of its half angle; the sine is set to 2 if the cone is wider than a half space.
     """
     balls = []
     cones = []
@@ -109,17 +113,18 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
 
 
 CREEP_M_S = 5e-5
-"""Upper limit of the speed at which an element of a held tool has its full edge force [m/s].
+"""Upper limit of the speed at which an element reaches its full edge force [m/s].
 
-Chosen. A tool that rests against a fraction of its edge force creeps at this fraction of the speed.
+It applies to a tool on a haptic device. The value is chosen. A tool that is pressed with a fraction
+of its edge force creeps at this fraction of the speed.
 """
 
 
 class CuttingForces:
     """Cutting forces on the elements of a tool in bone.
 
-    The bone in front of the elements is found once a pose. The forces are then summed, for any
-    velocity, over chunks of elements.
+    The bone in front of the elements is found once for each pose. The forces can then be computed
+    for any velocity; they are summed over chunks (groups) of elements.
 
     Parameters
     ----------
@@ -128,22 +133,22 @@ class CuttingForces:
     elements, coefficients
         Elements of the tool and cutting coefficients on the device.
     pose, recent
-        Pose and last poses, as `kernels.engagement.find_bone` reads them.
+        Present pose and last poses, in the layout that `kernels.engagement.find_bone` reads.
     motion
-        Velocities, as `kernels.cutting.cutting_forces` reads them.
+        Velocities, in the layout that `kernels.cutting.cutting_forces` reads.
     chip_per_speed_s
-        Chip thickness over normal feed speed [s].
+        Chip thickness divided by the feed speed along the normal [s].
     cores
-        Processor cores to split large launches over; default all.
+        Number of processor cores to split large kernel launches over; default all.
 
     Attributes
     ----------
     found
         Bone in front of the elements, shape (eights, FOUND, LANES).
     find_bone
-        Launch of the search on the present arrays of the store.
+        Kernel launch of the search on the present arrays of the store.
     slopes
-        Place of the derivatives in the sums, see `kernels.cutting.VALUE`.
+        Index of the first derivative in the sums, see `kernels.cutting.VALUE`.
     """
 
     def __init__(
@@ -168,7 +173,7 @@ class CuttingForces:
         lanes = wp.zeros(shape, lanes8, device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
         self._engaged = Mirror(self._chunks, dtype=wp.float64, device=device)
-        # The first search then writes the widths of all elements.
+        # The value 1 makes the first search write the widths of all elements.
         self._engaged.device.fill_(1)
         self._motion = motion
         self._store = store
@@ -194,7 +199,7 @@ class CuttingForces:
         self.record()
 
     def record(self) -> None:
-        """Record the search on the present arrays of the store."""
+        """Record the kernel launch of the search on the present arrays of the store."""
         self.find_bone = SplitLaunch(
             find_bone,
             dim=self._chunks,
@@ -213,5 +218,5 @@ class CuttingForces:
             return np.zeros(rows)
         self._sum()
         self._sums.pull()
-        # Chunks without bone are left out.
+        # Chunks without bone have the factor 0.
         return np.asarray(engaged @ self._sums.host[:, :rows])

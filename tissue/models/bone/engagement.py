@@ -1,18 +1,18 @@
-"""Loads on a cutter for any cutting law, stored at nodes of density and of chip thickness.
+"""Loads on a cutter for any cutting law, stored at nodes of density and nodes of chip thickness.
 
-Every coefficient of an element is scaled by (density / reference) ** exponent. Summed over elements
-of density rho with weights w, f(p) = sum w rho**p is needed for any p. Between nodes rho_j,
-Chebyshev points of ln rho, the factor rho**(p - c), c the middle of the exponents, is interpolated
-by polynomials L_j of ln rho, so that::
+Every coefficient of a cutting element is multiplied by (density / reference) ** exponent. The sum
+f(p) = sum w rho**p over elements of density rho and weight w is therefore needed for any exponent
+p. Let c be the middle of the exponents. The factor rho**(p - c) is interpolated by polynomials L_j
+of ln rho. The nodes rho_j are Chebyshev points of ln rho. Then::
 
     f(p) = sum_j rho_j**(p - c) M_j,    M_j = sum w rho**c L_j(ln rho)
 
 The interpolation of exp(a x) on [-1, 1] by n points has an error of about 4 I_n(a) (Trefethen 2013,
-Approximation Theory and Approximation Practice, ch. 3). n is the smallest number whose error is
-below `ERROR` of the smallest value, exp(-a).
+Approximation Theory and Approximation Practice, ch. 3). n is the smallest number of points whose
+error is below `ERROR` times the smallest value, exp(-a).
 
 The force per length of edge depends on the chip thickness. It is interpolated linearly between the
-nodes of chip thickness. This is exact for a law that is linear in the thickness.
+nodes of chip thickness. The interpolation is exact for a law that is linear in the thickness.
 """
 
 from dataclasses import dataclass
@@ -46,11 +46,11 @@ __all__ = [
 HIGHEST_EXPONENT = 5.0
 """Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
-"""Middle c of the exponents, which makes the interpolated exponents p - c smallest."""
+"""Middle c of the exponents: it minimises the magnitude of the interpolated exponents p - c."""
 ERROR = 1e-8
-"""Largest relative error of the factor of an element.
+"""Largest relative error of an element's interpolated density factor.
 
-It is a hundredth of the tolerance of reweighed loads.
+It is a hundredth of the tolerance for loads that are computed again from stored nodes.
 """
 MOST_NODES = 64
 """Upper limit of the search for n; densities of 1 to 20,000 kg/m3 need 38 nodes."""
@@ -58,14 +58,14 @@ MOST_NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class DensityNodes:
-    """Density nodes of one layer.
+    """Nodes of density in one layer.
 
     Attributes
     ----------
     densities_kg_m3
         Shape (k,).
     shares
-        M_j of a unit weight by density, an entry of the strength table, shape (DENSITIES, k).
+        M_j of a unit weight at each density of the strength table, shape (DENSITIES, k).
     """
 
     densities_kg_m3: Array
@@ -73,8 +73,8 @@ class DensityNodes:
 
     @classmethod
     def of(cls, least_kg_m3: int, most_kg_m3: int) -> "DensityNodes":
-        """Return the nodes for densities in a range; one node for a single density."""
-        # 1: zero has no logarithm.
+        """Return the nodes for a range of densities; one node if the range is a single density."""
+        # At least 1, because zero has no logarithm.
         least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
         if least == most:
             return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
@@ -96,25 +96,25 @@ class DensityNodes:
         return float(np.exp(np.log(self.densities_kg_m3).mean()))
 
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Return weights of the M_j for a density exponent, shape (k,).
+        """Return the weights of the M_j for a density exponent, shape (k,).
 
-        The M_j sum to (factor density / reference) ** exponent.
+        The weighted sum of the M_j is the sum of w (factor density / reference) ** exponent.
         """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
         return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
 
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Return ln(factor density / reference) of the nodes, shape (k,).
+        """Return ln(factor density / reference) at the nodes, shape (k,).
 
-        It is the factor in the derivative by the exponent.
+        The derivative with respect to the exponent has this factor.
         """
         return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
 
 
 def _count(a: float) -> int:
-    """Return the number of points that interpolate exp(a x) on [-1, 1].
+    """Return the number of points needed to interpolate exp(a x) on [-1, 1].
 
-    The error is at most `ERROR` of the smallest value.
+    The error of the interpolation is at most `ERROR` times the smallest value.
     """
     counts = np.arange(2, MOST_NODES)
     return int(counts[np.argmax(4.0 * iv(counts, a) * np.exp(a) < ERROR)])
@@ -133,17 +133,17 @@ def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
 DIRECTIONS = 3
 """Directions of the loads on an element: tangential, radial and axial."""
 CHIP_RATIO = 1.3
-"""Ratio between nodes of chip thickness.
+"""Ratio between neighbouring nodes of chip thickness.
 
-A power of the thickness with exponent 1 - m is missed by m (1 - m) ln(ratio) ** 2 / 8 at most,
-which is 0.2 % for m = 0.5.
+For a force proportional to the thickness to the power 1 - m, the relative error of the
+interpolation is at most m (1 - m) ln(ratio) ** 2 / 8. This is 0.2 % for m = 0.5.
 """
 THINNEST = 1e-3
-"""Smallest node of chip thickness above zero, as a share of the largest node; chosen."""
+"""Ratio of the smallest node of chip thickness above zero to the largest node; chosen."""
 
 
 LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])
-"""Nodes of chip thickness [m] for a law that is linear in it: any two of them are exact."""
+"""Nodes of chip thickness [m] for a law that is linear in the thickness: any two are exact."""
 
 
 def chip_nodes(thickest_m: float) -> Array:
@@ -153,9 +153,9 @@ def chip_nodes(thickest_m: float) -> Array:
 
 
 def _interpolation(nodes_m: Array, thickness_m: Array, lengths: Array) -> csr_array:
-    """Return the matrix that interpolates between nodes, times a length per row, shape (k, n).
+    """Return the matrix that interpolates n chips between nodes, shape (k, n).
 
-    Thicker chips than the last node are extrapolated.
+    Each chip is multiplied by its length. Chips thicker than the last node are extrapolated.
     """
     upper = np.clip(np.searchsorted(nodes_m, thickness_m), 1, len(nodes_m) - 1)
     lower = upper - 1
@@ -167,7 +167,7 @@ def _interpolation(nodes_m: Array, thickness_m: Array, lengths: Array) -> csr_ar
 
 
 class EngagedElements:
-    """Elements of a cutter that engage bone, and the bone they engage.
+    """Cutting elements that engage bone, and the bone that they engage.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class EngagedElements:
         self._edges = edge_lengths_m(bone.shell, bone.cutter)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return the share that cuts, the advance per unit of speed, the layer and the density.
+        """Return each element's share that cuts, advance per unit speed, layer and density.
 
         Each array has a value for every element.
         """
@@ -195,7 +195,7 @@ class EngagedElements:
         return share, advance.sum(axis=1), found[LAYER].astype(int), found[DENSITY].astype(int)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
-        """Return points where the cutter cuts, normals out of the cutter, and relative powers.
+        """Return the points where the cutter cuts, its outward normals and relative powers.
 
         Points [m] are in the world frame. The power of an element is its tangential force times its
         speed, which is the spin times its radius.
@@ -234,9 +234,9 @@ class EngagedElements:
 
 
 class EngagedBone:
-    """Bone model that gives loads for any cutting law in place of a force.
+    """Bone model that returns loads for any cutting law instead of a force.
 
-    It is carved like the given model.
+    It carves bone like the given model.
 
     Parameters
     ----------
@@ -248,13 +248,14 @@ class EngagedBone:
     Attributes
     ----------
     nodes
-        Densities of each layer at which loads are given.
+        Densities of each layer at which loads are computed.
     unit_loads
-        For each layer: force [N] and torque about the tip [N m] on the tool in the world frame for
-        a unit of force per length of edge [N/m] at each node of chip thickness and in each of the
-        `DIRECTIONS`, weighed as by `DensityNodes`, shape (nodes, 3 k, 6), of the last `respond`.
+        Array of shape (nodes, 3 k, 6) for each layer, computed in the last `respond`: force [N] and
+        torque about the tip [N m] on the tool, in the world frame. They belong to a force per
+        length of edge of 1 N/m at each node of chip thickness, in each of the `DIRECTIONS`.
+        `DensityNodes` gives the weights by density.
     asked
-        True if `respond` is to compute them.
+        True if `respond` computes `unit_loads`.
     """
 
     def __init__(self, bone: BoneModel, chips_m: Array) -> None:
@@ -274,7 +275,7 @@ class EngagedBone:
         ]
         self._response = Response.empty(len(self.layer_names))
         self.engaged_m2 = self._response.engaged_m2
-        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
+        """Area of the tool in contact with each layer in the last `respond` [m2], (layers,)."""
         shell = bone.shell
         cutter = bone.cutter
         self._areas = shell.areas_m2
@@ -305,7 +306,7 @@ class EngagedBone:
         self.bone.finish()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return engaged areas and rate of removal, without a force.
+        """Return engaged areas and rate of removal; the force is zero.
 
         `unit_loads` are computed at the motion's speed.
         """
@@ -321,7 +322,7 @@ class EngagedBone:
         response.engaged_m2[:] = np.bincount(layers, engaged, minlength=len(self.layer_names))
         response.removal_rate_m3_s = float(engaged @ speeds) * motion.speed_m_s
         chip = self.bone.cutter.chip_per_speed_s * motion.speed_m_s * speeds
-        # A tool at rest bears a share of the edge force.
+        # A tool at rest is loaded by a share of its edge force.
         pressed = 1.0 if motion.speed_m_s > 0.0 else motion.pressed
         levers = self._levers[met]
         for at, nodes in enumerate(self.nodes):
@@ -334,10 +335,10 @@ class EngagedBone:
 
 
 def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
-    """Return the loads of elements, summed by node density, shape (nodes, 3 k, 6).
+    """Return the loads of elements, summed for each density node, shape (nodes, 3 k, 6).
 
-    `weights` at nodes of chip thickness have shape (k, n), `levers` (n, 18) and `shares` at nodes
-    of density (n, nodes).
+    `weights` at the nodes of chip thickness have shape (k, n). `levers` have shape (n, 18).
+    `shares` at the nodes of density have shape (n, nodes).
     """
     columns = shares[:, :, None] * levers[:, None, :]
     columns = columns.reshape(len(levers), shares.shape[1] * levers.shape[1])
@@ -347,15 +348,18 @@ def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) 
 
 
 PLUNGE_ELEMENTS = 40_000
-"""Number of elements of a cutter in a plunge, four times as many as a run needs for 0.1 %."""
+"""Number of elements of a cutter in a plunge.
+
+It is four times the number that gives an error of 0.1 % in a run.
+"""
 LEAST_ADVANCE = 1e-6
 """Advance per unit of feed below which an element is part of the cutter's side."""
 
 
 def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, Array]:
-    """Return the steady unit loads of a fully engaged cutter that is pushed along its axis.
+    """Return the steady unit loads of a fully engaged cutter that is fed along its axis, z.
 
-    The cutter's axis is z.
+    The unit loads are those of `EngagedBone.unit_loads`.
 
     Parameters
     ----------
@@ -367,8 +371,8 @@ def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, A
     Returns
     -------
     tuple
-        Nodes of chip thickness [m], shape (k,), and unit loads at these nodes for a relative
-        density of 1, shape (1, 3 k, n, 6), as in `tissue.simulation.load_record.LayerLoads`.
+        Nodes of chip thickness [m], shape (k,), and unit loads at these nodes, shape (1, 3 k, n,
+        6), in the layout of `tissue.simulation.load_record.LayerLoads`. The relative density is 1.
     """
     shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / PLUNGE_ELEMENTS) ** 0.5)
     advance = -shell.normals[:, 2]

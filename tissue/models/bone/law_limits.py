@@ -29,10 +29,10 @@ class LawLimits:
     Attributes
     ----------
     notices
-        One sentence for each limit, when it is first passed; the loop removes the sentences that it
-        logs.
+        One sentence for each limit, added when the limit is first exceeded. The loop removes the
+        sentences that it logs.
     passed
-        Sentences of all limits that were passed, by subject.
+        Sentences of all limits that were exceeded, as a dictionary by subject.
     thickest_m
         Largest feed per tooth in bone so far [m].
     """
@@ -48,17 +48,17 @@ class LawLimits:
         self.thickest_m = 0.0
 
     def restart(self) -> None:
-        """Reset the limits that were passed."""
+        """Reset the limits that were exceeded."""
         self.notices.clear()
         self.passed.clear()
         self.thickest_m = 0.0
 
     def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
-        """Check one response.
+        """Check the limits for one response.
 
         `is_new` is True if the tool or the bone has changed since the last response.
         """
-        # A tool at rest takes no chip and does not advance into bone.
+        # A tool at rest cuts no chip and does not move into bone.
         if motion.speed_m_s == 0.0:
             return
         if engaged_m2 > 0.0:
@@ -87,6 +87,6 @@ class LawLimits:
             )
 
     def _pass(self, about: str, sentence: str) -> None:
-        """Record a limit that is passed."""
+        """Record a limit that is exceeded."""
         self.passed[about] = sentence
         self.notices.append(sentence)

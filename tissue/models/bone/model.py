@@ -1,4 +1,4 @@
-"""Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
+"""Bone that a rotating cutter mills: removal of voxels, and forces on the cutting elements."""
 
 from typing import Any
 
@@ -25,10 +25,10 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["BoneModel", "Removal"]
 
 SHELL_ELEMENTS = 6000
-"""Number of elements over the cutting surface: a twentieth of a ball's radius apart.
+"""Number of elements over the cutting surface; on a ball they are a twentieth of the radius apart.
 
-The force of a slot in flat bone is within 0.5 % where it is half a millimetre deep, and within 3 %
-where it is 0.1 mm deep, see `tests/verification`.
+The error of the force in a slot in flat bone is below 0.5 % at a depth of 0.5 mm, and below 3 % at
+a depth of 0.1 mm, see `tests/verification`.
 """
 
 
@@ -38,11 +38,12 @@ class BoneModel:
     Parameters
     ----------
     bone
-        The bone: a volume, or a store of bricks, which may have been cut before and may grow.
+        The bone: a volume, or a store of bricks (blocks of voxels). The bricks may have been cut
+        before, and bricks may be added later.
     cutter
         The tool.
     coefficients
-        Cutting coefficients of each of the bone's layers, in their order.
+        Cutting coefficients of each layer, in the order of the bone's layers.
     removal
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
         their centres.
@@ -51,12 +52,14 @@ class BoneModel:
     device
         Warp device name.
     cores
-        Processor cores to split large launches over; default all. The result does not depend on it.
+        Number of processor cores to split large kernel launches over; default all. The result does
+        not depend on it.
 
     Attributes
     ----------
     limits
-        Check of the cutting law's validity: chips that are too thick, smooth surfaces in bone.
+        Check of the cutting law's validity. It reports chips that are too thick and smooth surfaces
+        in bone.
     """
 
     def __init__(
@@ -82,9 +85,9 @@ class BoneModel:
         layers = len(self.layer_names)
         spacing = grid.spacing_m
         self.removed_steps = self.carver.removed_steps
-        """Stored steps removed from each layer so far, shape (layers,)."""
+        """Material removed from each layer so far, in units of `step_m3`, shape (layers,)."""
         self.step_m3 = spacing**3 / FULL
-        """Volume of one stored step [m3]."""
+        """Volume of one step of a voxel's stored 16-bit fraction [m3]."""
         self._origin = grid.origin_m
         self._spacing = spacing
         self.shell = cutter.shell(spacing_m=self.shell_spacing_m)
@@ -129,13 +132,13 @@ class BoneModel:
         self.limits = LawLimits(cutter, self._smooth)
         self.notices = self.limits.notices
         self._is_linear = not any(each.minimum_chip_m for each in coefficients)
-        # pose and state of the bone that were searched, and motion that was summed
+        # pose and state of the bone in the last search, and motion in the last sum
         self._found: tuple[bytes, int] | None = None
         self._summed = b""
         self._sums = np.zeros(AREA + layers + 6)
 
     def record(self) -> None:
-        """Record all launches anew, after the store's arrays have grown."""
+        """Record all kernel launches again after the store's arrays have grown."""
         self._found = None
         self.carver.record()
         self._forces.record()
@@ -198,7 +201,7 @@ class BoneModel:
         self._axes[:] = rotation.T
 
     def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
-        """Find the bone around the whole tool at a pose; `forces` then uses it.
+        """Find the bone around the whole tool at a pose, for the next calls of `forces`.
 
         Parameters
         ----------
@@ -206,7 +209,7 @@ class BoneModel:
             Pose of the tool.
         velocity
             Velocity of the tip [m/s] and angular velocity [rad/s] along the tool's axes, shape
-            (6,), with which the tool would reach the pose in a step.
+            (6,). With it the tool would reach the pose in one step.
         step_s
             Length of the step [s].
         """
@@ -224,24 +227,24 @@ class BoneModel:
             self._smooth.forces.find_bone()
 
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
-        """Return the tangent of force and torque on the tool at a velocity in the step.
+        """Return force and torque on the tool, linearised at a velocity in the step.
 
-        All vectors are along the axes of the tool at the pose of `find_bone`.
+        The components of all vectors are along the axes of the tool at the pose of `find_bone`.
 
         Parameters
         ----------
         velocity
             Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,).
         unknowns
-            Number of components of the velocity by which the derivative is taken, 3 or 6.
+            Number of velocity components with respect to which the derivatives are taken, 3 or 6.
 
         Returns
         -------
         tuple
-            Force [N] and torque about the tip [N m] of the tangent at zero velocity, shape (6,),
-            and their derivatives, shape (6, unknowns). Value plus derivatives times velocity is
-            the wrench at the velocity. With 3 unknowns the torque has no derivatives, and its value
-            is the torque at the velocity.
+            Force [N] and torque about the tip [N m] that the tangent has at zero velocity, shape
+            (6,), and their derivatives, shape (6, unknowns). This value plus derivatives times
+            velocity is the wrench at the velocity. With 3 unknowns the torque has no derivatives;
+            the value is then the torque at the velocity.
         """
         rows = self._motion.host
         rows[:2] = velocity.reshape(2, 3)
@@ -251,13 +254,13 @@ class BoneModel:
         self._sums = sums = self._forces.sums()
         if self._smooth is not None:
             rubbing = self._smooth.forces.sums()
-            # The smooth surface adds to the forces, not to what is cut.
+            # The smooth surface adds to the forces, not to the removal rate and the engaged area.
             sums[:RATE] += rubbing[:RATE]
             sums[self._forces.slopes :] += rubbing[self._forces.slopes :]
         return sums[:RATE], sums[self._forces.slopes :].reshape(unknowns, 6).T
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the cutting force at the motion's pose, and its tangent in the speed."""
+        """Return the cutting force at the motion's pose, and its derivative by the speed."""
         response = self._response
         speed = motion.speed_m_s
         is_new = True
@@ -275,13 +278,14 @@ class BoneModel:
             response.wrench[:] = motion.balanced
             response.removal_rate_m3_s = float(sums[RATE])
         response.engaged_m2[:] = sums[AREA : self._forces.slopes]
-        # A held tool is pushed back by its smooth surface.
+        # The smooth surface of a tool on a haptic device carries force. Its contact is reported
+        # only for a tool on a prescribed path.
         looks = is_new and motion.balanced is None
         self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=looks)
         return response
 
     def _sum_along(self, motion: ToolMotion) -> bool:
-        """Find the bone and sum the forces along a direction; return whether they are new."""
+        """Find the bone and sum the forces along a direction; return True if the sums are new."""
         is_new = self._find_along(motion)
         speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
         rows = self._motion.host
@@ -290,14 +294,14 @@ class BoneModel:
         rows[4] = 1.0, 0.0, 0.0 if self._is_linear else speed
         asked = rows.tobytes()
         is_new = is_new or asked != self._summed
-        if is_new:  # the contact of a resting tool does not change
+        if is_new:  # the forces on a resting tool do not change
             self._summed = asked
             self._motion.push()
             self._sums = self._forces.sums()
         return is_new
 
     def _find_along(self, motion: ToolMotion) -> bool:
-        """Find the bone in front of the elements that advance; return whether it is new."""
+        """Find the bone in front of the elements that advance; return True after a new search."""
         self.take(motion)
         asked = self._pose.host.tobytes(), self.carver.changes
         is_new = asked != self._found

@@ -18,19 +18,19 @@ RINGS = (
 )
 """Rings of the tool's last poses: number of poses and their distance along the path [m]; chosen.
 
-Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that returns
-on its path comes into contact at most one distance too early. Between two poses 24 um apart, a ball
-of 1 mm radius appears to leave 0.07 um of bone.
+Together the rings cover a longer path than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that
+returns on its path comes into contact too early by at most the distance between two poses. Between
+two poses 24 um apart, a ball of 1 mm radius appears to leave a ridge of 0.07 um of bone.
 """
 ROUNDING = 1e-9
-"""Change of the tool's axis up to which it has not turned [rad]: rounding of rotations."""
+"""Largest change of the tool's axis that is treated as rounding of its rotation [rad]."""
 KEPT_POSES = sum(count for count, _ in RINGS)
 
 
 class RecentPoses:
     """Last poses of a tool that has cut.
 
-    The bone that the tool has cut at these poses is known to rounding.
+    The bone that the tool has cut at these poses is known exactly, except for rounding errors.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class RecentPoses:
     Attributes
     ----------
     mirror
-        Displacements and rotations, as `kernels.engagement.find_bone` reads them.
+        Displacements and rotations, in the layout that `kernels.engagement.find_bone` reads.
     turns
-        True if the tool has turned since `place`, other than about its axis.
+        True if the tool's axis has changed direction since `place`.
     """
 
     STATE = ("_poses", "_rings", "turns")
@@ -55,7 +55,7 @@ class RecentPoses:
         self._poses = np.zeros((KEPT_POSES, 6))
         self._pose = np.zeros(6)
         self._lever = lever_m
-        # place of the last pose of each ring, and of its first and beyond its last pose
+        # row of the latest pose of each ring, first row of the ring and the row after its last
         ends = np.cumsum([0, *(count for count, _ in RINGS)]).tolist()
         self._rings = [[first, first, last] for first, last in pairwise(ends)]
         self.turns = False
@@ -70,8 +70,8 @@ class RecentPoses:
     def add(self, motion: ToolMotion) -> None:
         """Add a pose at which the tool has cut.
 
-        The first place of a ring holds the present pose, which the next pose replaces unless it is
-        far enough from the pose before.
+        The present pose fills one place of each ring. The next pose replaces it, unless the present
+        pose is far enough from the pose before it.
         """
         pose = self._pose_of(motion)
         for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):
@@ -97,14 +97,14 @@ class RecentPoses:
         return pose
 
     def seen_from(self, tip_m: Array, rotation: Array) -> None:
-        """Write the displacements from a pose to `mirror`, the present pose first."""
+        """Write the last poses, relative to a given pose, to `mirror`; the present one is first."""
         rows = self.mirror.host
         np.dot(self._poses[:, :3] - tip_m, rotation, out=self._moved)
         rows[1:, :3] = self._moved
         if self.turns:
             axes = self._poses[:, 3:] @ rotation
-            # The smallest rotation that turns the axis. A further one about the axis moves the
-            # surface into itself.
+            # The smallest rotation that turns the axis is enough: a further rotation about the axis
+            # maps the tool's surface onto itself.
             rows[1:, 3] = -axes[:, 1]
             rows[1:, 4] = axes[:, 0]
         rows[0] = rows[1 + self._rings[0][0]]

@@ -1,4 +1,4 @@
-"""Surface of a tool that does not cut, in contact with bone."""
+"""Contact between bone and the surface of a tool that does not cut."""
 
 from math import pi
 from typing import Any
@@ -17,37 +17,37 @@ from tissue.models.bone.elements import CuttingForces, elements_of
 __all__ = ["FRICTION", "SmoothSurface"]
 
 SMOOTH_ELEMENTS = 500
-"""Number of elements over the surface that does not cut; chosen."""
+"""Number of elements on the surface that does not cut; chosen."""
 BLOCKED = 0.25
-"""Share of the smooth end's area above which contact with bone is reported; chosen.
+"""Share of the smooth end's area in bone above which a warning is reported; chosen.
 
 It is not zero, because a peg touches the rim of its pilot hole.
 """
 SINK_M_S = 2e-3
-"""Speed at which a smooth surface has its full pressure [m/s]; chosen.
+"""Speed at which a smooth surface reaches its full pressure [m/s]; chosen.
 
-A peg of 10 mm2 in contact sinks at 4 um/s under 10 N. With 5e-5 m/s, the balance of the tool takes
-up to 21 evaluations of the forces a tick instead of up to 7 (first 3 s of `glenoid` by an expert on
-a Touch, measured once).
+A peg with a contact area of 10 mm2 sinks at 4 um/s under 10 N. With 5e-5 m/s, the force balance of
+the tool takes up to 21 evaluations of the forces a tick instead of up to 7. This was measured once,
+in the first 3 s of `glenoid` with a simulated expert on a Touch.
 """
 HARDNESS_Pa = 5e8
 """Pressure under which a smooth surface sinks into bone of the reference density [Pa]; assumed.
 
-No source: it is of the order of the hardness of wet bone. Smooth surfaces of tools carry far less
-than this pressure.
+The value has no source: it is of the order of the hardness of wet bone. The pressure on the smooth
+surfaces of tools is far below it.
 """
 FRICTION = 0.3
-"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6.
+"""Friction coefficient (Coulomb) of smooth metal on bone; the range is 0.2 to 0.6.
 
-Source: Shirazi-Adl et al., 1993, from memory: confidence L.
+Source: Shirazi-Adl et al., 1993, quoted from memory, so that the confidence is L (low).
 """
 
 
 class SmoothSurface:
-    """Tool's surface that does not cut.
+    """Surface of a tool that does not cut.
 
-    On a prescribed path, only its area in bone is computed. On a held tool, it acts like a rigid
-    and perfectly plastic body.
+    For a tool on a prescribed path, only the area of this surface in bone is computed. For a tool
+    on a haptic device, its contact with bone is rigid and perfectly plastic.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class SmoothSurface:
     pose, recent, motion
         See `CuttingForces`.
     strength
-        Strength of each layer over its density, see `Coefficients`.
+        Strength of each layer as a function of density, see `Coefficients`.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class SmoothSurface:
             piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
         ]
         radii = [max(piece.start[0], piece.end[0]) for piece in ends]
-        # The smallest end counts: a peg is narrow compared with the top of its tool.
+        # The smallest end determines the limit: a peg is narrow compared with the top of its tool.
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
         device = str(pose.device.device)
         layers = len(store.grid.layer_names)
@@ -105,6 +105,6 @@ class SmoothSurface:
 
     @property
     def is_blocked(self) -> bool:
-        """True if too much of the surface is pushed into bone, so that a force is missing."""
+        """True if too much of the surface is inside bone, so that its missing force matters."""
         self.forces.find_bone()
         return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2

@@ -1,4 +1,4 @@
-"""Bone that a cutter mills and warms, with the thermal dose of the bone."""
+"""Bone that a cutter mills and heats, and the thermal dose of the bone."""
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -14,25 +14,25 @@ __all__ = ["BODY_C", "DOSE_LIMITS_MIN", "HeatedBone", "dose_rate"]
 BODY_C = 37.0
 """Temperature of the bone at the start [degC]: core temperature of the body.
 
-Exposed bone is cooler, so that the dose is an upper bound.
+Exposed bone is cooler, so that the computed dose is an upper bound.
 """
 DOSE_LIMITS_MIN = {
     16.0: "the dose of 47 °C for 1 min, after which bone dies",
     240.0: "the usual lesion dose of soft tissue",
 }
-"""Limits of the thermal dose [min at 43 degC], and their meaning.
+"""Limits of the thermal dose [min at 43 degC], each with its meaning.
 
 Eriksson and Albrektsson 1983, doi 10.1016/0022-3913(83)90174-9: 47 degC for 1 min impairs the
-regeneration of bone. 240 min is the usual limit of soft tissue with the dose of Sapareto and Dewey
-1984, doi 10.1016/0360-3016(84)90379-1.
+regeneration of bone. 240 min is the usual limit for soft tissue; the dose is that of Sapareto and
+Dewey 1984, doi 10.1016/0360-3016(84)90379-1.
 """
 NEGLIGIBLE_C = 39.0
-"""Temperature below which the dose is neglected [degC]. Its rate is 0.004 min/min there."""
+"""Temperature below which the dose is neglected [degC]. The dose rate there is 0.004 min/min."""
 FRONT_M = 1e-3
-"""Margin around the points that cut, in which the dose raises no event [m].
+"""Margin around the points where the tool cuts; the dose inside it raises no event [m].
 
-The tool removes most of this bone next. Heat runs ahead of the tool by a / v, which is 0.5 mm at
-0.5 mm/s.
+The tool removes most of this bone next. Heat reaches ahead of the tool by a / v, thermal
+diffusivity divided by feed speed. This is 0.5 mm at 0.5 mm/s.
 """
 THERMOCOUPLE_M = 0.5e-3
 """Distance from the cut surface at which the rise is reported [m].
@@ -44,7 +44,8 @@ Most published measurements place their thermocouples there.
 def dose_rate(temperature_C: Array) -> Array:
     """Return the rate of the thermal dose, minutes at 43 degC per minute.
 
-    It is R ** (43 - T) with R = 0.5 from 43 degC and 0.25 below (Sapareto and Dewey 1984).
+    It is R ** (43 - T), with R = 0.5 at 43 degC and above, and R = 0.25 below (Sapareto and Dewey
+    1984).
     """
     return np.where(temperature_C >= 43.0, 0.5, 0.25) ** (43.0 - temperature_C)
 
@@ -52,17 +53,18 @@ def dose_rate(temperature_C: Array) -> Array:
 class HeatedBone:
     """Bone under a cutter: carving and forces of the bone model, and the temperature of the bone.
 
-    The trace has the largest rise of the present bone. The summary describes the bone that is left:
-    its largest rise so far, the largest rise at 0.5 mm from the cut surface, and for each limit of
-    the dose the volume beyond the limit and its largest distance from the cut surface. An event
-    reports that the dose passes a limit in bone that the tool has left behind.
+    The trace has the largest present temperature rise of the bone. The summary describes the bone
+    that remains after the run. It has the largest temperature rise so far, and the largest rise at
+    0.5 mm from the cut surface. For each limit of the dose, it has the volume beyond the limit and
+    the largest distance of this volume from the cut surface. An event reports that the dose exceeds
+    a limit in bone that the tool has left behind.
 
     Parameters
     ----------
     milling
         Voxels of the bone, and the cutter.
     heat
-        Heat in this bone.
+        Temperature of this bone.
     """
 
     measure_names: tuple[str, ...] = ("bone_rise_K",)
@@ -118,13 +120,13 @@ class HeatedBone:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Continue the heat at the end of a tick."""
+        """Advance the heat conduction at the end of a tick."""
         assert self._response is not None
         if self.heat.add_tick(self._response.wrench, motion, self.milling.store.take_touched):
             self._record()
 
     def finish(self) -> None:
-        """Complete the carving that was spread over ticks, and the heat."""
+        """Complete the carving and the heat conduction that were spread over ticks."""
         self.milling.finish()
         if self.heat.end(self.milling.store.take_touched):
             self._record()
@@ -142,7 +144,7 @@ class HeatedBone:
         return {"bone_heat": self._summary}
 
     def _record(self) -> None:
-        """Take the temperature since the last call."""
+        """Update largest rise and dose with the temperature since the last call."""
         field = self.heat.field
         rise = field.rise_K
         minutes = (field.time_s - self._time_s) / 60.0
@@ -166,7 +168,7 @@ class HeatedBone:
         return is_left & ~is_near.all(axis=-1)
 
     def _report_dose(self, counts: Flags) -> None:
-        """Report when the dose of the cells that count passes a limit."""
+        """Report when the dose exceeds a limit in one of the given cells."""
         before = self._largest_min
         self._largest_min = max(before, float(self.dose_min[counts].max(initial=0.0)))
         for limit_min, meaning in DOSE_LIMITS_MIN.items():
@@ -195,7 +197,7 @@ class HeatedBone:
     def _depths_m(self) -> Array:
         """Return the distance of each cell's centre from the material that was cut [m].
 
-        It is infinite without a cut, and outside the voxels.
+        It is infinite if nothing was cut, and outside the voxels.
         """
         volume = self.milling.store.volume
         assert volume is not None, "the bone under a scene's cutter is one volume"
@@ -214,9 +216,9 @@ class HeatedBone:
 
 
 def _largest_at(depth_m: Array, wanted_m: float, values: Array, is_left: Flags) -> float:
-    """Return the largest value at a depth, interpolated between neighbouring cells.
+    """Return the largest of the values at a depth, interpolated between neighbouring cells.
 
-    It is 0 where no two neighbours lie on both sides of the depth.
+    It is 0 if no two neighbours lie on opposite sides of the depth.
     """
     largest = 0.0
     is_known = is_left & np.isfinite(depth_m)

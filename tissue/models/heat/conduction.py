@@ -1,6 +1,6 @@
 """Heat conduction in bone or a tooth from which material is removed.
 
-The grid is rectilinear: fine in the reach of the tool, coarser outside.
+The grid is rectilinear. It is fine within the reach of the tool and coarser outside.
 """
 
 from dataclasses import dataclass
@@ -20,28 +20,28 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Conduction", "HeatGrid"]
 
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
-"""Widths of the cells outside the fine part in voxels, outward; the last width repeats.
+"""Widths of the cells outside the fine part [voxel], in outward order; the last one repeats.
 
-In the molar scene with cells of 0.25 mm, the peak of the pulp is 9 % below the one with equal
-cells. With (1, 1, 2, 2, 3, 4, 5, 6) it is 33 % below.
+In the molar scene with cells of 0.25 mm, the peak temperature rise of the pulp is 9 % below the
+peak with cells of equal width. With (1, 1, 2, 2, 3, 4, 5, 6) it is 33 % below.
 """
 LEAST_FILLED = 0.02
-"""Share of material below which a cell is left out or emptied.
+"""Fraction of material below which a cell is left out or emptied.
 
-Its heat capacity is then negligible: from 0.002 to 0.1, the peak of the pulp in the molar scene
-changes by 0.4 %.
+The heat capacity of such a cell is negligible. For values from 0.002 to 0.1, the peak temperature
+rise of the pulp in the molar scene changes by 0.4 %.
 """
 
 SAME_FACE = 1e-6
-"""Distance below which two positions are one face of a voxel [voxel].
+"""Distance below which two positions are treated as the same face of a voxel [voxel].
 
-Positions far from the origin are rounded.
+Positions far from the origin have rounding errors.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class HeatGrid:
-    """Cells of bone or a tooth with their material.
+    """Cells of bone or a tooth, and the material in them.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class HeatGrid:
         Fraction of each cell that holds material, shape (nx, ny, nz).
     conductivity_W_mK
         Thermal conductivity of the material in each cell [W/(m K)], same shape; positive where a
-        cell holds any.
+        cell holds material.
     heat_capacity_J_m3K
         Volumetric heat capacity of the material [J/(m3 K)], same shape; positive.
     pulp
-        Whether most of a cell is pulp, same shape.
+        True where most of the material of a cell is pulp, same shape.
     """
 
     edges_m: tuple[Array, Array, Array]
@@ -71,13 +71,14 @@ class HeatGrid:
     ) -> "HeatGrid":
         """Merge the voxels of a tooth or of bone into cells.
 
-        The heat capacity of bone is that of bone with full pores. It does not depend on the
+        The heat capacity of bone is that of bone with filled pores. It does not depend on the
         apparent density.
 
         Parameters
         ----------
         tissue
-            The whole tooth, or the bone around the tool. Its voxels are the cells of the fine part.
+            The whole tooth, or the bone around the tool, in voxels. The voxels become the cells of
+            the fine part.
         reach_m
             Lowest and highest corner of the fine box [m], shape (3,) each.
         constants
@@ -96,7 +97,7 @@ class HeatGrid:
         starts = [_starts(n, a, b) for n, a, b in zip(tissue.shape, low, high, strict=True)]
         voxels = _merged(np.ones(tissue.shape), starts)
         held = _merged(fraction, starts)
-        # The small number avoids 0 / 0 in cells without material, here and below.
+        # The lower bound avoids 0 / 0 in cells without material, here and below.
         some = np.maximum(held, 1e-12)
         filled = held / voxels
         filled[filled < LEAST_FILLED] = 0.0
@@ -109,7 +110,7 @@ class HeatGrid:
             filled,
             _merged(fraction * conductivity, starts) / some,
             np.where(held > 0.0, _merged(fraction * capacity, starts) / some, 1.0),
-            # A cell belongs to the pulp if most of its material does.
+            # A cell belongs to the pulp if most of its material is pulp.
             _merged(fraction * is_pulp, starts) > 0.5 * some,
         )
 
@@ -126,10 +127,11 @@ class HeatGrid:
         return np.asarray(x[:, None, None] * y[:, None] * z)
 
     def conductances_W_K(self) -> tuple[Array, ...]:
-        """Return the conductances from each full cell to the next one along x, y and z [W/K].
+        """Return the conductances between neighbouring full cells along x, y and z [W/K].
 
-        Each array has the shape of the grid. Half cells are in series: area / (d / 2k + d' / 2k').
-        The last plane along each axis is 0.
+        Each array has the shape of the grid; an entry belongs to a cell and the next cell along the
+        axis. The two half cells are in series: area / (d / 2k + d' / 2k'). The last plane along
+        each axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK
@@ -149,9 +151,9 @@ class HeatGrid:
 
         Returns
         -------
-        Flat indices of the cells on the side of the pulp and on the other side, and the
-        weight of the first cell in the temperature of the face, where the fluxes of both half cells
-        are equal.
+        Flat index of the cell on the pulp side of each face, flat index of the cell on the other
+        side, and weight of the cell on the pulp side in the temperature of the face. At this
+        temperature the fluxes through the two half cells are equal.
         """
         inner = []
         outer = []
@@ -178,7 +180,7 @@ class HeatGrid:
     def cells_at(self, points_m: Array) -> Ints:
         """Return the flat indices of the cells that hold points, shape (n, 3).
 
-        For a point outside it is the nearest cell.
+        For a point outside the grid it is the nearest cell.
         """
         at = [
             np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
@@ -187,7 +189,7 @@ class HeatGrid:
         return np.ravel_multi_index(at, self.filled.shape)
 
     def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
-        """Distribute volumes in cubes among the cells, by the overlap of each cube with each cell.
+        """Distribute the volumes of cubes among the cells, in proportion to their overlap.
 
         Parameters
         ----------
@@ -196,7 +198,7 @@ class HeatGrid:
         size_m
             Edge of a cube [m], at most the edge of a cell.
         volumes_m3
-            Volume distributed from each cube [m3], shape (n,).
+            Volume of each cube to be distributed [m3], shape (n,).
 
         Returns
         -------
@@ -207,7 +209,7 @@ class HeatGrid:
         for edges, low in zip(self.edges_m, corners_m.T, strict=True):
             at = np.clip(np.searchsorted(edges, low, side="right") - 1, 0, len(edges) - 2)
             inside = np.clip((edges[at + 1] - low) / size_m, 0.0, 1.0)
-            # There is no cell beyond the last one to take the rest.
+            # Beyond the last cell there is no cell that could take the rest.
             inside[at == len(edges) - 2] = 1.0
             first.append(at)
             share.append((inside, 1.0 - inside))
@@ -229,7 +231,7 @@ def _index(names: tuple[str, ...], name: str) -> int:
 
 
 def _starts(count: int, low: float, high: float) -> Ints:
-    """Return the first voxel of each cell along an axis, for a fine part from ``low`` to ``high``.
+    """Return the first voxel of each cell along an axis, fine from ``low`` to ``high``.
 
     Both bounds are in voxels.
     """
@@ -258,14 +260,14 @@ def _merged(values: Array, starts: list[Ints]) -> Array:
 
 
 SAFETY = 0.9
-"""Share of the longest stable step that is used; chosen.
+"""Ratio of the time step to the longest stable time step; chosen.
 
-With 0.5, the peak of the pulp in the molar scene is 0.8 % higher.
+With 0.5, the peak temperature rise of the pulp in the molar scene is 0.8 % higher.
 """
 
 
 class Conduction:
-    """Heat conduction over partly filled cells, explicit in time. All surfaces are insulated.
+    """Heat conduction in partly filled cells, explicit in time. All surfaces are insulated.
 
     Parameters
     ----------
@@ -279,9 +281,9 @@ class Conduction:
     filled
         Fraction of each cell that still holds material, shape of the grid.
     removed_J
-        Heat that left with removed material so far, relative to the temperature at the start [J].
+        Heat carried away by removed material so far, relative to the temperature at the start [J].
     time_s
-        Time that the steps so far have covered [s].
+        Total duration of the steps so far [s].
     """
 
     def __init__(self, grid: HeatGrid, *, device: str = "cpu") -> None:
@@ -303,7 +305,7 @@ class Conduction:
         self._step_s = 0.0
 
     def _stable_step_s(self, along: tuple[Array, ...]) -> float:
-        """Return the longest stable step of any filling.
+        """Return the longest time step that is stable for any filling of the cells.
 
         A face of a cell conducts at most `OPEN` times its filled fraction.
         """
@@ -318,7 +320,7 @@ class Conduction:
 
     @property
     def rise_K(self) -> Singles:
-        """Temperature rise of every cell [K], shape of the grid, 0 in an empty one."""
+        """Temperature rise of every cell [K], shape of the grid; 0 in an empty cell."""
         return np.asarray(self._temperature[0].numpy())
 
     @property
@@ -331,7 +333,7 @@ class Conduction:
         self._power.assign(power_W.reshape(self.filled.shape).astype(np.float32))
 
     def plan(self, duration_s: float) -> int:
-        """Divide a duration into stable steps of one length, and return their number."""
+        """Divide a duration into stable steps of equal length, and return their number."""
         # 1e-9: a duration of whole steps gets no additional step.
         steps = max(ceil(duration_s / self.longest_step_s - 1e-9), 1)
         self._record(duration_s / steps)
@@ -351,7 +353,7 @@ class Conduction:
             self.step()
 
     def remove(self, cells: Ints, lost: Array, warmer_K: Array) -> None:
-        """Remove material from cells with the heat that it holds.
+        """Remove material from cells, together with its heat.
 
         Parameters
         ----------
@@ -360,8 +362,8 @@ class Conduction:
         lost
             Fraction of each cell that is removed, shape (n,).
         warmer_K
-            Temperature of the removed material minus the mean of its cell [K], shape (n,); the
-            removed heat is at most the heat of the cell.
+            Temperature of the removed material minus the mean temperature of its cell [K], shape
+            (n,). The removed heat is limited to the heat of the cell.
         """
         rise = self.rise_K.reshape(-1)
         filled = self.filled.reshape(-1)
@@ -372,7 +374,8 @@ class Conduction:
         left[left < LEAST_FILLED] = 0.0
         held_J = before * capacity * warm
         gone_J = np.where(left > 0.0, (before - left) * capacity * (warm + warmer_K), held_J)
-        # The excess temperature is an estimate: more than all heat cannot leave.
+        # The excess temperature is an estimate. The removed heat must not exceed the heat of the
+        # cell.
         gone_J = np.minimum(gone_J, np.maximum(held_J, 0.0))
         self.removed_J += float(gone_J.sum())
         rise[cells] = np.where(
@@ -383,7 +386,7 @@ class Conduction:
         self._filled.assign(self.filled.astype(np.float32))
 
     def _record(self, step_s: float) -> None:
-        """Record the two launches, forward and back, for a step length."""
+        """Record the kernel launches of two steps, from the first buffer to the second and back."""
         if step_s == self._step_s:
             return
         self._step_s = step_s
@@ -393,7 +396,7 @@ class Conduction:
                 dim=self.filled.shape,
                 inputs=[source, self._filled, *self._along, self._capacity, self._power, step_s],
                 outputs=[target],
-                # Chosen: on two busy cores, 1 to 4 parts take the same time.
+                # Number of parts, chosen: on two busy cores, 1 to 4 parts take the same time.
                 cores=min(self.filled.shape[0], 4),
             )
             for source, target in (self._temperature, self._temperature[::-1])

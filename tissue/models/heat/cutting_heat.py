@@ -1,4 +1,4 @@
-"""Temperature of bone or a tooth under a cutter."""
+"""Temperature of bone or a tooth that a cutter mills."""
 
 from collections.abc import Callable
 from math import ceil
@@ -19,48 +19,52 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 __all__ = ["CuttingHeat", "TakeCuts"]
 
 TakeCuts = Callable[[], tuple[Ints, NDArray[np.uint16]]]
-"""Function that returns the bricks that lost material since the last call.
+"""Function that returns the bricks (blocks of voxels) that lost material since its last call.
 
-It returns their rows and their remaining fraction in steps.
+It returns the rows of these bricks and the remaining fraction of their voxels, 65535 = full.
 """
 INTERVAL_TICKS = 20
-"""Number of ticks in an interval of the heat.
+"""Number of ticks in an interval of the heat computation.
 
-The peak of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and 40. The tool's
-elements are searched once in an interval.
+The peak temperature rise of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and
+40 ticks. The cutting elements in contact are searched once in an interval.
 """
 RECEIVES = 0.5
-"""Smallest fill of a surface cell that receives heat; an emptier cell would not conduct well.
+"""Smallest filled fraction of a surface cell that receives heat.
 
-The peak of the pulp in the molar scene is 0.52, 0.61 and 0.76 K for 0.1, 0.5 and 0.9 with cells of
-0.25 mm. With finer cells it is 0.73 and 0.75 K for 0.5 (docs/models.md).
+An emptier cell would not conduct well. With cells of 0.25 mm, the peak temperature rise of the pulp
+in the molar scene is 0.52, 0.61 and 0.76 K for fractions of 0.1, 0.5 and 0.9. With two finer grids
+it is 0.73 and 0.75 K for 0.5 (docs/models.md).
 """
 DEPTHS = 4
-"""Number of half cells inward from the surface in the search for the cell that receives the heat.
+"""Number of positions, half a cell apart, in the search for the cell that receives the heat.
 
-The peak of the pulp in the molar scene is 0.50, 0.60, 0.61 and 0.61 K for 1, 2, 4 and 8.
+The search goes inward from the surface. The peak temperature rise of the pulp in the molar scene is
+0.50, 0.60, 0.61 and 0.61 K for 1, 2, 4 and 8 positions.
 """
 
 
 class CuttingHeat:
-    """Heat of cutting in bone or a tooth whose material a cutter removes.
+    """Heat of cutting in bone or a tooth.
 
-    A share of the cutting power flows into the tissue through the surface that the tool cuts, in
-    proportion to the power of its elements there. The rest leaves with chips, spray and tool.
-    Material that is removed later takes along the heat that has reached it by then. The share is a
-    prior of low confidence; the temperature rise is proportional to it.
+    A share of the cutting power flows into the tissue through the surface that the tool cuts. It is
+    distributed in proportion to the power of the cutting elements there. The rest leaves with
+    chips, spray and tool. Material that is removed later carries away the heat that it has received
+    by then. The share is a prior of low confidence; the temperature rise is proportional to the
+    share.
 
-    The heat is computed in intervals. `begin` takes energy and cuts of the last interval. `go_to`
-    spreads the time steps over the next interval, so that no tick runs them all. The temperature
-    lags by one interval. `add_tick` does both for a run in ticks, and `end` completes it.
+    The heat is computed in intervals. `begin` takes the energy and the cuts of the last interval.
+    `go_to` spreads the time steps over the ticks of the next interval. The temperature therefore
+    lags by one interval. `add_tick` calls `begin` and `go_to` for a run in ticks. `end` completes
+    an interval.
 
     Parameters
     ----------
     tissue
-        The whole tooth, or the bone around the tool, in voxels. They are the cells in the reach of
-        the tool.
+        The whole tooth, or the bone around the tool, in voxels. The voxels are the cells of the
+        grid within the reach of the tool.
     milling
-        The finer voxels and the tool.
+        Model with the finer voxels that are milled, and the tool.
     reach_m
         Lowest and highest corner of the box that the tool can reach [m], shape (3,) each.
     constants
@@ -114,7 +118,7 @@ class CuttingHeat:
 
     @property
     def pulp_rise_K(self) -> float:
-        """Highest temperature rise of the remaining pulp, at its wall or inside [K]."""
+        """Highest temperature rise of the remaining pulp, at the pulp wall or inside [K]."""
         rise = self.field.rise_K.reshape(-1)
         filled = self.field.filled.reshape(-1)
         inner, outer, weights = self._wall
@@ -132,7 +136,8 @@ class CuttingHeat:
     def balance_J(self) -> dict[str, float]:
         """Energy of cutting and its distribution [J].
 
-        It is divided into chips and spray, removed material, and the remaining tissue.
+        The energy is divided into three parts: in chips and spray, in removed material, and in the
+        remaining tissue.
         """
         return {
             "cutting": self.cutting_J,
@@ -151,7 +156,7 @@ class CuttingHeat:
         motion
             Pose and motion of the tool, the same object in every tick.
         take_cuts
-            Called when the interval ends.
+            Function that is called when the interval ends.
 
         Returns
         -------
@@ -163,7 +168,7 @@ class CuttingHeat:
         spun = abs(float(torque.dot(motion.rotation[:, 2])) * self._milling.cutter.spin_rad_s)
         moved, turned = motion.heading
         fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
-        # Where the tissue pulls the tool along, no heat flows back.
+        # If the tissue pulls the tool in its feed direction, no heat flows back.
         self._energy_J += (spun + max(fed, 0.0)) * TICK_S
         self._ticks += 1
         if self._ticks < INTERVAL_TICKS:
@@ -174,7 +179,7 @@ class CuttingHeat:
     def end(self, take_cuts: TakeCuts) -> bool:
         """Complete the present interval and begin the next one with its energy and cuts.
 
-        Returns False if no tick was added since the last interval. Nothing is done then.
+        If no tick was added since the last interval, do nothing and return False.
         """
         if self._motion is None or self._ticks == 0:
             return False
@@ -198,11 +203,12 @@ class CuttingHeat:
         cutting_J
             Energy of cutting in the last interval [J].
         duration_s
-            Its length [s].
+            Length of the last interval [s].
         motion
-            Pose and motion of the tool at its end.
+            Pose and motion of the tool at the end of the last interval.
         cut
-            Bricks of the finer voxels that lost material, and their remaining fraction in steps.
+            Rows of the bricks that lost material, and the remaining fraction of their voxels, 65535
+            = full.
         """
         self.finish()
         self.cutting_J += cutting_J
@@ -216,10 +222,10 @@ class CuttingHeat:
         self._done = 0
 
     def go_to(self, share: float) -> None:
-        """Run the steps up to a share of the interval; cut material is removed at its middle."""
+        """Run the steps up to a share of the interval; remove the cut material in its middle."""
         until = ceil(share * self._steps)
         while self._done < until:
-            # The middle: cuts happen all through the interval.
+            # In the middle, because the tool cuts during the whole interval.
             if self._done == self._steps // 2:
                 self._remove()
             self.field.step()
@@ -248,18 +254,17 @@ class CuttingHeat:
         Parameters
         ----------
         points_m, normals, weights
-            Points where the tool cuts [m], its normals out of the tool, and the relative powers
-            there.
+            Points where the tool cuts [m], normals out of the tool there, and the relative powers.
         tip_m
-            Tip of a tool that has left the tissue since the last cut: the heat goes into the cell
-            next to it [m].
+            Tip of the tool [m]. If the tool has left the tissue since the last cut, the heat goes
+            into the cell next to this point.
         """
         power = self._power
         warmer = self._warmer_K
         filled = self.field.filled.reshape(-1)
         power[:] = 0.0
         warmer[:] = 0.0
-        # The bur has no engaged element at this pose, but had power in the interval.
+        # No element is engaged at this pose, but the tool had power in the interval.
         if self._power_W > 0.0 and len(points_m) == 0:
             power[self._nearest(tip_m)] = self._power_W
         elif self._power_W > 0.0:
@@ -274,12 +279,12 @@ class CuttingHeat:
             for at in np.flatnonzero(filled[cells] <= 0.0):
                 cells[at] = self._nearest(points_m[at])
             total = float(weights.sum())
-            # A tool that stands at the end of an interval has no power there: its heat enters along
-            # its whole contact area.
+            # A tool that is at rest at the end of an interval has no power there. Its heat is
+            # spread over the whole contact area.
             shares = weights / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))
             power += np.bincount(cells, self._power_W * shares, minlength=len(power))
-            # Half the temperature difference across the material of the cell, for a flux that
-            # passes all of it.
+            # Half the temperature difference across the material of the cell, for a flux through
+            # all of this material.
             warmer[cells] = (
                 0.5 * power[cells] * filled[cells] / (self._conductivity[cells] * self._cell_m)
             )

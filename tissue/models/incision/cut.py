@@ -1,4 +1,4 @@
-"""Plane cut of a straight edge: cut area, parted walls, and the balance of a blade on tissue."""
+"""Plane cut by a straight edge: cut area, walls that part, and the force balance of the blade."""
 
 from math import floor, hypot
 
@@ -12,45 +12,48 @@ __all__ = ["COLUMNS", "Cut"]
 COLUMNS = 512
 """Number of columns across a blade that store the cut.
 
-A column holds one mean depth, so that the area cut by a pointed blade is off by about half a
-column's width over the depth, 0.2 % of a depth that equals the blade's width.
+A column stores one mean depth. The relative error of the area cut by a pointed blade is therefore
+about half a column's width divided by the depth. It is 0.2 % if the depth equals the blade's width.
 """
 CHUNK = 4 * COLUMNS
 """Number of columns by which the stored part of a cut grows."""
 SWEEPS = 12
 SETTLED_N = 1e-8
-"""Largest number of sweeps over edge and sides in the search for a balance, and its error [N].
+"""Largest number of sweeps in the search for the force balance, and allowed error [N].
 
-It starts from the last balance. For an edge of 45 degrees each sweep halves the error.
+A sweep solves for the edge and then for the sides. The search starts from the last balance. For an
+edge of 45 degrees each sweep halves the error.
 """
 
 
 class Cut:
-    """Cut in one plane, made by a blade that does not turn, and the blade's position in it.
+    """Cut in one plane by a blade that does not rotate, and the position of the blade in the cut.
 
     A point of the plane has the coordinates s along the surface and l along the blade's axis, into
     the tissue. The blade covers everything above its straight edge, so the cut is the region above
-    a depth profile over s. Columns of equal width hold its mean depth, and the part of it whose
-    walls still touch the blade. Walls touch from the cut on. They part as soon as the blade
-    uncovers them, and then stay apart.
+    a depth profile along s. Columns of equal width store the mean depth of the cut, and the mean
+    depth over which its walls still touch the blade. The walls touch the blade as soon as they are
+    cut. They part when the blade no longer covers them, and then stay apart.
 
-    Only the blade carries the tissue, as in `tissue.models.needle.model.Insertion`. With u the
-    vector from the blade's position q in the tissue to the tool, in the plane of the cut, the
-    tissue pulls with -k u. Every step finds the q that minimises the energy::
+    Only the blade holds the tissue, as in `tissue.models.needle.model.Insertion`. Let q be the
+    position of the blade relative to the tissue, and u the vector from q to the tool, in the plane
+    of the cut. The tissue pulls the blade with the force -k u. Every step finds the q that
+    minimises the energy::
 
         k u²/2  +  J A(q)  +  2 tau M |q - q_before|
 
-    with A the cut area and M the area of each wall that touches the blade. J is thus the energy
-    release at which the blade cuts (Francfort and Marigo 1998): a side of the blade cuts where the
-    force across it is J times its length in uncut tissue, and a smaller force leaves the blade
-    where it is. The edge has no friction along itself. The work of the tool equals the change of
-    k u²/2, plus J A, plus the work of friction. The energy is convex in q but for terms of the
-    square of a step, so that q changes by no more than the tool does.
+    with A the cut area, M the area of each wall that touches the blade, and tau the friction per
+    area. J is the energy release rate at which the blade cuts (Francfort and Marigo 1998). A side
+    of the blade cuts when the force across it reaches J times its length in uncut tissue. Under a
+    smaller force the blade does not move in the tissue. Motion along the edge has no friction. The
+    work of the tool equals the change of k u²/2, plus the increase of J A, plus the work of
+    friction. The energy is convex in q, except for terms of second order in the step. Therefore q
+    moves by no more than the tool.
 
     Attributes
     ----------
     place_m
-        s and l of the blade's tip in the tissue [m].
+        Coordinates s and l of the blade's tip in the tissue [m].
     pull_N
         Force of the tissue on the blade in the plane, along the surface and out of it [N].
     area_m2
@@ -65,7 +68,7 @@ class Cut:
         self._tissue = tissue
         self.axis = rotation[:, 2].copy()
         self.across = rotation[:, 1].copy()
-        # The line along the surface, in the sense from the tip to the end of the edge.
+        # Direction along the surface, from the tip towards the end of the edge.
         along = np.array([self.across[1], -self.across[0], 0.0])
         self.along = along / np.linalg.norm(along)
         self.up = np.cross(self.along, self.across)
@@ -74,14 +77,16 @@ class Cut:
         self.width_m = blade.width_m / self._cosine
         self._slope = self._sine - self._cosine * blade.rise
         self._spacing_m = self.width_m / COLUMNS
-        # The tip enters in the middle of a column, so that rounding does not move it to the next.
+        # The tip enters in the middle of a column, so that rounding does not move it to the next
+        # column.
         entry = tip_m - tip_m[2] / self.axis[2] * self.axis
         self.origin_m = entry - 0.5 * self._spacing_m * self.along
         self._rises = self._slope * self._spacing_m * np.arange(COLUMNS + 1)
         self._first = -CHUNK
         self._cut, self._touching = np.zeros((2, 2 * CHUNK))
         self._window = 0
-        # Travel of edge and sides into the tissue, per travel along the surface and out of it.
+        # Travel of edge and of sides into the tissue, per travel along the surface and out of the
+        # surface.
         lean = self._sine / self._cosine
         self._edge = -self._slope, self._slope * lean - 1.0 / self._cosine
         self._side = 1.0, -lean
@@ -94,13 +99,13 @@ class Cut:
         self.friction_J = 0.0
 
     def coordinates_m(self, tip_m: Array) -> tuple[float, float, float]:
-        """Return s, l and the distance from the plane of a point [m]."""
+        """Return s and l of a point, and its distance from the plane [m]."""
         arm = tip_m - self.origin_m
         depth = -float(arm @ self.up) / self._cosine
         return float(arm @ self.along) + depth * self._sine, depth, float(arm @ self.across)
 
     def deepest_m(self, depth_m: float) -> float:
-        """Return the depth of the deepest point of the edge, for a depth of the tip [m]."""
+        """Return the depth of the deepest point of the edge for a given depth of the tip [m]."""
         return depth_m + max(self._slope * self.width_m, 0.0)
 
     def enter(self, along_m: float) -> None:
@@ -111,15 +116,15 @@ class Cut:
         self._moved_m = 0.0
 
     def advance(self, along_m: float, depth_m: float) -> None:
-        """Move the tool to a position, and the blade in the tissue to its balance."""
+        """Move the tool to a position, and the blade in the tissue to its force balance."""
         start_s, start_l = self.place_m
         stiffness = self._tissue.stiffness_N_m
-        # Stretch in orthogonal directions: along the surface and out of it.
+        # Components of u along the surface and out of the surface, which are orthogonal.
         out = -(depth_m - start_l) * self._cosine
         across = (along_m - start_s) - (depth_m - start_l) * self._sine
         edge = self._gaps_m(hypot(*self._edge) * hypot(across, out))
         moved_across, moved_out = self._moved(across, out, *edge)
-        # Friction acts against the motion that there would be without it.
+        # Friction acts against the motion that the blade would have without friction.
         moved = hypot(moved_across, moved_out)
         rubbing = 2.0 * self._tissue.friction_Pa * self.touching_m2
         share = min(rubbing / (stiffness * moved), 1.0) if moved > 0.0 else 0.0
@@ -135,7 +140,7 @@ class Cut:
         self.pull_N = -stiffness * (across - moved_across), -stiffness * (out - moved_out)
 
     def profile_m(self) -> tuple[Array, Array]:
-        """Return middles of the columns and mean depths of the cut in them [m]."""
+        """Return the middles of the cut columns and the mean depths of the cut in them [m]."""
         columns = np.arange(len(self._cut), dtype=np.float64)
         middles = self._spacing_m * (self._first + 0.5 + columns)
         cut = self._cut > 0.0
@@ -146,9 +151,9 @@ class Cut:
     ) -> tuple[float, float]:
         """Return the travel through the tissue that minimises the energy without friction [m].
 
-        It is that along the surface and out of it. The resistance of the edge depends on its travel
-        into the tissue alone, that of front and back on the travel along the surface. Their forces
-        are found in turn.
+        The two values are the travel along the surface and out of it. The resistance of the edge
+        depends only on its travel into the tissue. The resistance of front and back depends on the
+        travel along the surface. The forces of edge and sides are solved for in turn.
         """
         stiffness = self._tissue.stiffness_N_m
         scale = self._tissue.toughness_J_m2 * self._cosine / stiffness
@@ -157,7 +162,7 @@ class Cut:
         edge_square = edge_across**2 + edge_out**2
         side_square = side_across**2 + side_out**2
         count = len(gaps_m)
-        # Stretches across the edge at which its travel is that of a gap.
+        # Values of u across the edge at which the travel of the edge equals a gap.
         held = np.add.accumulate(scale * edge_square * widths_m)
         bounds = gaps_m + held - 0.5 * scale * edge_square * widths_m
         edge_N, side_N = self._forces_N
@@ -185,11 +190,11 @@ class Cut:
         )
 
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
-        """Return travels of the edge to uncut tissue in rising order [m].
+        """Return the gaps, the travels of the edge to uncut tissue, in rising order [m].
 
-        The second array has the widths of the parts of the edge, zero beyond a reach. Columns that
-        the tip or the end of the edge will have passed at the end of the step, if the blade moves
-        as in the last one, are left out.
+        The second array has the width of the part of the edge with each gap; it is zero for gaps
+        beyond the reach. Some columns are left out: those that the tip or the end of the edge would
+        pass in this step if the blade moved as in the last step.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -201,24 +206,24 @@ class Cut:
             return np.zeros(0), np.zeros(0)
         self._grow(first - 1, first + count)
         columns = slice(first - self._first, first - self._first + count)
-        # At the middle of the first whole column.
+        # Depth of the edge in the middle of the first whole column.
         start = depth + self._slope * ((first + 0.5) * spacing - along)
         gaps = self._cut[columns] - self._rises[:count] - start
         widths = np.full(count, spacing)
-        # Parts of columns at the ends of the edge count as their neighbours.
+        # Partial columns at the ends of the edge get the gap of their neighbours.
         widths[0] += (first - begin) * spacing
         widths[-1] += (end - first - count) * spacing
-        # Rounded to a picometre, so that equal gaps stay in the order of the columns.
+        # The gaps are rounded to a picometre, so that equal gaps stay in the order of the columns.
         gaps = gaps.round(12)
         widths[gaps >= reach_m] = 0.0
         order = gaps.argsort(kind="stable")
         return np.minimum(gaps[order], reach_m), widths[order]
 
     def _along_m(self, stretch_m: float, compliance: float) -> float:
-        """Return the travel along the surface at which front or back holds the rest of a stretch.
+        """Return the travel along the surface at which front or back balances the stretch.
 
-        ``stretch_m`` is the stretch [m], ``compliance`` the part of it that each length of a side
-        in uncut tissue holds.
+        ``stretch_m`` is the component of u along the surface [m]. ``compliance`` is the stretch
+        that a side balances per length in uncut tissue.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -227,7 +232,8 @@ class Cut:
         if sense > 0:
             at += COLUMNS
             depth += self._slope * self.width_m
-        # The column that the side is in is cut behind it, and as deep as the next one before it.
+        # The column of the side is cut behind the side; in front of it, its depth is taken from the
+        # next column.
         column = floor(at) + sense
         bound = abs((column + (sense < 0)) - at) * spacing
         reached = 0.0
@@ -242,17 +248,18 @@ class Cut:
             reached = bound
 
     def _part(self, along_m: float, depth_m: float) -> None:
-        """Put the blade at a position in the tissue: cut, and part the walls that it leaves."""
+        """Put the blade at a position in the tissue; cut, and part the walls that it leaves."""
         spacing = self._spacing_m
         first = floor(along_m / spacing)
         self._grow(first, first + COLUMNS + 1)
-        # Parts of the edge in each column: depths at their ends, and mean depth in the tissue.
+        # Part of the edge in each column: depths at its ends, and mean depth in the tissue.
         bounds = np.arange(first, first + COLUMNS + 2) * spacing - along_m
         bounds = bounds.clip(0.0, self.width_m)
         depths = depth_m + self._slope * bounds
         bottom = np.minimum(depths[1:], depths[:-1])
         top = np.maximum(np.maximum(depths[1:], depths[:-1]), 0.0)
-        # The edge covers a triangle where it leaves the tissue; 1e-300 avoids a division by zero.
+        # In the column where the edge leaves the tissue, the blade covers a triangle; 1e-300 avoids
+        # a division by zero.
         mean = np.where(bottom >= 0.0, top + bottom, top**2 / np.maximum(top - bottom, 1e-300))
         cover = 0.5 * mean * np.diff(bounds) / spacing
         now = slice(first - self._first, first - self._first + len(cover))
@@ -269,10 +276,10 @@ class Cut:
         self.place_m = (along_m, depth_m)
 
     def _passed(self, along_m: float, depth_m: float) -> float:
-        """Cut the columns that the deepest point of the edge has passed down to its depth.
+        """Cut the columns that the deepest point of the edge has passed.
 
-        A column under the blade is never covered to that depth as a whole. Returns the sum of the
-        added mean depths [m].
+        They are cut down to the depth of this point, because the blade itself never covers a whole
+        column down to it. Return the sum of the added mean depths [m].
         """
         start_s, start_l = self.place_m
         deepest = self.width_m if self._slope > 0.0 else 0.0
@@ -288,7 +295,7 @@ class Cut:
         return float(added.sum())
 
     def _grow(self, first: int, last: int) -> None:
-        """Store columns from a first to a last one."""
+        """Extend the stored columns to the range from ``first`` to ``last``."""
         before = max(self._first - first + CHUNK, 0) if first < self._first else 0
         end = self._first + len(self._cut)
         after = last - end + CHUNK if last > end else 0

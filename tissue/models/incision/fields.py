@@ -1,12 +1,12 @@
-"""Opening of a cut, for display: displacement, strain and stress of a block that is split by it.
+"""Opening of a cut, for display: displacement, strain and stress of a block with this cut.
 
 The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
-not cut, both faces of the plane stay together. Where it has, they are free, and the stress across
-the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a traction that pulls them apart.
-The tissue below the block and at its sides along the cut does not move. The opening of a long cut
-is then close to that of an edge crack, 5.8 times prestrain and depth (Tada, Paris and Irwin 2000).
-The pressure of the blade, other cuts and contact of the faces are not shown. No force depends on
-the block.
+not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free.
+There the stress across the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a traction
+that pulls the faces apart. The tissue below the block and at its sides along the cut does not move.
+The opening of a long cut is then close to that of an edge crack, 5.8 times prestrain and depth
+(Tada, Paris and Irwin 2000). The pressure of the blade, other cuts and contact of the faces are not
+shown. No force depends on the block.
 """
 
 from collections.abc import Sequence
@@ -35,27 +35,30 @@ The block is a picture. No force depends on its size or its edges, which are cho
 """
 ALONG = 40
 DEEP = 5
-"""Numbers of edges along and down a cut; chosen."""
+"""Numbers of mesh edges along a cut and down a cut; chosen."""
 GROWTH = 1.4
-"""Ratio of an edge to the next one nearer to the cut; chosen."""
+"""Ratio of the length of a mesh edge to that of its neighbour nearer to the cut; chosen."""
 LARGEST_RATIO = 0.45
 """Largest Poisson's ratio of the block: linear cells lock at larger ones."""
 NEAR_M = 0.01
-"""Distance of a hand's cut from the planned one within which it is drawn there [m]; assumed."""
+"""Largest distance from the planned cut at which a cut by a simulated hand is drawn [m].
+
+A cut within this distance is drawn at the position of the planned cut. The value is assumed.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Planned cut: its frame, its ends along the surface, and its depth along the blade's axis.
+    """Planned cut: frame, ends along the surface, and depth along the blade's axis.
 
     Attributes
     ----------
     cut
-        Cut where the tool enters first, not advanced.
+        Cut at the first entry of the tool, before any motion in the tissue.
     ends_m
-        Smallest and largest s of the blade [m].
+        Smallest and largest coordinate s of the blade [m].
     deepest_m
-        Largest depth l of the edge [m].
+        Largest depth coordinate l of the edge [m].
     """
 
     cut: Cut
@@ -66,7 +69,7 @@ class Track:
     def first_of(
         cls, tissue: IncisedTissue, blade: Blade, tips_m: Array, rotations: Array
     ) -> "Track | None":
-        """Return the first cut of a motion; None where the tip of the blade stays outside.
+        """Return the first cut of a motion; None if the tip of the blade stays outside.
 
         Parameters
         ----------
@@ -87,9 +90,10 @@ class Track:
 
 
 def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Return the half of a block on one side of a cut, its nodes on the cut, and their areas [m2].
+    """Return the half of a block on one side of a cut, its nodes on the cut plane, and their areas.
 
-    x runs along the surface from the cut's origin, y away from the plane, z out of the tissue.
+    In this half, x runs along the surface from the cut's origin, y away from the plane, and z out
+    of the tissue. The areas are in m2.
     """
     low, high = track.ends_m
     deep = track.deepest_m * float(track.cut.axis[2])
@@ -114,8 +118,8 @@ def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
 class IncisionFields:
     """Displacement, strain and stress of a block that the first cut of a motion opens.
 
-    A frame costs a tick a copy of the cut's profile. The fields are computed after the end of the
-    run. By mirror symmetry half of the block is solved.
+    For a frame, a tick only copies the profile of the cut. The fields are computed after the end of
+    the run. Because of mirror symmetry, only half of the block is solved.
 
     Parameters
     ----------
@@ -152,7 +156,7 @@ class IncisionFields:
         self.series = self._whole(self._fields.series)
 
     def keep(self, time_s: float, cuts: Sequence[Cut]) -> None:
-        """Store the profiles of the cuts near the planned one."""
+        """Store the profiles of the cuts near the planned cut."""
         self.next_s += self._fields.interval_s
         near = [
             (middles + cut_s, depths)
@@ -187,19 +191,19 @@ class IncisionFields:
             self.series.frames.append(self._mirrored(frame))
 
     def _open(self, middles: Array, depths: Array) -> Flags:
-        """Return True for nodes of the plane that lie in the cut, shape (k,)."""
+        """Return a mask of the nodes of the plane that lie in the cut, shape (k,)."""
         at = self._fields.series.nodes_m[self._nodes]
         if not len(middles):
             return np.zeros(len(at), bool)
         order = np.argsort(middles)
-        # Nodes at the ends and at the bottom of a planned cut lie on its edge up to rounding. They
-        # stay together, because the cut has to reach a column beyond a node.
+        # Nodes at the ends and at the bottom of a planned cut lie on its boundary, apart from
+        # rounding. They stay closed, because the cut must reach one column beyond a node.
         beyond = self._track.cut.width_m / COLUMNS * np.array([[-1.0], [1.0]])
         depth = np.interp(at[:, 0] + beyond, middles[order], depths[order], left=0.0, right=0.0)
         return -at[:, 2] < depth.min(axis=0) * float(self._track.cut.axis[2]) - 1e-9
 
     def _forces_N(self, is_open: Flags) -> Array:
-        """Return normal forces [N] that open the cut and hold the rest of the plane together."""
+        """Return the normal forces [N] that open the cut and keep the rest of the plane closed."""
         forces = self._traction_Pa * self._areas * is_open
         closed = ~is_open
         compliance = self._compliance
@@ -218,7 +222,7 @@ class IncisionFields:
         sides = [half.nodes_m @ place.T + cut.origin_m]
         sides.append((half.nodes_m * [1.0, -1.0, 1.0]) @ place.T + cut.origin_m)
         self._turn = np.column_stack([cut.along, sideways, [0.0, 0.0, 1.0]])
-        # A mirrored tetrahedron has two corners exchanged.
+        # In a mirrored tetrahedron two corners are exchanged, so that its volume stays positive.
         cells = np.vstack([half.cells, half.cells[:, [1, 0, 2, 3]] + len(half.nodes_m)])
         sets = {
             name: np.concatenate([nodes, nodes + len(half.nodes_m)])
@@ -229,7 +233,7 @@ class IncisionFields:
         )
 
     def _mirrored(self, frame: Frame) -> Frame:
-        """Return a frame of the whole block from one of its half."""
+        """Return a frame of the whole block from a frame of its half."""
 
         def both(values: Singles) -> Singles:
             mirrored = values * np.array([1.0, -1.0, 1.0], np.float32)

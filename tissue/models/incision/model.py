@@ -1,4 +1,4 @@
-"""Blade in soft tissue, as a tissue that a tool moves through."""
+"""Tissue model of soft tissue that a blade cuts."""
 
 from math import asin, degrees, isfinite
 
@@ -16,37 +16,40 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["IncisionModel"]
 
 PLAY_M = 1e-3
-"""Distance from a cut's plane within which a blade enters it and is not pressed sideways [m].
+"""Distance from a cut's plane within which a blade enters the cut without a sideways force [m].
 
-About half the width of an open cut; chosen. A larger one lets the blade wander further without a
-force. With a smaller one, a second pass by hand starts another cut next to the first.
+About half the width of an open cut; chosen. With a larger distance the blade can move further
+sideways without a force. With a smaller distance, a second pass by a simulated hand starts another
+cut next to the first.
 """
 
 
 class IncisionModel:
     """Tissue under the plane z = 0 that a blade cuts.
 
-    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. The plane and the
-    direction of a cut are those of the blade where it first enters. Rotation of a blade inside the
-    tissue has no resistance and no effect. Across its plane a blade does not cut. Beyond `PLAY_M`
-    the tissue pushes it back elastically, with a stiffness that rises with the depth up to the
-    blade's width. A blade that enters within that distance of an earlier cut, along all of its
-    width and in the sense of that cut, moves in it. Elsewhere the tissue is intact, also where cuts
-    cross. The force acts at the tip, without a torque.
+    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. Plane and
+    direction of a cut are those of the blade at its entry. Rotation of a blade inside the tissue
+    has no resistance and no effect. A blade does not cut across its plane. If it is farther than
+    `PLAY_M` from the plane, the tissue pushes it back elastically. This stiffness increases with
+    the depth, up to a depth equal to the blade's width. A blade that enters within `PLAY_M` of an
+    earlier cut moves in that cut, if this holds along its whole width and the blade points in the
+    direction of the cut. Elsewhere the tissue is intact, also where cuts cross. The force acts at
+    the tip, without a torque.
 
-    Not modelled: relaxation, speed, weight, a back that does not cut, fibres and layers.
+    Relaxation, dependence on speed, weight, a blade whose back does not cut, fibres and layers are
+    not modelled.
 
     ``edge`` of the response is the force, which does not depend on speed. ``engaged_m2`` is the
-    area of both walls that touch the blade, with the area of its edge. The measures are the depth
-    of the tip in the tissue and the deflection of the tissue [mm], the cut area [mm2] and the
-    work of friction [mJ].
+    area of the two walls that touch the blade, plus the area of the edge. The measures are the
+    depth of the tip in the tissue [mm], the deflection of the tissue [mm], the cut area [mm2] and
+    the work of friction [mJ].
 
     Parameters
     ----------
     tissue, blade
         Tissue and blade.
     fields
-        Opening of the cut for display; the force does not depend on it. None shows nothing.
+        Opening of the cut for display, or None for no display. The force does not depend on it.
 
     Raises
     ------
@@ -91,7 +94,7 @@ class IncisionModel:
         return sum(cut.friction_J for cut in self.cuts)
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the blade at its start, outside the tissue."""
+        """Put the blade at its first pose, outside the tissue."""
         depth = self._below_m(motion)
         if depth > 0.0:
             raise InputError(
@@ -153,18 +156,18 @@ class IncisionModel:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Store the cut where a frame is due."""
+        """Store the cut if a frame is due."""
         # 1e-9 s: the time of a tick is rounded.
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             self._fields.keep(time_s, self.cuts)
 
     def finish(self) -> None:
-        """Compute the fields of the frames."""
+        """Compute the fields of the stored frames."""
         if self._fields is not None:
             self._fields.compute()
 
     def _below_m(self, motion: ToolMotion) -> float:
-        """Return the depth of the lowest point of the edge [m], negative outside."""
+        """Return the depth of the lowest point of the edge [m], negative outside the tissue."""
         tip = float(motion.tip_m[2])
         edge = float(motion.rotation[2, 0] + self.blade.rise * motion.rotation[2, 2])
         if not (isfinite(tip) and isfinite(edge)):
@@ -174,8 +177,8 @@ class IncisionModel:
         return -tip - min(self.blade.width_m * edge, 0.0)
 
     def _entered(self, motion: ToolMotion) -> Cut:
-        """Return the earlier or new cut at the point where the blade meets the surface."""
-        # The axis lies in the blade's plane, so that a steep axis has a steep plane.
+        """Return the cut, earlier or new, at the point where the blade intersects the surface."""
+        # The axis lies in the blade's plane, so that the plane is steep if the axis is steep.
         rise = float(motion.rotation[2, 2])
         if rise < LEAST_COSINE:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Blade, and tissue that it cuts."""
+"""Parameters of a blade and of the tissue that it cuts."""
 
 from dataclasses import dataclass
 from math import pi, radians, tan
@@ -16,15 +16,16 @@ __all__ = ["Blade", "IncisedTissue", "incised_tissue"]
 class Blade:
     """Thin plate with a straight cutting edge at its lower end.
 
-    Its plane is spanned by the tool's x axis and its axis z. The edge begins at the tip and ends at
-    a distance along x. Both sides and the edge cut.
+    The plane of the plate is spanned by the tool's axes x and z. The edge begins at the tip and
+    ends at the distance `width_m` along x. The edge and the two sides cut.
 
     Attributes
     ----------
     width_m, thickness_m
         Width along x, and thickness [m].
     edge_rad
-        Angle between edge and axis [rad]: a right angle for a chisel, less for a pointed blade.
+        Angle between edge and z axis [rad]: a right angle for a chisel, smaller for a pointed
+        blade.
     """
 
     width_m: float
@@ -57,13 +58,13 @@ class IncisedTissue:
     Attributes
     ----------
     name
-        Name in layers.
+        Name of the layer.
     toughness_J_m2
-        Energy that a unit of cut area takes, J [J/m2].
+        Fracture toughness J: energy per cut area [J/m2].
     friction_Pa
-        Friction per area of each wall that touches the blade, tau [Pa].
+        Friction tau per area of each wall that touches the blade [Pa].
     stiffness_N_m
-        Force of the tissue on a blade per deflection, in all directions [N/m].
+        Force of the tissue on a blade divided by the deflection, equal in all directions [N/m].
     young_Pa, poisson_ratio
         Young's modulus [Pa] and Poisson's ratio of the drawn block.
     prestrain
@@ -89,7 +90,7 @@ class IncisedTissue:
 def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) -> float:
     """Return the stiffness of a half space under the blade's lower end [N/m].
 
-    It is that of a rigid elliptical punch, pi E* a / K(e) with half axes a and b, e² = 1 - b²/a²
+    The punch is rigid and elliptical with half axes a and b: pi E* a / K(e), with e² = 1 - b²/a²
     and K the complete elliptic integral (Johnson 1985).
     """
     modulus = young_Pa / (1.0 - poisson_ratio**2)
@@ -98,10 +99,10 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
 
 
 def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
-    """Return the secant stiffness of the needle's liver at a force [N/m].
+    """Return the secant stiffness, at a force, of the liver of the needle model [N/m].
 
-    The small-strain modulus of liver is not used. A half space of it would yield by centimetres
-    under a blade, several times as much as the liver under the needle.
+    The small-strain modulus of liver is not used. Under a blade, a half space with this modulus
+    would deflect by centimetres, several times as much as the liver under the needle.
     """
     liver = constants.constants("needle", "liver")
     deflection = positive_root(
@@ -113,10 +114,10 @@ def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
 def incised_tissue(
     name: str, blade: Blade, *, constants: Materials = Materials.cited
 ) -> IncisedTissue:
-    """Return a tissue with its constants in `soft.toml`.
+    """Return a tissue with the constants of `soft.toml`.
 
-    Skin has the stiffness of a half space. Liver has that of the needle's liver at the force that
-    cuts along the whole width of the blade.
+    Skin has the stiffness of a half space. Liver has the stiffness of the liver in the needle
+    model, at the force that cuts along the whole width of the blade.
     """
     found = {key: entry.value for key, entry in constants.constants("soft", name).items()}
     young = 1e3 * found["modulus_kPa"]

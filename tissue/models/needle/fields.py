@@ -1,10 +1,11 @@
-"""Displacement, strain and stress of a tissue block that a needle drags along, for display.
+"""Displacement, strain and stress of a tissue block that a needle deflects, for display.
 
-The needle's own model (`tissue.models.needle.model`) is one-dimensional. It gives the
-deflection of the organ at the needle and the inserted length. Here a linear-elastic block around
-the first track responds to that deflection. The nodes along the inserted shaft, before the puncture
-the node at the entry, are displaced by the deflection along the needle's axis, by the forces that
-this requires. The force on the needle never comes from this block.
+The needle's own model (`tissue.models.needle.model`) is one-dimensional. It computes the deflection
+of the organ at the needle and the inserted length. Here this deflection is applied to a
+linear-elastic block around the first track. The nodes along the inserted shaft are displaced by the
+deflection along the needle's axis; before the puncture, only the node at the entry is displaced.
+The nodal forces that this requires are solved for. The force on the needle never comes from this
+block.
 """
 
 from dataclasses import dataclass, replace
@@ -34,13 +35,13 @@ SIDE_M = 0.08
 The block is a picture. No force depends on its size or its edges, which are chosen.
 """
 BELOW_M = 0.03
-"""Tissue between the deepest tip and the base [m]."""
+"""Thickness of the tissue between the deepest position of the tip and the base [m]."""
 COARSE_M = 0.01
 FINE_M = 2.2e-3
 GROWTH = 0.75
-"""Bricks of the block [m], longest edge on the track [m], and growth of edges with the distance.
+"""Longest edge of the block [m], longest edge on the track [m], and growth of edges.
 
-The distance is measured from the track.
+The growth is the increase of the edge length per distance from the track.
 """
 ON_TRACK_M = 1e-9
 """Rounding error of a node's position [m]."""
@@ -48,14 +49,14 @@ ON_TRACK_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Entry, direction and depth of a needle.
+    """Entry point, direction and depth of a needle.
 
     Attributes
     ----------
     entry_m
         Intersection of the needle's axis with the surface z = 0 [m], shape (3,).
     outward
-        Unit vector along its axis from tip to shank, shape (3,).
+        Unit vector along the needle's axis from tip to shank, shape (3,).
     deepest_m
         Largest travel of the tip beyond the surface, along the axis [m].
     """
@@ -68,20 +69,20 @@ class Track:
     def first_of(cls, tips_m: Array, outward: Array, *, diameter_m: float) -> "Track | None":
         """Return the first track of a motion.
 
-        It is None where the needle stays outside, starts inside or lies flat.
+        It is None if the needle stays outside, starts inside or lies flat.
 
         Parameters
         ----------
         tips_m, outward
-            Tip positions that outline the motion [m] and the needle's axis there, shape (n, 3)
-            both.
+            Tip positions that outline the motion [m], and the direction of the needle's axis there,
+            each of shape (n, 3).
         diameter_m
-            Distance of two entries within which they count as one [m].
+            Distance within which two entries are treated as the same entry [m].
         """
         steep = outward[:, 2] >= LEAST_COSINE
         travel = np.where(steep, -tips_m[:, 2] / np.where(steep, outward[:, 2], 1.0), -np.inf)
         inside = np.flatnonzero(travel > 0.0)
-        # It stays outside, or starts inside, where no entry is known.
+        # The needle stays outside, or starts inside, so that no entry is known.
         if len(inside) == 0 or inside[0] == 0:
             return None
         entries = tips_m[inside] + travel[inside, None] * outward[inside]
@@ -90,11 +91,11 @@ class Track:
 
 
 def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Return a block of tissue around a track, its nodes on the track and their depths [m].
+    """Return a block of tissue around a track, the nodes on the track and their depths [m].
 
-    The nodes, shape (k,), are ordered from the surface down; the depths have shape (k,). The block
-    is a slab sheared so that its middle line is the needle's axis. Depths count along the axis. The
-    top face is at z = 0.
+    The nodes are ordered from the surface down; nodes and depths have shape (k,). The block is a
+    slab that is sheared so that its middle line is the needle's axis. Depths are measured along the
+    axis. The top face is at z = 0.
     """
     drop = track.deepest_m * float(track.outward[2])
     block = slab(size_m=(SIDE_M, SIDE_M, drop + BELOW_M), spacing_m=COARSE_M)
@@ -121,22 +122,23 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
 class NeedleFields:
     """Displacement, strain, stress and reaction of a block around a needle's first track.
 
-    A frame costs a tick a copy of three numbers. The fields are computed after the end of the run.
-    Other tracks are not shown: the block is at rest then.
+    For a frame, a tick only copies three numbers. The fields are computed after the end of the run.
+    Other tracks are not shown: the block is at rest while the needle is in another track.
 
-    The cells are linear, so Poisson's ratio should not be near 0.5. Right at the shaft strain and
-    stress depend on the edges of the mesh, because a line that moves through an elastic body has no
-    limit. The force on the line has none either.
+    The finite elements are linear, so Poisson's ratio should not be near 0.5. Next to the shaft,
+    strain and stress depend on the length of the mesh edges. The reason is that the solution for a
+    displaced line in an elastic body does not converge when the mesh is refined. The force on the
+    line does not converge either.
 
     Parameters
     ----------
     track
-        Entry, direction and depth of the needle.
+        Entry point, direction and depth of the needle.
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        Largest distance of an entry from the track's entry at which it belongs to the track [m],
-        such as the needle's diameter.
+        An entry belongs to the track if its distance from the track's entry is at most this length
+        [m], for example the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -171,9 +173,10 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Return the fields in a liver with the cited modulus.
+        """Return the fields in a liver with the modulus from the cited sources.
 
-        Poisson's ratio is the smallest cited value, because linear cells lock at larger values.
+        Poisson's ratio is the smallest value in the cited sources, because linear finite elements
+        lock at larger values.
         """
         cited = constants.constants("soft", "liver")
         elasticity = lame(1e3 * cited["modulus_kPa"].value, cited["poisson_ratio"].low)
@@ -181,13 +184,13 @@ class NeedleFields:
 
     @property
     def series(self) -> FieldSeries:
-        """Mesh and frames."""
+        """Mesh and frames of the block."""
         return self._fields.series
 
     def keep(
         self, time_s: float, *, deflection_m: float, inserted_m: float, entry_m: Array
     ) -> None:
-        """Store the organ's deflection, the needle's inserted length and its entry [m]."""
+        """Store the organ's deflection, the needle's inserted length and its entry point [m]."""
         self.next_s += self._fields.interval_s
         here = float(np.linalg.norm(entry_m - self.track.entry_m)) <= self._near_m
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
@@ -210,9 +213,9 @@ class NeedleFields:
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
-        """Return axial forces [N], inwards, that move the track's nodes by a deflection.
+        """Return the axial forces [N], inwards, that displace the track's nodes by a deflection.
 
-        The nodes down to the inserted length are moved. The shape is (k,).
+        The nodes down to the inserted length are displaced. The forces have shape (k,).
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros(len(self.nodes))

@@ -1,4 +1,4 @@
-"""Needle in an organ: insertion along its axis, as a tissue that a tool moves through."""
+"""Tissue model of an organ into which a needle is inserted along its axis."""
 
 from math import inf, isfinite, pi
 
@@ -17,45 +17,47 @@ __all__ = ["Insertion", "NeedleModel"]
 class Insertion:
     """One track of a needle, in one dimension.
 
-    With z the travel of the tip beyond the undeformed surface, u the deflection of the organ and L
-    the inserted length of the needle, z = u + L. Only the needle carries the organ, so the organ's
-    pull equals the needle's force::
+    Let z be the travel of the tip beyond the undeformed surface, u the deflection of the organ and
+    L the inserted length of the needle. Then z = u + L. Only the needle holds the organ, so the
+    pull of the organ equals the force of the needle::
 
         a1 u + a2 u|u|  =  tip + hold + friction
 
-    The tip cuts with a constant force, only deeper than it has been. The edges of the holes in the
-    membranes cling with a constant force. Friction increases with L. While the pull is smaller than
-    these, needle and organ move together. The shaft sticks and L stays. The pull is then the
-    applied force that Karnopp's law compares with the static friction. Beyond it the shaft slides,
-    u follows from the balance in closed form, and L from z. An intact membrane stops the tip until
-    the pull exceeds its puncture force too. Then the organ springs back along the shaft at once, to
-    the u of the remaining balance. Before the puncture the force is therefore Okamura's polynomial.
-    After it the deflection, its elastic force and the inserted length are all larger than zero.
+    The cutting force of the tip is constant. It acts only where the tip goes deeper than before.
+    The edges of the holes in the membranes hold the shaft with a constant force. Friction increases
+    with L. While the pull is smaller than the sum of these forces, needle and organ move together:
+    the shaft sticks and L is constant. The pull is then the applied force that Karnopp's law
+    compares with the static friction. If the pull exceeds the static friction, the shaft slides.
+    Then u follows from the balance in closed form, and L from z. An intact membrane stops the tip
+    until the pull also exceeds the puncture force. Then the organ springs back along the shaft at
+    once, to the u of the new balance. Before the puncture the force is therefore Okamura's
+    polynomial. After the puncture the deflection, its elastic force and the inserted length are all
+    larger than zero.
 
-    A shaft sticks when its motion stops or reverses, when its speed falls below half the band of
-    speeds that counts as rest, or when an obstacle stops the tip. Viscous friction acts on the
-    needle but does not deflect the organ. The state therefore depends on the path of the needle,
-    not on the number of steps of the path. The tissue is punctured, cut and rubbed, never healed.
-    The work of all three is lost. Only the elastic energy of the organ is recovered.
+    A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
+    sticks when its speed falls below half of `ShaftFriction.stick_band_m_s`. Viscous friction acts
+    on the needle but does not deflect the organ. The state therefore depends on the path of the
+    needle, and not on the number of steps of the path. The tissue does not heal. The work of
+    puncture, cutting and friction is lost. Only the elastic energy of the organ is recovered.
 
-    Not modelled: relaxation at rest, mass of the organ, force across the axis, bending, and
-    stiffness that changes with depth. The organ moves as one piece with its surface, and so does an
-    inner membrane: it has a puncture force but no stiffness of its own. Behind it the tissue is
-    parenchyma again. The polynomial was fitted to deflections of up to 17 mm inwards. The response
-    to outward deflection is assumed to be equal.
+    Relaxation at rest, the mass of the organ, forces across the axis, bending, and a stiffness that
+    changes with depth are not modelled. The organ moves as one piece with its surface. An inner
+    membrane moves with the organ: it has a puncture force but no stiffness of its own. Behind a
+    membrane the tissue is parenchyma again. The polynomial was fitted to deflections of up to 17 mm
+    inwards. The response to outward deflection is assumed to be equal.
 
     Attributes
     ----------
     travel_m, inserted_m, deflection_m
-        z, L and u [m].
+        Travel z, inserted length L and deflection u [m].
     cut_m
-        Largest inserted length so far [m]: the part of the track that needs no cutting.
+        Largest inserted length so far [m]: the part of the track that is already cut.
     punctured
         Number of broken membranes, from the surface downwards.
     sliding
-        1 while the shaft slides in, -1 while it slides out, 0 while it sticks or creeps.
+        1 while the shaft slides inwards, -1 while it slides outwards, 0 while it sticks or creeps.
     punctures
-        Travel [m] and force [N] of every puncture, without its viscous part.
+        Travel [m] and force [N] of every puncture; the force does not include viscous friction.
     """
 
     def __init__(self, tissue: NeedleTissue, *, travel_m: float = 0.0) -> None:
@@ -71,7 +73,7 @@ class Insertion:
         self._holds = tuple(membrane.hold_N for membrane in tissue.membranes)
 
     def advance(self, travel_m: float, speed_m_s: float) -> None:
-        """Move the tip to a travel at a speed; the sign of the speed has no effect."""
+        """Move the tip to a travel with a speed; the sign of the speed has no effect."""
         moved = travel_m - self.travel_m
         self.travel_m = travel_m
         quick = abs(speed_m_s) >= 0.5 * self.tissue.friction.stick_band_m_s
@@ -93,12 +95,12 @@ class Insertion:
 
     @property
     def pull_N(self) -> float:
-        """Force of the organ on the needle at any speed, positive against insertion [N]."""
+        """Force on the needle without viscous friction, positive against insertion [N]."""
         return self.tissue.pull_N(self.deflection_m)
 
     @property
     def drag_N_s_m(self) -> float:
-        """Viscous friction per speed while the shaft slides [N s/m], not negative."""
+        """Viscous friction divided by the speed while the shaft slides [N s/m], not negative."""
         friction = self.tissue.friction
         if self.sliding == 0:
             return 0.0
@@ -110,13 +112,14 @@ class Insertion:
         """Return the elastic, cutting and friction part of the pull [N]; they add up to the pull.
 
         While the shaft slides, these parts are the holding force of the membranes, the cutting
-        force of the tip and the friction of the shaft. While it sticks, only the pull is known. Up
-        to the sliding force it is divided in equal proportion to the sliding case. The excess is
-        reported as elastic before an intact membrane and as friction elsewhere.
+        force of the tip and the friction of the shaft. While the shaft sticks, only the pull is
+        known. Up to the sliding force, the pull is divided in the proportions of the sliding case.
+        A pull beyond the sliding force is reported as elastic before an intact membrane, and as
+        friction elsewhere.
         """
         pull = self.pull_N
         length = self.inserted_m
-        # Nothing is cut or rubbed yet: the surface holds the tip.
+        # There is no cut and no friction yet: the surface holds the tip.
         if length == 0.0 and (self.blocked or self._depths[:1] == (0.0,)):
             return pull, 0.0, 0.0
         friction = self.tissue.friction
@@ -145,7 +148,7 @@ class Insertion:
     def _hold_N(self, *, inwards: bool) -> float:
         """Return the holding force of the holes around the shaft [N].
 
-        A hole right at the tip resists only inward motion.
+        A hole whose edge lies at the tip resists only inward motion.
         """
         length = self.inserted_m
         held = 0.0
@@ -155,7 +158,7 @@ class Insertion:
         return held
 
     def _push(self, quick: bool) -> None:
-        """Slide in while the pull exceeds the resistance, from one stop to the next."""
+        """Slide inwards while the pull exceeds the resistance, from one stop to the next."""
         tissue = self.tissue
         friction = self.tissue.friction
         while True:
@@ -188,14 +191,14 @@ class Insertion:
             self.sliding = 0
 
     def _next_stop_m(self) -> float:
-        """Return the inserted length [m] of the next rise of resistance: track end or membrane."""
+        """Return the inserted length [m] at the next rise of resistance: track end or membrane."""
         deeper = [depth for depth in self._depths if depth > self.inserted_m]
         if self.cut_m > self.inserted_m:
             deeper.append(self.cut_m)
         return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
-        """Slide out while the organ, dragged along, pulls back with more than the holding force."""
+        """Slide outwards while the pull of the deflected organ exceeds the holding force."""
         tissue = self.tissue
         friction = self.tissue.friction
         while self.inserted_m > 0.0:
@@ -228,34 +231,34 @@ class NeedleModel:
     """Organ under the plane z = 0 with a needle that moves in and out along its axis.
 
     The force follows `tissue.models.needle.model.Insertion` and acts along the needle's axis.
-    Sideways motion or rotation of the needle inside the organ has no resistance. Depths count along
-    the axis, from its intersection with the undeformed surface. Only the latest track is stored. A
-    needle that leaves and re-enters within a diameter of its last entry finds an open track.
-    Elsewhere the organ is intact.
+    Sideways motion or rotation of the needle inside the organ has no resistance. Depths are
+    measured along the axis, from its intersection with the undeformed surface. Only the latest
+    track is stored. A needle that leaves the organ and re-enters within a diameter of its last
+    entry moves in the open track. Elsewhere the organ is intact.
 
-    The response's ``edge`` is the pull of the organ, which also acts at rest and does not depend on
-    speed; ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is the
-    cross-section of the tip, in the layer it touches. The measures are the inserted length and the
-    deflection of the organ [mm], then three parts of the axial force [N]: the holding force of
-    membranes, the cutting force of the tip and the friction along the shaft. These parts add up to
-    the axial force, positive against insertion.
+    The response's ``edge`` is the pull of the organ. It also acts at rest and does not depend on
+    speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is the
+    cross-section of the tip, in the layer that it touches. The measures are the inserted length
+    [mm], the deflection of the organ [mm] and three parts of the axial force [N]: the holding force
+    of membranes, the cutting force of the tip and the friction along the shaft. These parts add up
+    to the axial force, positive against insertion.
 
     Parameters
     ----------
     tissue
         Tissue along the needle's axis.
     diameter_m
-        Diameter of the needle [m]. It sets the area of the tip, and the distance from the last
-        track at which a new track begins.
+        Diameter of the needle [m]. It determines the area of the tip, and the distance from the
+        last track beyond which a new track begins.
     fields
-        Displacement and stress around the needle for display; the force does not depend on it. None
-        shows nothing.
+        Displacement and stress around the needle for display, or None for no display. The force
+        does not depend on them.
 
     Raises
     ------
     InputError
-        If the needle's diameter is not plausible; later, if the needle starts inside the organ,
-        lies almost flat on it, or has a pose that is not finite.
+        If the needle's diameter is not plausible. `place` and `advance` raise it if the needle
+        starts inside the organ, lies almost flat on it, or has a pose that is not finite.
     """
 
     measure_names: tuple[str, ...] = (
@@ -288,12 +291,12 @@ class NeedleModel:
     def fields(self) -> FieldSeries | None:
         """Displacement, strain, stress and reaction of a block around the needle.
 
-        They are computed after the end of the run.
+        The fields are computed after the end of the run.
         """
         return None if self._fields is None else self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the needle at its start, outside the organ."""
+        """Put the needle at its first pose, outside the organ."""
         travel = self._travel_m(motion)
         if travel > 0.0:
             raise InputError(
@@ -356,7 +359,7 @@ class NeedleModel:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Store the deflection where a frame is due."""
+        """Store the deflection if a frame is due."""
         # 1e-9 s: the time of a tick is rounded.
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             insertion = self.insertion
@@ -368,14 +371,14 @@ class NeedleModel:
             )
 
     def finish(self) -> None:
-        """Compute the fields of the frames."""
+        """Compute the fields of the stored frames."""
         if self._fields is not None:
             self._fields.compute()
 
     def _travel_m(self, motion: ToolMotion) -> float:
         """Return the depth of the tip beyond the surface, along the needle's axis [m].
 
-        It is negative outside.
+        It is negative outside the organ.
         """
         below = -float(motion.tip_m[2])
         cosine = float(motion.rotation[2, 2])
@@ -383,7 +386,8 @@ class NeedleModel:
             raise InputError(
                 "the needle's pose", "be finite", f"its tip at {motion.tip_m}", "fix the motion"
             )
-        # A flatter needle has no travel along its axis. Outside the organ it is measured upright.
+        # The travel along the axis of a flatter needle is not defined. Outside the organ it is
+        # measured vertically instead.
         if cosine >= LEAST_COSINE:
             return below / cosine
         if below > 0.0 or self.insertion.inserted_m > 0.0:
@@ -396,12 +400,12 @@ class NeedleModel:
         return below
 
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
-        """Return the track at the point where the needle meets the surface.
+        """Return the track at the point where the needle intersects the surface.
 
-        It is the last track if that lies there, else a new one.
+        It is the last track if that track is at this point, otherwise a new track.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
-        # Also true for the first entry, before which the last one is NaN.
+        # The comparison is also true for the first entry, because the entry before it is NaN.
         if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
             self.insertion = Insertion(self.tissue)
             self._entry_m[:] = entry

@@ -1,4 +1,4 @@
-"""Needle parameters along its axis: membranes, cut tissue and shaft friction."""
+"""Parameters of a needle insertion: membranes, cutting force and shaft friction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,9 +11,9 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
 LARGEST_N = 1e4
-"""Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
+"""Largest force that a parameter may have [N]; a larger value has a wrong unit."""
 LARGEST_N_M = 1e6
-"""Largest force per length of a parameter [N/m], and of its viscous part [N s/m2]."""
+"""Largest force per length [N/m], or viscous coefficient [N s/m2], of a parameter."""
 LEAST_COSINE = 0.17
 """Smallest cosine between the needle's axis and the surface normal.
 
@@ -24,7 +24,7 @@ axis.
 
 @dataclass(frozen=True, kw_only=True)
 class Membrane:
-    """A thin layer that a needle's tip cannot cut but breaks through.
+    """Thin layer that a needle's tip punctures and does not cut.
 
     Attributes
     ----------
@@ -35,8 +35,8 @@ class Membrane:
     puncture_N
         Force of the tip at which it breaks [N].
     hold_N
-        Force with which the edge of its hole clings to the shaft [N], in or out: the elastic force
-        that remains after the puncture.
+        Force with which the edge of the hole holds the shaft [N], inwards or outwards. It is the
+        elastic force that remains after the puncture.
     """
 
     name: str
@@ -70,19 +70,20 @@ class Membrane:
 class ShaftFriction:
     """Karnopp's friction along the inserted length, as modified by Okamura (2004).
 
-    Its numbers differ between insertion and withdrawal.
+    The coefficients differ between insertion and withdrawal.
 
     Attributes
     ----------
     sliding_in_N_m, sliding_out_N_m
-        Coulomb friction while the shaft slides, C_p and the size of C_n [N/m].
+        Coulomb friction per length while the shaft slides, C_p and the magnitude of C_n [N/m].
     viscous_in_N_s_m2, viscous_out_N_s_m2
-        Viscous friction coefficients, b_p and the size of b_n [N s/m2].
+        Viscous friction coefficients per length, b_p and the magnitude of b_n [N s/m2].
     static_in_N_m, static_out_N_m
-        Friction at which a shaft at rest breaks away, D_p and the size of D_n [N/m].
+        Friction per length at which a shaft at rest breaks away, D_p and the magnitude of D_n
+        [N/m].
     stick_band_m_s
-        Width of the band of speeds around zero that counts as rest [m/s]. Below half of it the
-        shaft creeps under the static friction.
+        Width of the range of speeds around zero that is treated as rest [m/s]. Below half of this
+        width the shaft creeps under the static friction.
     """
 
     sliding_in_N_m: float
@@ -133,8 +134,9 @@ class NeedleTissue:
     Raises
     ------
     InputError
-        If a number is not plausible, membranes are out of order, or friction grows faster with the
-        inserted length than the organ's pull: a needle that is drawn back would then jump out.
+        If a number is not plausible or membranes are out of order. Also if friction grows faster
+        with the inserted length than the organ's pull: a needle that is withdrawn would then jump
+        out.
     """
 
     linear_N_m: float
@@ -149,7 +151,8 @@ class NeedleTissue:
             "quadratic_N_m2",
             self.quadratic_N_m2,
             0.0,
-            # It reaches the largest force per length at a deflection of 1 mm.
+            # With this bound, the quadratic part reaches the largest force per length at a
+            # deflection of 1 mm.
             1e3 * LARGEST_N_M,
             "give it in N/m2, or 0 for a linear organ",
         )
@@ -187,12 +190,12 @@ class NeedleTissue:
     def pull_N(self, deflection_m: float) -> float:
         """Return the force of the organ on the needle [N], positive against insertion.
 
-        It is antisymmetric in the deflection.
+        The force is an odd function of the deflection.
         """
         return (self.linear_N_m + self.quadratic_N_m2 * abs(deflection_m)) * deflection_m
 
     def deflection_m(self, pull_N: float) -> float:
-        """Return the deflection at which the organ pulls with a force that is not negative [m]."""
+        """Return the deflection [m] at which the organ pulls with a force (0 or larger)."""
         return positive_root(self.quadratic_N_m2, self.linear_N_m, pull_N)
 
 
@@ -210,7 +213,7 @@ def vessel_wall(
     hold_N: float | None = None,
     constants: Materials = Materials.cited,
 ) -> Membrane:
-    """Return a vessel's wall, or another membrane inside an organ, at a depth [m].
+    """Return the wall of a vessel, or another membrane inside an organ, at a depth [m].
 
     Forces that are None are taken from the constants. The constants of a vessel's wall have no
     source.
@@ -227,14 +230,14 @@ def vessel_wall(
 def needle_tissue(
     *, walls: Sequence[Membrane] = (), constants: Materials = Materials.cited
 ) -> NeedleTissue:
-    """Return bovine liver under its capsule, with membranes inside it, from the surface downwards.
+    """Return bovine liver under its capsule, with inner membranes ordered by depth.
 
     The constants hold for one needle in one organ (Okamura 2004).
 
     Raises
     ------
     InputError
-        If the membranes do not lie below the capsule, one below the other.
+        If a membrane does not lie below the capsule, or below the membrane before it.
     """
     liver = {name: entry.value for name, entry in constants.constants("needle", "liver").items()}
     keys = {f"{name} of the capsule": f"capsule_{name}" for name in ("puncture_N", "hold_N")}

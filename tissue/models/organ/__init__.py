@@ -1,1 +1,1 @@
-"""A soft organ under a probe: contact on the compliance of its surface."""
+"""A soft organ under a probe, with contact computed from the compliance of its surface."""

@@ -1,6 +1,7 @@
-"""Compliance of the nodes that a tool may touch.
+"""Compliance of the surface nodes that a tool may touch.
 
-It is complete, computed column by column where the tool is, or taken from a reduced basis.
+The matrix is complete, or its columns are computed near the tool during the run, or it comes from a
+reduced basis.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -34,22 +35,22 @@ __all__ = [
 
 CONDENSING = "condensing the compliance to the surface that can be touched"
 FACTOR_UNKNOWNS = 200_000
-"""Largest number of unknowns for which frames are solved by a factor.
+"""Largest number of unknowns for which frames are solved by a sparse factorisation.
 
-Above it multigrid is used, because a factor would take gigabytes.
+For larger meshes multigrid is used, because a factor would take gigabytes of memory.
 """
 CompliancePath = Literal["condensed", "lazy", "reduced"]
 """Method used to compute the compliance.
 
-It is taken from its own factor and kept on disk, computed column by column while the tool moves, or
-taken from a reduced basis.
+``condensed``: computed completely with a factorisation of its own, and kept on disk. ``lazy``:
+computed column by column while the tool moves. ``reduced``: computed from a reduced basis.
 """
 
 
 class Factor:
-    """Sparse factor that is made when it is first needed.
+    """Sparse factor of the stiffness, made when it is first needed.
 
-    Where it would need too much memory, multigrid replaces it.
+    If the factor would need too much memory, multigrid replaces it.
     """
 
     def __init__(self, body: HeldBody) -> None:
@@ -64,15 +65,15 @@ class Factor:
         return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
-        """Request that the compliance between some nodes is read off the factor.
+        """Request the compliance between some nodes, to be read from the factor.
 
-        This applies only where the factor is not made yet and not too large.
+        The request has an effect only if the factor is not made yet and is not too large.
         """
         if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
             self._last = np.union1d(self._last, nodes)
 
     def solve_all(self, loads_N: Array) -> Array:
-        """Return displacements [m] under several loads [N], shape (loads, n, 3) both."""
+        """Return displacements [m] under several loads [N], each of shape (loads, n, 3)."""
         return np.stack([self.solve(load) for load in loads_N])
 
     def solve(self, load_N: Array) -> Array:
@@ -95,8 +96,8 @@ def compliance_of(
 ) -> tuple[Array, LazyCompliance | None]:
     """Return the compliance of the touchable nodes [m/N] and the object that fills it.
 
-    The compliance has shape (3t, 3t). The object fills it while the tool moves; it is None where
-    the compliance is complete.
+    The compliance has shape (3t, 3t). The object fills it while the tool moves; the object is None
+    if the compliance is complete.
     """
     if path == "condensed":
         found = surface_compliance_m_N(
@@ -113,24 +114,24 @@ def compliance_of(
 
 
 TOGETHER = 16
-"""Columns in one back-substitution, on one thread of BLAS.
+"""Number of columns in one back-substitution, on one thread of BLAS.
 
-More columns are not faster, and threads on small blocks are slower.
+More columns are not faster, and several threads are slower on small blocks.
 """
 LIMIT_BYTES = 1_000_000_000
-"""Memory above which the columns of earlier places are dropped [bytes].
+"""Memory above which columns from earlier places of contact are dropped [bytes].
 
 A surface of 5,000 nodes needs 0.36 MB for each touched node, so that 2,800 nodes fit.
 """
 
 
 class KeptColumns:
-    """Displacements of an organ's surface under unit forces on its nodes, kept from press to press.
+    """Displacements of an organ's surface under unit forces on its nodes, reused in every press.
 
     Parameters
     ----------
     factor
-        The organ's factor, which is made when the first compliance is needed.
+        The organ's factor. It is made when the first compliance is needed.
     surface
         Nodes of the surface in rising order, shape (s,).
     """
@@ -154,7 +155,7 @@ class KeptColumns:
         self._find(missing)
         rows = components_of(np.searchsorted(self._surface, nodes))
         matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
-        # Rounding differs between columns, and the contact needs symmetry.
+        # Rounding differs between columns, but the contact solver needs a symmetric matrix.
         return 0.5 * (matrix + matrix.T)
 
     def _find(self, nodes: list[int]) -> None:

@@ -1,4 +1,4 @@
-"""Contact of a tool with an elastic organ on the compliance of the nodes that may be touched."""
+"""Contact of a tool with an elastic organ, computed from the compliance of its touchable nodes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -47,13 +47,13 @@ __all__ = [
 
 
 MOST_DIVISIONS = 16
-"""Largest number of contact points along the edge of a triangle: 256 points on a triangle."""
+"""Largest number of contact points along a triangle's edge: a triangle then has 256 points."""
 
 
 def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
-    """Return contact points on triangles: corners, and a lattice inside large triangles.
+    """Return contact points on triangles: the corners, and a lattice inside large triangles.
 
-    A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.
+    If the longest edge spans n > 1 spacings, the centres of n^2 equal parts are added.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
     Returns
     -------
     face
-        Triangle of each point, shape (p,), rising; every node is a point of one of its triangles.
+        Triangle of each point, shape (p,), rising. Every node is a point of one of its triangles.
     weights
         Barycentric weights, shape (p, 3).
     areas_m2
@@ -93,7 +93,7 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
             ),
             "mesh the touchable surface finer, or take a larger tool",
         )
-    # 1e-9: an edge of whole spacings is not divided once more.
+    # 1e-9: if an edge is a whole number of spacings, rounding adds no division.
     division = np.maximum(np.ceil(longest / spacing_m - 1e-9), 1).astype(int)
     node_area = np.zeros(len(nodes_m))
     np.add.at(node_area, faces[division == 1], area[division == 1, None] / 3.0)
@@ -121,9 +121,9 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
 
 
 def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str) -> Body:
-    """Return the touchable surface at rest, without force.
+    """Return the device arrays of the touchable surface at rest, without force.
 
-    On a CPU the compliance is used in place.
+    On a CPU the compliance is not copied.
     """
     body = Body()
     body.free = put(nodes_m, wp.vec3d, device)
@@ -141,9 +141,9 @@ def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str)
 def point_arrays(
     nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str
 ) -> Points:
-    """Return contact points without force, chained by triangle.
+    """Return contact points without force, in one linked list for each triangle.
 
-    They are a shell's own points, or points spread over the triangles, ``spacing_m`` apart at most.
+    The points are a shell's own points, or lie at most ``spacing_m`` apart on the triangles.
     """
     if isinstance(probe, ShellProbe):
         face = np.zeros(0, np.int32)
@@ -169,7 +169,7 @@ def point_arrays(
 
 
 def list_arrays(triangles: int, device: str) -> Lists:
-    """Return empty work lists for a number of triangles."""
+    """Return empty lists of near and working triangles."""
     lists = Lists()
     lists.count = wp.zeros(3, wp.int32, device)
     for name in ("near", "working", "working_mark"):
@@ -178,7 +178,7 @@ def list_arrays(triangles: int, device: str) -> Lists:
 
 
 class ContactOutcome(Enum):
-    """Outcome of a contact solve. The value holds the remedy."""
+    """Outcome of a contact solve. The value describes the remedy."""
 
     CONVERGED = "the forces have converged within the tolerance"
     NOT_CONVERGED = (
@@ -196,7 +196,7 @@ class ContactOutcome(Enum):
 
 @dataclass
 class ContactResult:
-    """Forces and penetration of a contact, reused from solve to solve; world frame.
+    """Forces and penetration of a contact in the world frame; every solve overwrites them.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ class ContactResult:
     contacts
         Number of contact points that carry force.
     area_m2
-        Area of the organ's surface, or of the shell, that these points represent [m2].
+        Area that the points with force represent, on the organ or on the shell [m2].
     penetration_m
         Deepest remaining penetration [m].
     """
@@ -232,7 +232,7 @@ class ContactResult:
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes under the contact forces [m].
 
-        The shape is (s, 3). It is for drawing.
+        The shape is (s, 3). The result is for drawing.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = components_of(loaded)
@@ -248,23 +248,23 @@ STATE_ARRAYS = {
     "lists": ("count", "working", "working_mark"),
     "patch": ("count", "node", "slot", "near_mark", "loaded_mark", "moved"),
 }
-"""Device arrays that later solves depend on, by their part of the contact."""
+"""Names of the device arrays that later solves depend on, by part of the contact."""
 OUTCOMES = tuple(ContactOutcome)
-"""Outcomes in the order of the kernel's states."""
+"""Outcomes in the order of the kernel's state numbers."""
 START_M = 1e-6
-"""Largest penetration of the organ by the tool at its start [m]: rounding of a first touch."""
+"""Largest penetration at the start of a tool [m], for rounding of a first touch."""
 REACH_M = 1e-4
-"""Distance beyond the largest displacement within which triangles are searched [m].
+"""Distance that is added to the largest displacement in the search for near triangles [m].
 
-A tool at 100 mm/s moves by this distance in a tick.
+A tool with a speed of 100 mm/s moves by this distance in a tick.
 """
 
 
 class SurfaceContact:
-    """Contact between a tool and the surface of an organ, given the organ's compliance.
+    """Contact between a tool and the surface of an organ with a given compliance.
 
-    Each solve is one tick: slip and stick follow from the tool's path since the last solve. The
-    contact is unilateral with Coulomb friction, implicit over the whole tick.
+    A solve is one tick. Slip and stick depend on the tool's path since the last solve. The contact
+    is unilateral with Coulomb friction, and implicit over the whole tick.
 
     Parameters
     ----------
@@ -273,22 +273,22 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used in place and
-        may be filled during contacts, block by block, with NaN in missing blocks; a filled block
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is not copied. It may
+        then be filled block by block during contacts, with NaN in missing blocks; filled blocks
         must not change.
     probe
         The tool.
     friction
         Coulomb's coefficient.
     tolerance
-        Step of a contact point in the last sweep, relative to the largest displacement. On a slab
-        under a sphere the force is within 1 % at 1e-3 and 0.2 % at 1e-4.
+        Change in the last sweep, relative to the largest displacement. On a slab under a sphere the
+        error of the force is 1 % with 1e-3 and 0.2 % with 1e-4.
     sweeps
         Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
-        Widest spacing of contact points on the organ [m]; default: the tool's spacing.
+        Largest spacing of contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores
-        Warp device name, and processor cores to spread a shell's projection over (default all).
+        Warp device name, and number of cores that share a shell's projection (default all).
 
     Raises
     ------
@@ -336,10 +336,10 @@ class SurfaceContact:
         self.result = ContactResult(
             np.zeros(3), np.zeros(3), self._body.force.numpy(), compliance_m_N
         )
-        """Result of the last solve, the object that every solve returns."""
+        """Result of the last solve. Every solve returns this object."""
 
     def _recorded(self) -> list[Callable[[], object]]:
-        """Record the launches of a tick, in their order, with the present compliance scale."""
+        """Record the kernel launches of a tick, in order, with the present compliance scale."""
         device = self._device
         probe = self.probe
         size = wp.vec2d(*self.probe.size_m)
@@ -382,7 +382,7 @@ class SurfaceContact:
         return stages
 
     def place(self, tip_m: Array, rotation: Array) -> None:
-        """Put the tool at its start, outside the organ: no force, no sticking contact.
+        """Put the tool at its first pose, outside the organ, without force or sticking contact.
 
         Raises
         ------
@@ -416,7 +416,7 @@ class SurfaceContact:
     def state(self) -> State:
         """Copy the state that later solves depend on.
 
-        Rows of the compliance are not part of it, because they are gathered again.
+        The gathered rows of the compliance are not copied, because they are gathered again.
         """
         return {
             "arrays": {name: array.numpy().copy() for name, array in self._arrays().items()},
@@ -427,7 +427,7 @@ class SurfaceContact:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state, if it has as many nodes."""
+        """Return to a copied state of a contact with as many nodes."""
         arrays = self._arrays()
         require_shapes({name: each.numpy() for name, each in arrays.items()}, state["arrays"])
         for name, array in arrays.items():
@@ -451,7 +451,7 @@ class SurfaceContact:
     def scale_compliance(self, factor: float) -> None:
         """Multiply the compliance by a factor.
 
-        Example: the share of the compliance that a viscous organ has within a tick.
+        Example: the part of a viscous organ's compliance that acts within a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 for no change")
         self._body.scale = wp.float64(factor)
@@ -463,8 +463,8 @@ class SurfaceContact:
         """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
 
         With the new compliance the present forces displace the nodes by a different amount. This
-        difference is added to the positions without contact, so that friction finds the nodes
-        unmoved. Shift the positions by the difference in the next solve too.
+        difference is added to the positions without contact. For the friction the nodes have then
+        not moved. Include this difference in the next call of `shift`.
         """
         before = self.result.displacement_m()
         self.result.compliance_m_N[:] = compliance_m_N
@@ -478,18 +478,18 @@ class SurfaceContact:
     def shift(self, offset_m: Array) -> None:
         """Set the displacement of the nodes without contact in the next solve [m], shape (s, 3).
 
-        It is the creep of the tissue.
+        This displacement is the creep of the tissue.
         """
         self._body.free.assign(self.nodes_m + offset_m)
-        # The search for near triangles must reach as far as the nodes are shifted.
+        # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
         self._results.push()
         self._shifted = True
 
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
-        """Return the touchable nodes whose triangles come within a margin [m] of the tool at rest.
+        """Return the touchable nodes of triangles that are near the tool when the organ is at rest.
 
-        Compute the compliance of these nodes first.
+        Near means within a margin [m]. The compliance of these nodes is needed first.
         """
         distance = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
@@ -504,7 +504,7 @@ class SurfaceContact:
         tip_m
             The tool's tip [m], shape (3,), world frame.
         rotation
-            Tool to world, shape (3, 3); z is the tool's axis, from tip to shank.
+            Rotation from tool to world, shape (3, 3); z is the tool's axis, from tip to shank.
 
         Raises
         ------
@@ -523,7 +523,7 @@ class SurfaceContact:
         for stage in self._stages:
             stage()
         if self._shifted:
-            # Slip in the next tick counts from the free positions of this one.
+            # Slip in the next tick is measured from the free positions of this tick.
             wp.copy(self._body.last_free, self._body.free)
         self._keep(tip_m, rotation)
         self._results.pull()

@@ -1,4 +1,4 @@
-"""Displacement, strain, stress and reaction of a whole organ from the forces on its surface."""
+"""Displacement, strain, stress and reaction of a whole organ, computed from its contact forces."""
 
 from dataclasses import replace
 from math import inf
@@ -17,22 +17,23 @@ __all__ = ["OrganFields", "cauchy_stress"]
 
 TOLERANCE = 1e-3
 STEPS = 100
-"""Residual and number of steps allowed for a frame's equilibrium under a hyperelastic law.
+"""Allowed residual, and allowed number of steps, of a frame under a hyperelastic law.
 
-The residual is the largest unbalanced force over the largest force of the load. It is smaller than
-between ticks (`tissue.models.organ.law`), because frames are solved after the run.
+The residual is the largest unbalanced force divided by the largest force of the load. It is smaller
+than in the solves between ticks (`tissue.models.organ.law`), because frames are solved after the
+run.
 """
 PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Rows and columns of the components xx, yy, zz, yz, xz, xy."""
 BATCH = 16
-"""Number of frames solved at once: it bounds the memory of their displacements."""
+"""Number of frames that are solved at once. It limits the memory for their displacements."""
 
 
 class OrganFields:
-    """Displacement, strain, stress and reaction of a whole organ from the forces of its contact.
+    """Displacement, strain, stress and reaction of a whole organ under its contact forces.
 
-    A frame costs a tick a copy of the contact's forces. The fields are computed after the end of
-    the run.
+    For a frame, a tick only copies the contact forces. The fields are computed after the end of the
+    run.
 
     Parameters
     ----------
@@ -79,8 +80,8 @@ class OrganFields:
         time_s, force_N
             Time [s] and forces on the touchable nodes [N], shape (t, 3).
         crept_N
-            Forces whose elastic response is the displacement [N], shape (t, 3). They are the
-            acting forces in an organ that does not relax.
+            Crept forces [N], shape (t, 3): the displacement is the elastic response to these
+            forces. In an organ that does not relax they equal the acting forces.
         moved_m
             Displacements of the touchable nodes [m], shape (t, 3); None for a linear organ.
         """
@@ -98,11 +99,11 @@ class OrganFields:
         self._kept.clear()
 
     def _compute_large(self, windows: LawWindows) -> None:
-        """Solve the stored frames under the organ's hyperelastic law, which may creep.
+        """Solve the stored frames of an organ with a hyperelastic law, which may creep.
 
-        Displacement and strain are those of the law under the crept forces. Stress and reaction
-        there are reduced by the ratio of the acting to the crept resultant. This is exact where
-        both forces have one distribution.
+        Displacement and strain are the response of the law to the crept forces (see `keep`). Stress
+        and reaction are multiplied by the ratio of the acting resultant to the crept resultant.
+        This is exact if acting and crept forces have the same distribution.
         """
         unsettled = 0
         for time_s, forces, crept, moved_m in self._kept:
@@ -140,8 +141,8 @@ class OrganFields:
     ) -> tuple[Array, StressState, Array]:
         """Return displacement [m], stress and reaction [N] of the organ at a window's equilibrium.
 
-        Outside a region the organ is linear. It moves as a linear organ would under the forces of
-        the contact and the difference between the region's linear forces and those of its law.
+        Outside a region the organ is linear. It is loaded by the contact forces and by the
+        difference between the linear forces of the region and the forces of its law.
         """
         organ = self._organ
         law = organ.law
@@ -152,13 +153,14 @@ class OrganFields:
             stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
             return moved, stress, found.internal_N - found.load_N
         load = self._spread(crept_N)
-        # The springs' forces are those of a contact within the tolerance.
+        # The forces of the springs equal the contact forces within the tolerance.
         load[region.nodes] += (found.load_N - window.spread(crept_N))[: len(region.nodes)]
         load[region.all_nodes] += region.linear_difference_N(found.displacement_m)
         moved = organ.factor.solve_all(load[None])[0]
         reaction = (organ.body.stiffness @ moved.ravel()).reshape(-1, 3) - load
-        # Cells outside keep the border of the linear solve. That of the region is one of few modes,
-        # and would change the pressure of nearly incompressible cells.
+        # Cells outside the region keep the border displacements of the linear solve. The region
+        # represents its border with few modes, which would change the pressure of nearly
+        # incompressible cells.
         stress = cell_stress(self._space, moved, organ.elasticity)
         window.nodal_into(moved, found.displacement_m)
         nodal = region.nodal_m(found.displacement_m)
@@ -169,10 +171,9 @@ class OrganFields:
         return moved, stress, reaction
 
     def _compute_linear(self, batch: list[tuple[float, Array, Array, Array | None]]) -> None:
-        """Solve frames of a linear organ, which may creep.
+        """Solve frames of a linear organ that may creep.
 
-        Stress belongs to the force that acts; strain and displacement belong to the tissue after
-        creep.
+        Stress is computed from the acting forces, strain and displacement from the crept forces.
         """
         organ = self._organ
         solve = organ.factor.solve_all
@@ -202,10 +203,10 @@ class OrganFields:
     ) -> None:
         """Add a frame of displacements [m], reactions [N], stress and strain.
 
-        Displacements and reactions belong to the nodes, stress and strain to the cells.
+        Displacements and reactions are given at the nodes, stress and strain in the cells.
         """
         corners = len(self._space.mesh.nodes_m)
-        for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
+        for end in self._ends.T:  # each end of an edge gets half of its middle node's reaction
             np.add.at(reaction, end, 0.5 * reaction[corners:])
         points = {"displacement_mm": 1e3 * moved_m[:corners], "reaction_N": reaction[:corners]}
         cells = {
@@ -217,7 +218,7 @@ class OrganFields:
 
 
 def _compliance_at_rest(window: LawWindow, loaded: Ints) -> Array:
-    """Return the compliance at rest between loaded nodes of a window [m/N], shape (3l, 3l)."""
+    """Return the compliance at rest between the loaded nodes of a window [m/N], (3l, 3l)."""
     return window.follower.at_rest.compliance_between(window.places[loaded])
 
 
@@ -231,15 +232,15 @@ def cauchy_stress(
 ) -> StressState:
     """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
 
-    They are means over the quadrature points, at which no equilibrium turns a cell over. A
-    quadratic cell may be turned over at its centre.
+    The means are taken over the quadrature points: in an equilibrium no cell is inverted there. The
+    centre of a quadratic cell may be inverted.
 
     Parameters
     ----------
     space, displacement_m
         Nodes and cells, and the displacement of the nodes [m], shape (n, 3).
     law, cell_factors
-        The law, and the factor on its moduli in each cell, shape (m,).
+        The law, and the factor of its moduli in each cell, shape (m,).
     """
     corners = np.asarray(space.gradients[0].numpy())
     points = gauss_points(space.order)
@@ -279,7 +280,7 @@ def _edge_ends(space: Space) -> Ints:
 def _equivalent_strain(strain: Array) -> Array:
     """Return the von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6).
 
-    It is sqrt(2/3 e : e) with e the deviator.
+    It is sqrt(2/3 e : e), with e the deviator.
     """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean

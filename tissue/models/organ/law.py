@@ -1,28 +1,28 @@
 """Hyperelastic law of a soft organ at 1 kHz.
 
-A compliance is used in every tick, and an offset is solved between ticks.
+Every tick uses a compliance and an offset; the offset is solved between ticks.
 
-Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a
-compliance::
+Under nodal forces f the surface of the organ moves by u(f). With a compliance W, near an
+equilibrium u_k, f_k::
 
     u(f) = W f + offset_k,    offset_k = u_k - W f_k
 
-A contact on W with this offset is therefore in equilibrium with the law as soon as the acting
-forces are f_k. At the end of every interval the equilibrium of the forces of that moment is solved.
-The offset changes to the new one within the next interval, without a step. It follows the depth of
-the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
-the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
-displacement (Newton's method).
+A contact that is solved with W and this offset is therefore in equilibrium with the law when the
+acting forces are f_k. At the end of every interval the equilibrium under the present forces is
+solved. The offset then changes to the new offset during the next interval, without a jump. It also
+depends linearly on the depth of the tool: the slope is computed from the last two equilibria. W is
+the compliance at rest as long as the equilibria are close to its prediction. After that, W is the
+compliance of the tangent stiffness at the present displacement (Newton's method).
 
-A run by script waits for a solve. With a real device a second thread solves, and the ticks go on
-with the last offset until the solve is done.
+A run without a real device waits for a solve. With a real device a second thread solves, and the
+ticks continue with the last offset until the solve is done.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
 7). Its nodal forces are the hereditary integral of the elastic nodal forces, with one reduced
-relaxation function. The inverse integral of the nodal forces f, with the creep function, gives the
-crept forces (`tissue.models.organ.model`), and the displacement is that of the elastic law under
-the crept forces. In the equations above, f is then the crept force. Nodal forces follow the
-material, so that tissue must not rotate much while it relaxes.
+relaxation function. The inverse integral of the nodal forces f, with the creep function, is called
+the crept forces (`tissue.models.organ.model`). The displacement is the response of the elastic law
+to the crept forces. In the equations above, f then stands for the crept forces. The integral keeps
+the directions of the forces fixed, so that tissue must not rotate much while it relaxes.
 """
 
 from collections.abc import Callable
@@ -44,37 +44,39 @@ __all__ = ["LawOffset", "TickState"]
 
 TOLERANCE = 1e-3
 STEPS = 30
-"""Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps.
+"""Allowed unbalanced force relative to the largest nodal force, and allowed number of steps.
 
-With 0.02 or 0.005, a change of an Ogden exponent from 18 to 18.1 changes the force of a
-deep press by up to 3.8 %, with 0.001 by 0.4 %. The solves of docs/decisions.md need at most 9
-steps; with a limit of 5, one in eight is not reached.
+With a tolerance of 0.02 or 0.005, a change of an Ogden exponent from 18 to 18.1 changes the force
+of a deep press by up to 3.8 %; with 0.001 it changes the force by 0.4 %. The solves in
+docs/decisions.md need at most 9 steps. With a limit of 5 steps, one solve in eight does not reach
+the tolerance.
 """
 MISSED = 0.01
-"""Deviation of an equilibrium from the expected one above which the compliance is renewed.
+"""Deviation of an equilibrium from the predicted one above which the compliance is computed anew.
 
-The deviation is relative to the displacement. A compliance that is kept too long makes the force
-depend on the interval in which it was renewed. With 0.05 the force of a deep press falls by 4 %
-where an Ogden exponent rises from 15.5 to 16.5, with 0.02 single forces change by 4 %. With 0.01
-they are within 0.1 % of those with a new compliance in every interval.
+The deviation is relative to the displacement. If a compliance is kept too long, the force depends
+on the interval in which the compliance was computed. With 0.05 the force of a deep press decreases
+by 4 % when an Ogden exponent increases from 15.5 to 16.5. With 0.02 single forces change by 4 %.
+With 0.01 the forces differ by at most 0.1 % from the forces with a new compliance in every
+interval.
 """
 APART_M = 2e-4
-"""Smallest change of depth from which the slope of the offset is computed [m].
+"""Smallest change of depth between the two equilibria that give the slope of the offset [m].
 
-With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
-from 1.5 to 1.9 %.
+With 5e-5 a deep press has the same force. With 8e-4 the largest force error while the tool moves
+increases from 1.5 to 1.9 %.
 """
 FARTHEST = 2.0
-"""Longest extrapolation of the offset, over the change of depth that its slope was computed from.
+"""Longest extrapolation of the offset, relative to the change of depth used for its slope.
 
-Without extrapolation, the largest error of the moving tool in a deep press is 2.4 instead of 1.5 %.
-Beyond 2 nothing changes.
+Without extrapolation, the largest force error while the tool moves in a deep press is 2.4 % instead
+of 1.5 %. Values above 2 change nothing.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Offset as a linear function of the depth, shapes (t, 3), within a reach."""
+    """Offset as a linear function of the depth, within a limited range of depth."""
 
     at_m: Array
     slope: Array
@@ -82,7 +84,7 @@ class _Line:
     reach_m: float
 
     def into(self, out: Array, depth_m: float, share: float) -> None:
-        """Add a share of the offset at a depth to `out`."""
+        """Add the offset at a depth, multiplied by `share`, to `out`."""
         beyond = min(max(depth_m - self.depth_m, -self.reach_m), self.reach_m)
         out += share * self.at_m
         out += (share * beyond) * self.slope
@@ -90,7 +92,7 @@ class _Line:
 
 @dataclass(frozen=True, eq=False)
 class _Equilibrium:
-    """Equilibrium of a solve.
+    """Equilibrium found in a solve.
 
     Attributes
     ----------
@@ -107,9 +109,9 @@ class _Equilibrium:
     forces_N: Array
 
     def is_aside(self, other: "_Equilibrium") -> bool:
-        """Return whether the tool has moved farther to the side than along its axis in between.
+        """Return True if the tool moved farther sideways than along its axis between equilibria.
 
-        Nothing is aside of the organ at rest, whose tip is NaN.
+        The result is False if one is the equilibrium at rest, whose tip position is NaN.
         """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
@@ -118,14 +120,16 @@ class _Equilibrium:
 
 @dataclass(eq=False)
 class TickState:
-    """State of a contact in one tick, from which a law is solved while the ticks go on.
+    """State of a contact in one tick. A law is solved from this state while the ticks continue.
 
     Attributes
     ----------
     nodal_forces_N, crept_N
-        Forces of the contact and crept forces [N], shape (t, 3) both.
+        Contact forces, and crept forces (contact forces after creep of the tissue, see the module)
+        [N], each of shape (t, 3).
     offset_m
-        Offset of the law in that tick [m], shape (t, 3).
+        Offset that the law adds to the displacement by the compliance in that tick [m], shape (t,
+        3).
     compliance_m_N
         Compliance of the contact [m/N], shape (3t, 3t). A solve may replace it.
     tip_m
@@ -148,22 +152,22 @@ class TickState:
 
 
 def _displaced(contact: TickState, forces_N: Array) -> Array:
-    """Return the displacement [m] of touchable nodes by the contact's compliance, shape (t, 3)."""
+    """Return the displacement [m] of the touchable nodes by the contact's compliance, (t, 3)."""
     moved: Array = contact.compliance_m_N @ forces_N.ravel()
     return moved.reshape(-1, 3)
 
 
 class LawOffset:
-    """Difference between the touchable nodes of an organ and their positions by a compliance.
+    """Difference between the displacement of an organ by its law and by a compliance.
 
     Parameters
     ----------
     organ, law
-        The organ, and its law.
+        The organ, and its hyperelastic law.
     touchable
         Nodes of the contact, shape (t,).
     tool
-        The tool and its poses, which place the windows in which the law is solved.
+        The tool and its poses. They determine the windows in which the law is solved.
 
     Attributes
     ----------
@@ -188,9 +192,9 @@ class LawOffset:
         self._next_s = law.interval_s
         self.notices: list[str] = []
         self.solves = self.unsettled = 0
-        """Numbers of solves so far, and of solves whose equilibrium was not reached."""
+        """Number of solves so far, and number of solves that did not reach the equilibrium."""
         self.took_s: list[float] = []
-        """Time of each solve so far [s]."""
+        """Duration of each solve so far [s]."""
         self._late = False
         self._thread: Executor | None = None
         self._pending: Future[TickState] | None = None
@@ -198,7 +202,7 @@ class LawOffset:
     def offset_m(self, time_s: float, depth_m: float) -> Array:
         """Return the present offset of the touchable nodes [m], shape (t, 3).
 
-        Every call returns one reused array.
+        The next call overwrites the returned array.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -208,7 +212,7 @@ class LawOffset:
         return self.latest_m
 
     def _share(self, time_s: float) -> float:
-        """Return the share of the change to the last solution that is done, 0 to 1."""
+        """Return the completed share, 0 to 1, of the change to the last solution."""
         if self.interval_s == 0.0:
             return 1.0
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
@@ -243,8 +247,8 @@ class LawOffset:
         state
             Function that returns the state of the last tick.
         waits
-            Whether the solve ends within this call. Otherwise a second thread solves, and a later
-            call returns its state.
+            True to solve within this call. Otherwise a second thread solves, and a later call
+            returns the solved state.
         """
         if self._pending is not None:
             if not (waits or self._pending.done()):
@@ -262,15 +266,15 @@ class LawOffset:
         return None
 
     def show(self, time_s: float, depth_m: float, held_m: Array | None) -> None:
-        """Change to the offset of the last solve within an interval from now on.
+        """Start to change to the offset of the last solve, within one interval.
 
         Parameters
         ----------
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset with which no node moves although the compliance was replaced [m], shape (t, 3);
-            None if it was not.
+            Offset at which a replaced compliance moves no node [m], shape (t, 3); None if the
+            compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -287,13 +291,13 @@ class LawOffset:
     def solve(self, depth_m: float, contact: TickState) -> TickState:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
-        They are the contact forces if the organ does not relax.
+        If the organ does not relax, the crept forces are the contact forces.
         """
         crept_N = contact.crept_N
         started = perf_counter()
         indefinite = self.windows.indefinite
         if self.windows.choose(contact.nodal_forces_N, crept_N):
-            # Solutions in the last window have other nodes.
+            # The solutions in the last window belong to other nodes.
             self._apart = None
             self._factor = None
         window = self.windows.now
@@ -311,7 +315,7 @@ class LawOffset:
         self._now.into(expected, depth_m, 1.0)
         missed = moved - (_displaced(contact, forces) + expected)[window.inside]
         has_missed = np.linalg.norm(missed) > MISSED * np.linalg.norm(moved)
-        # The tangent of a new window is taken at its first equilibrium, not at the first guess.
+        # The tangent of a new window is computed at its first equilibrium, not at the first guess.
         if self._factor is None or (follower.factor is self._factor and has_missed):
             follower.take_stiffness()
         changed = follower.factor is not self._factor
@@ -321,17 +325,18 @@ class LawOffset:
         left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
         moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
-        # A new compliance is the tangent here, from which the offset starts with slope zero.
+        # A new compliance is the tangent at this displacement, so that the slope of the offset is
+        # zero.
         slope = np.zeros_like(offset) if changed else self._now.slope
         reach_m = self._now.reach_m
         here = _Equilibrium(depth_m, contact.tip_m, moved, forces)
-        # An equilibrium from before a slide belongs to another place on the organ.
+        # An equilibrium before a slide belongs to another place on the organ.
         if self._apart is None or here.is_aside(self._apart):
             self._apart = here
             slope = np.zeros_like(offset)
             reach_m = 0.0
         deeper_m = depth_m - self._apart.depth_m
-        # A smaller change of depth would divide the noise of two solves by almost zero.
+        # With a smaller change of depth, the errors of two solves would be divided by almost zero.
         if abs(deeper_m) >= APART_M:
             if not changed:
                 last = self._offset(contact, self._apart.moved_m, self._apart.forces_N)
@@ -345,11 +350,11 @@ class LawOffset:
     def _springs(self, contact: TickState, crept_N: Array) -> Springs:
         """Build springs that hold the loaded nodes near their positions in the last tick.
 
-        They have the compliance of the contact. Let w be its stiffness, k that of the tissue and s
-        that of the springs. An error of the contact force then decays from solve to solve by
-        (k - w) / (k + s) where the tool prescribes the displacement, and by s (k - w) / w (k + s)
-        where it prescribes the force. With s = w both are (k - w) / (k + w), less than 1 for any
-        tissue.
+        The springs have the compliance of the contact. Let w be the stiffness of the contact, k the
+        stiffness of the tissue and s the stiffness of the springs. Each solve multiplies the error
+        of the contact force by (k - w) / (k + s) if the tool prescribes the displacement, and by s
+        (k - w) / w (k + s) if it prescribes the force. With s = w the two factors are equal: (k -
+        w) / (k + w). Their magnitude is below 1 for any tissue.
         """
         window = self.windows.now
         inside_N = np.zeros_like(crept_N)
@@ -359,18 +364,19 @@ class LawOffset:
             columns = components_of(window.inside[loaded])
             return contact.compliance_m_N[np.ix_(columns, columns)]
 
-        # The window does not feel forces outside it, nor do these targets.
+        # Forces outside the window have no effect on the window, so that the targets leave them
+        # out.
         return window.springs(crept_N, _displaced(contact, inside_N) + contact.offset_m, compliance)
 
     def _offset(self, contact: TickState, moved_m: Array, forces_N: Array) -> Array:
-        """Return the offset of all touchable nodes [m]; it is zero outside the window."""
+        """Return the offset of all touchable nodes [m], zero outside the window."""
         offset = np.zeros_like(self.latest_m)
         inside = self.windows.now.inside
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
 
     def _change_compliance(self, contact: TickState) -> None:
-        """Use the compliance of the stiffness that was factorised last."""
+        """Replace the contact's compliance by that of the last factorised stiffness."""
         if self._at_rest is None:
             self._at_rest = contact.compliance_m_N.copy()
         window = self.windows.now
@@ -382,10 +388,10 @@ class LawOffset:
 
     @property
     def older(self) -> float:
-        """Share of the time for which the offset was older than its interval.
+        """Share of the time in which the offset was older than an interval.
 
-        A solve that takes longer than its interval delays the next one. The time is that of solves
-        in turn, each as long as its interval at least.
+        A solve that takes longer than its interval delays the next solve. The time is the sum over
+        all solves, with at least one interval for each.
         """
         if not self.took_s or self.interval_s == 0.0:
             return 0.0
@@ -393,7 +399,7 @@ class LawOffset:
         return float(late.sum() / (late + self.interval_s).sum())
 
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
-        """Count the solve, and report events that happen for the first time."""
+        """Count the solve, and add a notice for events that happen for the first time."""
         self.solves += 1
         self.took_s.append(took_s)
         missed = found.residual > TOLERANCE

@@ -1,7 +1,8 @@
 """Windows on an organ in which its hyperelastic law is solved.
 
-A window is the whole organ, or a region around a place on its surface. Outside the region the organ
-is linear (`tissue.fem.region`). A tool that slides passes from window to window.
+A window is the whole organ, or a region around a point on its surface. Outside the region the organ
+is linear (`tissue.fem.region`). When a tool slides, the window changes. Crept forces are the
+contact forces after creep of the tissue, see `tissue.models.organ.law`.
 """
 
 from collections.abc import Callable
@@ -26,22 +27,23 @@ from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 __all__ = ["TOUCHED", "LawWindow", "LawWindows", "whole_window", "window_centres", "window_of"]
 
 HOP = 0.5
-"""Largest distance of a contact from the centre of its window, over the radius of the region.
+"""Largest distance of a contact from the centre of its window, divided by the region's radius.
 
-A window reaches the radius and this distance. With 0.25 a deep press of an organ that stiffens to
-twice the linear force is off by 3.3 % at rest, with 0.5 by 2.0 %.
+The radius of a window is the region's radius plus this distance. In a deep press of an organ that
+stiffens to twice the linear force, the error of the force at rest is 3.3 % with 0.25 and 2.0 % with
+0.5.
 """
 LOADED = 1e-3
-"""Crept force of a node that gets a spring, over the largest one; chosen.
+"""Smallest crept force of a node that gets a spring, relative to the largest one; chosen.
 
-Where a tool has been, crept forces fade but never end.
+At earlier contacts of a tool, crept forces decay but never reach zero.
 """
 
 TOUCHED = 2.0 / 3.0
-"""Largest distance of a node in a contact from the centre of the window, over its radius.
+"""Largest distance of a node in contact from the window's centre, divided by its radius.
 
-A window reaches three radii of the ball. A contact reaches one radius, and its centre is at most
-one radius from that of the window.
+The radius of a window is three radii of the ball. A contact extends over one radius of the ball,
+and its centre is at most one radius from the centre of the window.
 """
 
 
@@ -54,9 +56,9 @@ class LawWindow:
     follower
         Solver of the window's equilibria.
     inside
-        Touchable nodes in the window, as positions among all touchable nodes, rising, shape (w,).
+        Touchable nodes in the window, as indices into all touchable nodes, rising, shape (w,).
     places
-        Positions of these nodes among the nodes of the window, shape (w,).
+        Indices of these nodes among the nodes of the window, shape (w,).
     fixed
         Unknowns of the window that are zero, shape (n, 3).
     region
@@ -70,20 +72,20 @@ class LawWindow:
     region: RegionBody | None = None
 
     def spread(self, forces_N: Array) -> Array:
-        """Return the forces on the window's nodes [N], shape (n, 3), from all touchable nodes."""
+        """Convert forces on all touchable nodes to forces on the window's nodes [N], (n, 3)."""
         load = np.zeros(self.fixed.shape)
         load[self.places] = forces_N[self.inside]
         return load
 
     def nodal_into(self, nodal_m: Array, unknowns_m: Array) -> None:
-        """Write the displacements of the window's nodes [m] to those of the organ, (nodes, 3)."""
+        """Copy the displacements of the window's nodes [m] into those of the organ, (nodes, 3)."""
         if self.region is None:
             nodal_m[:] = unknowns_m
         else:
             nodal_m[self.region.all_nodes] = self.region.nodal_m(unknowns_m)
 
     def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns nearest to displacements of the organ's nodes [m], shape (n, 3)."""
+        """Return the unknowns that best fit displacements of the organ's nodes [m], (n, 3)."""
         return nodal_m if self.region is None else self.region.gathered(nodal_m)
 
     def springs(
@@ -94,13 +96,13 @@ class LawWindow:
         Parameters
         ----------
         crept_N, held_m
-            Crept forces [N] and displacements [m] of all touchable nodes, shape (t, 3) both.
+            Crept forces [N] and displacements [m] of all touchable nodes, each of shape (t, 3).
         compliance
-            Function that returns the compliance of the springs [m/N], shape (3l, 3l), from this
-            window and the loaded nodes as positions in `inside`, shape (l,).
+            Function that returns the compliance of the springs [m/N], shape (3l, 3l). Its arguments
+            are this window and the loaded nodes, as indices into `inside`, shape (l,).
         """
         size_N = np.linalg.norm(crept_N[self.inside], axis=1)
-        # A held node needs no spring, and has no compliance.
+        # A node on a support needs no spring, and has no compliance.
         free = ~self.fixed[self.places].any(axis=1)
         loaded = np.flatnonzero((size_N > LOADED * size_N.max(initial=0.0)) & free)
         if not len(loaded):
@@ -123,7 +125,7 @@ class LawWindows:
     touchable
         Nodes of the contact, shape (t,).
     tool
-        The tool and its poses, which place the windows.
+        The tool and its poses. They determine the windows.
 
     Attributes
     ----------
@@ -139,7 +141,7 @@ class LawWindows:
         else:
             hop_m = HOP * law.region_m
             away, places = cKDTree(self._nodes_m).query(tool.tips_m)
-            # Between the nodes of a coarse mesh a small tool may be farther from all of them.
+            # On a coarse mesh, a small tool between the nodes may be farther from all of them.
             is_near = away <= max(law.region_m, away.min())
             self._centres_m = window_centres(self._nodes_m[places[is_near]], hop_m)
             self._windows = [
@@ -150,13 +152,14 @@ class LawWindows:
         self._count = organ.space.node_count
 
     def choose(self, nodal_forces_N: Array, crept_N: Array) -> bool:
-        """Pass to the window nearest to the contact; return whether it is another one.
+        """Change to the window nearest to the contact; return True if the window changed.
 
         Parameters
         ----------
         nodal_forces_N, crept_N
-            Forces of the contact and crept forces [N], shape (t, 3) both. The new window starts
-            from the displacement of the last one. Its other nodes move as under the linear law.
+            Contact forces, and crept forces [N], each of shape (t, 3). The new window starts from
+            the displacement of the last window. Nodes outside the last window start from the
+            displacement by the linear law.
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -177,7 +180,7 @@ class LawWindows:
 
     @property
     def indefinite(self) -> int:
-        """Number of tangents so far that were not positive definite."""
+        """Number of tangent stiffnesses so far that were not positive definite."""
         return sum(window.follower.indefinite for window in self._windows)
 
 
@@ -186,7 +189,7 @@ def _follower_of(
 ) -> QuasiNewton:
     """Return the solver that follows the equilibria of an organ.
 
-    Its factors hold the compliance between some nodes.
+    From its factors the compliance between ``nodes`` can be read.
 
     Raises
     ------
@@ -205,7 +208,7 @@ def _follower_of(
     def factorised(stiffness: bsr_array) -> DirectSolver:
         return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
 
-    # An organ that was solved before may have been eliminated in another order.
+    # If the organ was factorised before, its elimination order may be different.
     if not np.isin(nodes, at_rest.last).all():
         at_rest = factorised(organ.body.stiffness)
     body = NonlinearBody(
@@ -222,9 +225,10 @@ def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
 
 
 def window_centres(points_m: Array, apart_m: float) -> Array:
-    """Return some of the points [m], shape (k, 3), so that none is farther than `apart_m` from one.
+    """Return some of the points [m], shape (k, 3).
 
-    Points are taken in their order along a path, shape (p, 3).
+    Every point is at most `apart_m` from one of the returned points. The points, shape (p, 3), are
+    taken in their order along a path.
     """
     centres = points_m[:1]
     for point in points_m[1:]:
@@ -238,7 +242,7 @@ def window_of(
 ) -> LawWindow:
     """Return a window on the cells within a radius [m] of a centre [m].
 
-    On a coarse mesh it has further cells, so that no node in a contact is on the border.
+    On a coarse mesh the window has more cells, so that no node in contact is on its border.
     """
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)

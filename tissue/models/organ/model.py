@@ -1,39 +1,39 @@
-"""Soft organ under a probe: contact at every tick, and fields where a frame is due.
+"""Soft organ under a probe: contact at every tick, and fields at the times of frames.
 
-Three conditions are assumed: every modulus of the body relaxes by one Prony series, Poisson's ratio
-is constant and the supports are rigid. The elastic-viscoelastic correspondence then gives the
-displacement of the surface under any history of nodal forces f::
+Three conditions are assumed: every modulus of the body relaxes with the same Prony series,
+Poisson's ratio is constant, and the supports are rigid. The elastic-viscoelastic correspondence
+principle then gives the displacement of the surface under any history of nodal forces f::
 
     u(t) = integral j(t - s) d(W f)(s),    W the instantaneous elastic compliance, j the creep function
 
-(Lee 1955, Q. Appl. Math. 13:183). One tick further, with the exact exponential step of each creep
+(Lee 1955, Q. Appl. Math. 13:183). For the next tick, with the exact exponential step of each creep
 term::
 
     u = instant_factor W f + offset,
 
-where the offset per surface node is known before the tick. A contact solver uses the scaled
-compliance, adds the offset to the free surface and needs no other change. It may have any
-unilateral condition, with or without friction, for a contact that grows, shrinks, moves or lifts
-off.
+where the offset of each surface node is known before the tick. A contact solver uses the scaled
+compliance and adds the offset to the free surface; it needs no other change. The contact may have
+any unilateral condition, with or without friction. It may grow, shrink, move or lift off.
 
-With a hyperelastic law the tissue is quasi-linear viscoelastic. With the crept forces::
+With a hyperelastic law the tissue is quasi-linear viscoelastic. The crept forces are::
 
     F(t) = integral j(t - s) df(s) = instant_factor f + H,    H the history of the forces
 
-the displacement is u(F), the elastic displacement of the law under F. The law is solved for F
-between ticks (`tissue.models.organ.law`), u(F) = W F + law_offset. A tick therefore solves::
+The displacement is u(F), the elastic response of the law to F. The law is solved between ticks
+(`tissue.models.organ.law`) as u(F) = W F + law_offset. A tick therefore solves::
 
     u = instant_factor W f + (W H + law_offset)
 
-W H is the offset of the linear organ. Where the law replaces W, W H is computed anew from the
+W H is the offset of the linear organ. When the law replaces W, W H is computed anew from the
 history of the forces.
 
-The usual shortcut, to relax the elastic force, is right only while the contact grows (Lee and Radok
-1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool retreats, this
-shortcut pulls on the tool although the surface, which rises slowly, has separated. Both methods
-hold for small strains without inertia. Neither holds where parts relax by different series. Neither
-holds where the shear modulus relaxes alone, unless the bulk modulus is so large that this has no
-effect (Poisson's ratio near 0.5).
+A usual shortcut is to relax the elastic contact force. It is correct only while the contact grows
+(Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool
+retreats, the surface rises slowly and separates from the tool, but this shortcut still pulls on the
+tool. The method here and the shortcut are valid for small strains without inertia. They are not
+valid if parts relax with different series, or if only the shear modulus relaxes. The second case is
+allowed if the bulk modulus is so large that its relaxation has no effect (Poisson's ratio near
+0.5).
 """  # noqa: E501 a table
 
 from dataclasses import dataclass
@@ -59,17 +59,17 @@ from tissue.system.blas_threads import one_blas_thread
 __all__ = ["ContactSolution", "LiverModel"]
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
-"""Depth over the ball's radius, and error of the linear force there against a neo-Hookean force.
+"""Depths relative to the ball's radius, and error of the linear force at each depth.
 
-The values hold on a block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
-tests/bench/chart_liver.py`.
+The reference is a neo-Hookean force. The depths were measured on a block, a procedural liver and a
+scanned liver (0.36-0.39 and 0.56-0.585): `python tests/bench/chart_liver.py`.
 """
 SETTLED = 1e-3
-"""Change of the force from solve to solve at which contact and law count as settled, relative."""
+"""Relative change of the force between two solves at which contact and law have converged."""
 STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
 """Attributes that later ticks depend on, for a linear law."""
 LOOK_EVERY = 20
-"""Ticks between two searches for nodes whose compliance will be needed; chosen with `LOOK_M`."""
+"""Ticks between two searches for nodes whose compliance will be needed; see `LOOK_M`."""
 LOOK_M = 5e-3
 """Distance around the tool within which these nodes are searched [m].
 
@@ -84,13 +84,14 @@ class ContactSolution:
     Attributes
     ----------
     path, basis_size
-        Method used to compute the compliance of the touchable nodes, and the number of vectors of
-        a reduced basis; None: from columns of the one factor, each kept for the next tool.
+        Method used to compute the compliance of the touchable nodes, and number of vectors of a
+        reduced basis. With None as the method, the columns are computed from the organ's factor and
+        kept for the next tool.
     tolerance, sweeps
-        Tolerance and sweeps of the contact, as for `SurfaceContact`; the defaults are for a tick of
-        1 ms.
+        Tolerance and sweeps of the contact solver, see `SurfaceContact`. The defaults suit a tick
+        of 1 ms.
     cores
-        Processor cores to spread a shell's projection over; default all.
+        Number of processor cores that share a shell's projection; default all.
     """
 
     path: CompliancePath | None = None
@@ -110,30 +111,30 @@ class LiverModel:
     tool
         The tool and its poses along the path.
     solution
-        Options of the contact.
+        Options of the contact solver.
     interval_s
         Time between two frames of displacement and stress [s]; infinite for no frames.
     step_s
         Length of a tick [s].
     report
-        Called with the current task.
+        Function that is called with the name of the present task.
 
     Attributes
     ----------
     contact
-        The tool on the organ's touchable surface.
+        Contact between the tool and the organ's touchable surface.
     touchable
         Nodes that the tool can touch, shape (t,).
     waits
-        Whether a tick waits for a solve of a hyperelastic law that is due. Set it to False where a
-        real device cannot wait, if possible before `place`: a device that waits holds its last
-        force, which the judge of its loop does not expect.
+        True if a tick waits for a solve of a hyperelastic law that is due. Set it to False for a
+        real device, if possible before `place`. While a device waits it holds its last force, which
+        the stability check of the loop does not include.
 
     Raises
     ------
     InputError
-        If the tool touches nothing or only held nodes, or the compliance of the touchable nodes
-        would not fit into memory.
+        If the tool touches nothing or only nodes on supports, or if the compliance of the touchable
+        nodes would not fit into memory.
     """
 
     measure_names: tuple[str, ...] = ("indentation_mm", "contact_points", "sweeps")
@@ -179,15 +180,15 @@ class LiverModel:
         self.removed_m3 = np.zeros(len(parts))
         self.notices: list[str] = []
         self._response = Response.empty(len(self.layer_names), len(self.measure_names))
-        # The area of all contacts is reported in one layer: the most frequent one among touchable
-        # nodes.
+        # The area of all contacts is reported in one layer: the most frequent layer of the
+        # touchable nodes.
         part = np.zeros(space.node_count, np.int64)
         part[space.cell_nodes] = organ.mesh.part[:, None]
         self._layer = int(np.bincount(part[touchable]).argmax())
         self._touched_m = np.full(3, np.nan)
         self._unsettled = False
         self._ticks = 0
-        # The depth at which linear elasticity is no longer enough is known for a ball only.
+        # The depth up to which linear elasticity is accurate enough is known for a ball only.
         self._limits: list[tuple[float, float]] = []
         if isinstance(probe, SphereProbe) and self._law is None:
             self._limits = [(depth * probe.radius_m, error) for depth, error in LINEAR_ERROR]
@@ -210,7 +211,7 @@ class LiverModel:
         return self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the probe at its start, outside the organ."""
+        """Put the probe at its first pose, outside the organ."""
         if self._law is not None and not self.waits:
             self._law.start_thread()
         self.contact.place(motion.tip_m, motion.rotation)
@@ -218,7 +219,7 @@ class LiverModel:
         if self._lazy is not None:
             self._search_contacts(motion)
             self._lazy.fill()
-            # Before the first tick there is time for all of them.
+            # Before the first tick there is time to compute all columns.
             while self._lazy.pour(self.contact.result.compliance_m_N):
                 pass
             self._lazy.start()
@@ -232,7 +233,7 @@ class LiverModel:
         self._ticks += 1
         result = self.contact.result
         if self._creep is not None:
-            # The last tick ends here. Its force may have changed since (`converge`).
+            # The last tick ends here. `converge` may have changed its force.
             self._forces.advance(result.nodal_forces_N)
             self._creep.advance(result.displacement_m() / self._creep.instant_factor)
         if result.contacts > 0:
@@ -249,7 +250,7 @@ class LiverModel:
         Raises
         ------
         InputError
-            If the law is hyperelastic, whose solver holds factors that cannot be copied.
+            If the law is hyperelastic: the factors of its solver cannot be copied.
         """
         if self._law is not None:
             raise InputError(
@@ -276,7 +277,7 @@ class LiverModel:
             put_back(each, kept)
 
     def _integrals(self) -> tuple[HereditaryIntegral, ...]:
-        """Return the integrals of a tissue that creeps."""
+        """Return the hereditary integrals; none if the tissue does not creep."""
         return () if self._creep is None else (self._creep, self._forces)
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -305,19 +306,19 @@ class LiverModel:
         return response
 
     def wait_for_background(self, time_s: float) -> None:
-        """Solve a hyperelastic law where a solve is due."""
+        """Solve a hyperelastic law if a solve is due."""
         if self._law is not None:
-            # A tool that lands takes two steps in a tick.
+            # A tool may take two steps in the tick of its first contact.
             self._ticks = round(time_s / self._step_s)
             found = self._law.renew(time_s, self._travel_m, self._state, waits=self.waits)
             if found is not None:
                 self._take(found, time_s)
 
     def converge(self, motion: ToolMotion, *, limit: int) -> float:
-        """Solve contact and hyperelastic law in turn at the present pose until the force holds.
+        """Solve contact and hyperelastic law in turn at the present pose until the force converges.
 
         Return the last change of the force, relative to the force. It is 0 for a linear organ,
-        which needs no such solves.
+        which needs only the contact solve of the tick.
 
         Parameters
         ----------
@@ -335,7 +336,7 @@ class LiverModel:
             time_s = self._ticks * self._step_s
             self._take(self._law.solve(self._travel_m, self._state()), time_s)
             self._solve_contact(motion)
-            # 1e-12 N: a contact may have lost its force.
+            # 1e-12 N avoids a division by zero if the contact has lost its force.
             size_N = max(float(np.linalg.norm(result.force_N)), 1e-12)
             changed = float(np.linalg.norm(result.force_N - before_N)) / size_N
             if changed <= SETTLED:
@@ -343,7 +344,7 @@ class LiverModel:
         return changed
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Store the forces where a frame is due."""
+        """Store the forces if a frame is due."""
         # 1e-9 s: the time of a tick is rounded.
         if time_s >= self._fields.next_s - 1e-9:
             forces = self.contact.result.nodal_forces_N
@@ -364,7 +365,7 @@ class LiverModel:
     def summary(self) -> dict[str, object]:
         """Return the figures of a hyperelastic law for the run's summary.
 
-        They are empty for a linear organ.
+        The dictionary is empty for a linear organ.
         """
         if self._law is None:
             return {}
@@ -384,12 +385,12 @@ class LiverModel:
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
 
-        It is NaN where it is not known.
+        It is NaN at nodes where it is not known.
         """
         return self.contact.result.displacement_m() + self._offset_m
 
     def _solve_contact(self, motion: ToolMotion) -> None:
-        """Solve the contact at a pose, with the offsets of creep and law."""
+        """Solve the contact at a pose, with the offsets from creep and from the law."""
         offset = self._offset_m
         if self._creep is not None:
             offset[:] = self._creep.history
@@ -407,7 +408,7 @@ class LiverModel:
             self._crept_N += self._forces.history
 
     def _state(self) -> TickState:
-        """Return the state of the last tick, from which the law is solved."""
+        """Return the contact state of the last tick, for a solve of the law."""
         assert self._law is not None
         result = self.contact.result
         return TickState(
@@ -419,7 +420,7 @@ class LiverModel:
         )
 
     def _take(self, found: TickState, time_s: float) -> None:
-        """Use the solution of the law, and its compliance, without moving a node."""
+        """Use the offset and the compliance of a solve, without moving a node at once."""
         law = self._law
         assert law is not None
         held = None
@@ -438,7 +439,7 @@ class LiverModel:
         law.notices.clear()
 
     def _depth_m(self, motion: ToolMotion) -> float:
-        """Return the tool's travel along its axis since it last touched [m]; 0 without contact."""
+        """Return the tool's travel along its axis since the first touch [m]; 0 without contact."""
         if np.isnan(self._touched_m[0]):
             return 0.0
         return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])

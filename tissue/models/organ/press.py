@@ -1,4 +1,4 @@
-"""One press of a tool on a soft organ: straight in from the first touch, then held."""
+"""Press of a tool on a soft organ: a straight motion from the first touch, then a hold."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -20,14 +20,14 @@ __all__ = ["PressCurve", "press"]
 STEPS = 100
 """Smallest number of steps from the first touch to the depth.
 
-They are the rows of the curve. Even with friction, 10 and 400 steps change the force of a slanted
-press by 0.01 %.
+The steps are the rows of the curve. Even with friction, 10 or 400 steps change the force of a
+slanted press by only 0.01 %.
 """
 TOLERANCE = 1e-5
 SWEEPS = 5000
-"""Largest number of sweeps of the contact, which has no tick to keep.
+"""Largest number of sweeps of the contact solver. A press has no time limit of a tick.
 
-A rod under a flat punch then has its stress within 1 %.
+With it, the error of the stress in a rod under a flat punch is below 1 %.
 """
 PER_RELAXATION = 5
 """Number of steps within the shortest relaxation time of an organ that relaxes; chosen."""
@@ -35,26 +35,26 @@ LAW_STEPS = 25
 """Number of steps of a press under a hyperelastic law, each solved until contact and law agree."""
 SOLVES = 3
 LAST_SOLVES = 20
-"""Largest numbers of solves of contact and law in turn, in a step and at the end of a press."""
+"""Largest numbers of alternating solves of contact and law, in a step and at the end."""
 UNSETTLED = 0.01
-"""Change of the force in the last solve above which the press notes it, relative."""
+"""Relative change of the force in the last solve above which a notice is added."""
 POSES = 60
 """Number of poses along the press at which the touchable surface is searched.
 
-From 5 to 240 the force of a slanted press is the same: the last poses decide.
+The force of a slanted press is the same for 5 to 240 poses, because only the last poses matter.
 """
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-"""Possible start distances of the tool from the target, over its size.
+"""Possible start distances of the tool from the target, relative to the tool's size.
 
 The first distance at which the tool is clear of the organ is used.
 """
 SLANTED = 0.5
-"""Largest distance before the target at which a tool may first touch, over its size.
+"""Largest distance of the first touch before the target, relative to the tool's size.
 
-It is 0.41 for a ball that comes at 45 degrees.
+The distance is 0.41 for a ball that approaches at 45 degrees.
 """
 HALVINGS = 30
-"""Number of halvings of the path in the search for the first touch: it is found to a nanometre."""
+"""Number of halvings of the path in the search for the first touch, to a nanometre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +66,14 @@ class PressCurve:
     time_s
         Time since the first touch [s], shape (n,).
     depth_m
-        Travel of the tool since then [m], shape (n,).
+        Travel of the tool since the first touch [m], shape (n,).
     force_N
         Force on the tool [N], shape (n, 3).
     area_m2
         Area of the contact [m2], shape (n,).
     tip_m, rotation
-        Pose of the tool at the end: its tip [m], shape (3,), and tool to world, shape (3, 3).
+        Pose of the tool at the end: its tip [m], shape (3,), and its rotation from tool to world,
+        shape (3, 3).
     frame
         Displacement and stress of the organ at the end.
     notices
@@ -100,7 +101,7 @@ def press(
     hold_s: float,
     report: Progress = silent,
 ) -> PressCurve:
-    """Press a tool against an organ along its axis, towards a point of the surface, and hold it.
+    """Press a tool along its axis against an organ, towards a point of the surface, and hold it.
 
     Parameters
     ----------
@@ -109,18 +110,18 @@ def press(
     point_m
         Target of the tool's tip on the surface [m], shape (3,).
     rotation
-        Tool to world, shape (3, 3); the tool moves along its -z.
+        Rotation from tool to world, shape (3, 3); the tool moves along its -z.
     depth_m
         Travel of the tool after its first touch [m].
     speed_m_s, hold_s
-        Speed of the tool [m/s] and duration of the hold [s]; they matter to an organ that relaxes.
+        Speed of the tool [m/s] and duration of the hold [s]; they affect an organ that relaxes.
     report
-        Called with the current task and its completed share (0 to 1).
+        Function that is called with the name of the present task and its completed share (0 to 1).
 
     Raises
     ------
     InputError
-        If the tool has no free path to the target, or the target cannot move.
+        If the tool has no free path to the target, or if the target lies on a support.
     """
     along = -rotation[:, 2]
     start_m = point_m - _clearance_m(organ, probe, point_m, rotation) * along
@@ -187,10 +188,10 @@ def press(
 
 
 def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
-    """Return the distance before the point at which the tool is clear of the organ [m]."""
+    """Return a distance before the point at which the tool does not touch the organ [m]."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
-    # A shell has its own contact points, so that the organ's nodes suffice.
+    # A shell has its own contact points, so that no points on the organ are needed.
     if isinstance(probe, ShellProbe):
         points = nodes[np.unique(triangles)]
     else:

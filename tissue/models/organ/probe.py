@@ -1,9 +1,9 @@
 """Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
 
 A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. Each tool
-states the kind of distance for the contact kernels (`kind`, `size_m`). It states the spacing of the
-organ's contact points at which the tool does not slip between them (`spacing_m`). It also states
-the ball that bounds the part of it that may touch first.
+has the kind and the parameters of the distance function in the contact kernels (`kind`, `size_m`).
+It has a spacing of the organ's contact points at which the tool does not slip between them
+(`spacing_m`). It also has a ball that bounds the part of the tool that may touch first.
 """
 
 from abc import ABC, abstractmethod
@@ -22,7 +22,7 @@ __all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
 
 SPACINGS = 2.0
-"""Number of contact points along the radius of a tool: the tool cannot slip between them."""
+"""Number of contact points along a tool's radius; the tool then cannot slip between them."""
 
 
 class ProbeShape(ABC):
@@ -34,14 +34,14 @@ class ProbeShape(ABC):
     @property
     @abstractmethod
     def size_m(self) -> tuple[float, float]:
-        """Two lengths [m]: radius and edge.
+        """Two lengths [m]: radius, and radius of the rounded edge.
 
         For a shell they are the radius of the ball around it and the ball's height above the tip.
         """
 
     @property
     def spacing_m(self) -> float:
-        """Widest spacing of the organ's contact points [m]: half the radius."""
+        """Largest spacing of the organ's contact points [m]: half the radius."""
         return self.size_m[0] / SPACINGS
 
     @abstractmethod
@@ -51,7 +51,7 @@ class ProbeShape(ABC):
 
 @dataclass(frozen=True)
 class SphereProbe(ProbeShape):
-    """A ball that touches the tip.
+    """A ball whose lowest point is the tip.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class CylinderProbe(ProbeShape):
 class ShellProbe(ProbeShape):
     """Tool of any shape, as points on its surface.
 
-    Space the points no farther apart than the length of the organ's edges.
+    The distance between the points should be at most the length of the organ's edges.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class ShellProbe(ProbeShape):
     areas_m2: Array
     kind = SHELL
     spacing_m = np.inf
-    """Spacing of the organ's points [m]: any, because the shell has its own points."""
+    """Infinite spacing of the organ's points [m], because the shell has its own points."""
 
     @classmethod
     def from_mesh(
@@ -151,10 +151,10 @@ class ShellProbe(ProbeShape):
         Parameters
         ----------
         mesh
-            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh; its origin is
-            the tip, its z axis runs to the shank.
+            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh. Its origin is
+            the tip, and its z axis runs to the shank.
         points
-            Approximate number of points; a tick projects every point.
+            Approximate number of points. A tick projects every point onto the organ.
         scale
             Metres in a unit of the mesh; 1e-3 for millimetres.
 
@@ -172,8 +172,9 @@ class ShellProbe(ProbeShape):
             raise InputError(
                 "mesh", "be closed with outward triangles", mesh, "repair the tool's surface"
             )
-        # Leg of a right triangle with the area of one point. Triangles up to half as long again are
-        # not divided, because the thinning evens out their number.
+        # Leg of a right triangle with the area of one point. A triangle is divided if it is longer
+        # than 1.5 times this leg. Smaller triangles are kept, because the thinning reduces their
+        # number.
         longest = (2.0 * surface.area / points) ** 0.5
         vertices, faces = trimesh.remesh.subdivide_to_size(
             surface.vertices, surface.faces, 1.5 * longest
@@ -201,7 +202,7 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """Return one point for each cube and each direction that its surface faces, and their areas.
+    """Return one point for each cube and each direction of the surface in it, and their areas.
 
     `side` is the edge of a cube. The points have shape (k,).
     """

@@ -33,10 +33,10 @@ __all__ = ["Membrane", "OrganLaw", "SoftOrgan", "ToolPath", "linear_triangles"]
 
 
 MARGIN_EDGES = 0.25
-"""Distance from the tool's path, in mesh edges, within which the surface may be touched.
+"""Margin around the tool's path in which the surface may be touched [mesh edges].
 
-The surface moves under the tool. Chosen: a deep straight press has the same force for 0, 0.25
-and 1.
+The margin is needed because the surface moves under the tool. The value is chosen: a deep straight
+press has the same force with 0, 0.25 and 1.
 """
 
 
@@ -49,7 +49,7 @@ class ToolPath:
     probe
         The tool.
     tips_m, rotations
-        Tips [m], shape (p, 3), and tool to world, shape (p, 3, 3).
+        Tips [m], shape (p, 3), and rotations from tool to world, shape (p, 3, 3).
     """
 
     probe: ProbeShape
@@ -60,8 +60,8 @@ class ToolPath:
 def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
     """Return surface nodes near a tool's path, and the triangles between them.
 
-    The nodes have shape (t,), the triangles (f, 3). The triangles hold the positions of their nodes
-    in the first array.
+    The nodes have shape (t,), the triangles (f, 3). The triangles are indices into
+    the array of nodes.
     """
     triangles = linear_triangles(space.faces)
     centres = space.nodes_m[triangles].mean(axis=1)
@@ -98,12 +98,12 @@ def linear_triangles(faces: Ints) -> Ints:
 
 _spaces: Kept[Space] = Kept(2)
 _patches: Kept[tuple[Ints, Ints]] = Kept(2)
-"""Patches by mesh and order, and by tool and path: a study presses one mesh in every trial."""
+"""Cache of patches by mesh, order, tool and path: a study presses one mesh in every trial."""
 
 
 @dataclass(frozen=True)
 class Membrane:
-    """A capsule: a thin elastic membrane on the whole surface.
+    """Capsule of an organ: a thin elastic membrane on the whole surface.
 
     Attributes
     ----------
@@ -133,14 +133,14 @@ class OrganLaw:
     Attributes
     ----------
     law
-        Law of a cell whose factor is 1.
+        Law of a cell with the factor 1.
     cell_factors
-        Factor on its moduli in each cell, shape (m,).
+        Factor of the law's moduli in each cell, shape (m,).
     interval_s
-        Time between two solves, between ticks [s]; 0 for an organ that is solved on request
+        Time between two solves [s]; 0 for an organ that is solved only on request
         (`LiverModel.converge`).
     region_m
-        Radius around the contact within which the law acts [m]; the tissue is linear beyond it.
+        Radius around the contact within which the law applies [m]. The tissue outside is linear.
     """
 
     law: Hyperelastic
@@ -150,12 +150,12 @@ class OrganLaw:
 
 
 class SoftOrgan:
-    """Elastic organ that any number of tools may press, one factor for all of them.
+    """Elastic organ that any number of tools may press; all of them share one factor.
 
     Parameters
     ----------
     mesh
-        Tetrahedra.
+        Mesh of tetrahedra.
     elasticity
         Elasticity of each cell, as for `tissue.fem.assembly.assemble` [Pa].
     held
@@ -165,15 +165,16 @@ class SoftOrgan:
     capsule
         Membrane on the surface; None for no membrane.
     density_kg_m3
-        Density [kg/m3]. With a density the organ is loaded by its own weight, along -z, before a
-        tool touches it.
+        Density [kg/m3]. If it is not zero, the organ is loaded by its own weight, along -z, before
+        a tool touches it.
     prony
-        Relaxation of every modulus; None for an elastic organ.
+        Prony series of the relaxation of every modulus; None for an elastic organ.
     friction
         Coulomb's coefficient between a tool and the organ.
     law
-        Hyperelastic law whose small-strain limit is `elasticity`; None for the linear law. A
-        capsule stays linear, relaxation is quasi-linear, and a weight is not supported.
+        Hyperelastic law whose small-strain limit is `elasticity`; None for the linear law. With a
+        hyperelastic law the capsule is still linear, relaxation is quasi-linear, and a weight is
+        not supported.
     device
         Warp device name.
     """
@@ -210,7 +211,7 @@ class SoftOrgan:
 
     @property
     def mesh(self) -> TetMesh:
-        """The tetrahedra."""
+        """Mesh of tetrahedra."""
         return self.space.mesh
 
     @cached_property
@@ -227,9 +228,11 @@ class SoftOrgan:
         Raises
         ------
         InputError
-            If the held nodes leave the organ, or a loose part of it, free to move.
+            If the held nodes do not prevent every rigid motion of the organ, or of a loose part of
+            the organ.
         """
-        # The cells of a hyperelastic law are not softened, and its region is coupled to these.
+        # The cells of a hyperelastic law are not softened, and its region must match the cells
+        # around it.
         stiffness = assemble(self.space, self.elasticity, softened=self.law is None)
         if self.membrane is not None:
             stiffness = bsr_array((stiffness + self.membrane).tobsr((3, 3)))
@@ -240,7 +243,7 @@ class SoftOrgan:
 
     @cached_property
     def factor(self) -> Factor:
-        """Solver for the whole organ, made at the first use."""
+        """Solver for the whole organ, made when it is first used."""
         return Factor(self.body)
 
     @cached_property
@@ -248,10 +251,11 @@ class SoftOrgan:
         return KeptColumns(self.factor, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Request the compliance of the surface near some points [m], shape (k, 3), at once.
+        """Request the compliance of the surface near some points [m], shape (k, 3), together.
 
-        "Near" is within a distance [m]. The compliance is read off the factor, if the factor is not
-        made yet. A press elsewhere needs back-substitutions first.
+        Nodes within the distance `within_m` of a point are near. If the factor is not made yet,
+        their compliance will be read from it. A press at another place first needs
+        back-substitutions.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -259,7 +263,7 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Load of the organ's weight [N] and its displacement [m], shape (n, 3) both.
+        """Load of the organ's weight [N] and displacement by it [m], each of shape (n, 3).
 
         Both are zero without a density.
         """
@@ -272,13 +276,11 @@ class SoftOrgan:
     def touchable(self, tool: ToolPath) -> tuple[Ints, Ints]:
         """Return surface nodes near a tool's path, and the triangles between them.
 
-        The nodes have shape (t,), the triangles (f, 3). The triangles hold the positions of their
-        nodes in the first array.
-
-        Raises
+        The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
+        nodes. Raises
         ------
         InputError
-            If the tool touches nothing, or only held nodes.
+            If the tool touches nothing, or only nodes on supports.
         """
         key = self.space, tool.probe, tool.tips_m.tobytes(), tool.rotations.tobytes()
         touchable, faces = _patches.of(key, lambda: _touchable_patch(self.space, tool))
@@ -296,8 +298,8 @@ class SoftOrgan:
     ) -> tuple[Array, LazyCompliance | None]:
         """Return the compliance of touchable nodes [m/N], and the object that fills it.
 
-        See `compliance_of`. Without a path it consists of columns of the one factor, each kept for
-        the next tool.
+        See `compliance_of`. Without a path, the columns are computed from the organ's factor and
+        kept for the next tool.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""A tooth as voxels that a cutter removes, with stress on particles."""
+"""A tooth as voxels that a cutter removes, with stress by particle finite elements."""

@@ -1,4 +1,4 @@
-"""Elastic body of particles on a grid: supports, removal, islands, and warm-started solves."""
+"""Elastic body of material particles in a grid of finite elements, updated during removal."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -32,22 +32,23 @@ from tissue.models.tooth.stiffness import CellStiffness
 __all__ = ["Change", "ParticleBody", "supported_cells"]
 
 LEAST_CURVATURE = 1e-12
-"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is a rounding error.
+"""Fraction of ``p . D p`` below which ``p . K p`` is a rounding error; D is the diagonal of K.
 
-Then p is a motion without resistance. A tooth of 1e5 nodes in a ligament a million times softer has
-1e-8.
+In that case p is a motion without resistance. The fraction is 1e-8 for a tooth of 1e5 nodes in a
+ligament a million times softer than the tooth.
 """
 
 
 LEAST_RESTRAINT = 1e-9
-"""Eigenvalue of a part's restraint, over the largest, below which the part can move.
+"""Ratio to the largest eigenvalue of a part's restraint below which the part can move.
 
-Rounding is 1e-16; a part held at three corners of a cell has 1e-2.
+The restraint is the stiffness against rigid motions. Rounding errors give a ratio of 1e-16. A part
+that is held at three corners of a cell has a ratio of 1e-2.
 """
 ENOUGH = 200
-"""Number of springs, spread over a part, that are tried before all of them.
+"""Number of springs, spread over a part, that are tried before all springs are tried.
 
-The molar has 4,796. A few hundred of them restrain it as well, and cost less.
+The molar has 4,796 springs. A few hundred of them also restrain it, and take less time to check.
 """
 
 
@@ -60,11 +61,11 @@ def supported_cells(
 ) -> Flags:
     """Return a mask of the cells that the supports hold against all six rigid motions.
 
-    ``filled`` has shape (c,). ``springs_cell`` holds the springs' cells. Cells that share a face
-    move together. A part made of such cells is carried if its supports, and the nodes it shares
-    with carried parts, leave it no rigid motion. A part that is connected to the rest by one node
-    or one edge only is not carried: it would rotate freely about it, and the stiffness would be
-    singular.
+    ``filled`` has shape (c,). ``springs_cell`` holds the cell of each spring. Cells that share a
+    face form a part. A part is supported if its supports, and the nodes that it shares with
+    supported parts, prevent every rigid motion. A part that is connected to the rest only by one
+    node or one edge is not supported: it would rotate freely about this node or edge, and the
+    stiffness would be singular.
     """
     at = tuple(grid.cell_place.T)
     box = np.zeros(grid.cell_place.max(axis=0) + 1, np.bool_)
@@ -88,7 +89,7 @@ def supported_cells(
 
 
 def _members(grid: HexGrid, part_of: Integers, count: int) -> list[Ints]:
-    """Return the nodes of each part."""
+    """Return the nodes of each part, a set of cells that are connected by faces."""
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
     members = []
@@ -101,11 +102,11 @@ def _members(grid: HexGrid, part_of: Integers, count: int) -> list[Ints]:
 
 
 def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprings) -> bool:
-    """Return True if held nodes, and springs at points between them, leave no rigid motion."""
+    """Return True if held nodes and springs together prevent every rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
         return False
-    if len(springs.position_m) > 2 * ENOUGH:  # restrained by some implies restrained by all
+    if len(springs.position_m) > 2 * ENOUGH:  # if some springs restrain the part, all springs do
         few = np.zeros(len(springs.position_m), np.bool_)
         few[:: len(few) // ENOUGH] = True
         if _restrained(grid, nodes[:0], held, springs.chosen(few)):
@@ -125,16 +126,16 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
 INNER_STRENGTH = 0.1
 """Strength of the inner stabilisation.
 
-It is the smallest value that leaves no cell singular, at an error next to the error without
-stabilisation (table of test_tooth_sphere.py).
+It is the smallest value with which no cell is singular. The error is close to the error without
+stabilisation (table in test_tooth_sphere.py).
 """
 LEAST_FILL = 1e-3
-"""Fill below which a cell carries no load.
+"""Filled fraction below which a cell carries no load.
 
-Its share of the stiffness is then smaller than the effect of one particle's position.
+The stiffness of such a cell is smaller than the effect of a change of one particle's position.
 """
 MORE_ITERATIONS = 1.5
-"""Growth factor of the iteration count at which the coarsest grid is solved anew; chosen.
+"""Growth factor of the iteration count at which the coarsest grid is factorised anew; chosen.
 
 In the molar scene with cells of 0.6 mm, 25 solves take 58 iterations for any factor from 1 to 3.
 """
@@ -150,7 +151,8 @@ class Change:
     cells
         Cells whose stiffness changed, shape (k,).
     debris
-        Particles that have lost their connection to a support, by the caller's index, shape (d,).
+        Particles that have lost their connection to a support, as indices of the caller, shape
+        (d,).
     """
 
     cells: Int32s
@@ -163,27 +165,27 @@ class ParticleBody:
     Parameters
     ----------
     particles
-        The body.
+        Particles of the body.
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
     supports, springs
-        Supports of the grid's nodes, and springs to the ground at points of its cells, which are
-        removed with their cells.
+        Supports of the grid's nodes, and springs from points in its cells to the ground. A spring
+        is removed with its cell.
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
         it off.
     drop_islands
-        Remove parts without support. Otherwise the stiffness may be singular.
+        True to remove parts without support. With False the stiffness may be singular.
     device, cores
-        Warp device, and processor cores to split launches over (default all). The results are
-        bitwise independent of the cores.
+        Warp device, and number of processor cores to split kernel launches over (default all). The
+        number of cores does not change a bit of the results.
 
     Attributes
     ----------
     cells
         Stiffness of the cells.
     carrying
-        Nodes that a live cell gives stiffness, bool, shape (n,).
+        True for nodes of a cell that carries load, bool, shape (n,).
     displacement_m
         Displacement of the last solve [m], shape (n, 3), from which the next solve starts.
     """
@@ -226,13 +228,13 @@ class ParticleBody:
 
     @property
     def debris(self) -> Ints:
-        """Particles without support that still have volume, by the caller's index."""
+        """Particles without support that still have volume, as indices of the caller."""
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: Integers, steps: Integers) -> None:
-        """Set the remaining fraction of particles, by the caller's index, in steps of 1/65535.
+        """Set the remaining fraction of some particles, in steps of 1/65535.
 
-        `update` applies the change to the stiffness.
+        ``particles`` are indices of the caller. `update` applies the change to the stiffness.
         """
         rows = self.cells.rank[particles]
         left = self.cells.remaining
@@ -243,7 +245,7 @@ class ParticleBody:
     def update(self) -> Change:
         """Update stiffness, islands and preconditioner after changes of the remaining particles.
 
-        Only cells that were touched are summed.
+        Only cells with changed particles are summed again.
         """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
@@ -262,8 +264,8 @@ class ParticleBody:
                 )
             self._filled = filled
             self.cells.set_live(live)
-            # A cell with too little material next to a live cell is not loose: it rests on its
-            # neighbour.
+            # A cell with too little material to carry load, next to a cell that carries load, is
+            # not debris: its neighbour holds it.
             borders = np.zeros_like(live)
             pairs = self.grid.face_pairs
             borders[pairs[live[pairs[:, 0]], 1]] = True
@@ -281,7 +283,7 @@ class ParticleBody:
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
     def _particles_in(self, cells: Flags) -> Ints:
-        """Return the remaining particles of these cells, by the caller's index."""
+        """Return the remaining particles of these cells, as indices of the caller."""
         if not cells.any():
             return np.zeros(0, np.int64)
         return np.sort(
@@ -291,7 +293,7 @@ class ParticleBody:
     def spread(self, point_m: Array, force_N: Array) -> Array:
         """Return nodal forces [N], shape (n, 3), of forces at points.
 
-        Each force acts on the live cell that holds its point or lies nearest.
+        Each force acts on the load-carrying cell that holds its point, or on the nearest one.
 
         Parameters
         ----------
@@ -307,7 +309,8 @@ class ParticleBody:
         off = (cell < 0) | (self.cells.live[cell] == 0)
         if len(live) == 0:
             return np.zeros((self.grid.node_count, 3))
-        # A cut has emptied the cell, or the point lies in air: take the nearest cell that carries.
+        # If a cut has emptied the cell, or the point lies in air, use the nearest cell that carries
+        # load.
         if off.any():
             cell[off] = live[cKDTree(self.grid.cell_centre_m[live]).query(points[off])[1]]
         place = np.clip(
@@ -325,18 +328,18 @@ class ParticleBody:
     def spread_over(self, point_m: Array, force_N: Array, *, radius_m: float) -> Array:
         """Return nodal forces [N], shape (n, 3), of a force spread over particles near a point.
 
-        The particles lie within a radius of the point. Each takes a share by its remaining volume
-        and by `ball_weight`. A force on a fixed patch gives a stress that converges with the cells
-        next to it, whereas the stress of a point force increases without bound. Where no particle
-        lies within the radius, as in a grid much coarser than the patch, the force acts at the
-        point.
+        The particles lie within a radius of the point. The share of a particle is proportional to
+        its remaining volume times `ball_weight`. The stress of a force on a patch of fixed size
+        converges when the cells are refined, whereas the stress of a point force increases without
+        bound. If no particle lies within the radius, as in a grid much coarser than the patch, the
+        force acts at the point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
         left = self.cells.remaining[self.cells.rank[near]] / FULL_STEPS
         away = np.linalg.norm(self.particles.position_m[near] - point_m, axis=1)
         weight = self.particles.volume_m3[near] * left * ball_weight(away, radius_m)
-        # No particle within the radius, or all of them removed.
+        # There is no particle within the radius, or all of them are removed.
         if not weight.sum() > 0.0:
             return self.spread(point_m, force_N)
         return self.spread(
@@ -346,7 +349,7 @@ class ParticleBody:
     def product(self, displacement_m: Array) -> Array:
         """Return nodal forces [N] for nodal displacements [m], shapes (n, 3).
 
-        Springs are included, supports are not.
+        The forces of the springs are included, those of the supports are not.
         """
         return self.cells.product(displacement_m)
 
@@ -362,24 +365,24 @@ class ParticleBody:
         """Solve for the displacement under nodal forces [N], shape (n, 3).
 
         The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is
-        estimated by the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's
-        estimate. The second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound,
-        since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a
-        load on a motion without resistance that the preconditioner leaves out.
+        estimated as the larger of two values. The first value is ``sqrt(r . B r)``, the estimate of
+        the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)`` with the diagonal D. It
+        is a lower bound, because a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to
+        24. It detects a load on a motion without resistance, which the preconditioner leaves out.
 
         Parameters
         ----------
         load_N
-            Forces at nodes; at held components they go to the support.
+            Forces at the nodes. A force on a held component acts on the support.
         tolerance
-            Relative error in the energy norm; the error of the stress, taken over the body, is
+            Allowed relative error in the energy norm. The error of the stress in the whole body is
             about as large.
         limit
-            Iterations allowed.
+            Largest number of iterations.
         cold
-            Start from rest instead of the last solve.
+            True to start from zero instead of the last solution.
         start_m
-            First guess instead of the last solve, shape (n, 3).
+            First guess instead of the last solution, shape (n, 3).
         """
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed

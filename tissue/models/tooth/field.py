@@ -1,4 +1,4 @@
-"""Stress and displacement of a tooth during drilling, solved at a lower rate than the ticks."""
+"""Stress and displacement of a tooth during drilling, solved less often than every tick."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -33,35 +33,36 @@ from tissue.models.tooth.recovery import (
 __all__ = ["SolveRecord", "StressField"]
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
-"""Layers that the particles fill.
+"""Layers that are filled with particles.
 
-The ligament is a bed of springs, and the bone behind it does not move.
+The ligament is modelled as springs, and the bone behind it does not move.
 """
 VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
 """Corners of a cell in VTK's order for a hexahedron."""
 INFECTED_SHARE = 0.05
-"""Modulus of fully softened dentin relative to sound dentin.
+"""Ratio of the modulus of fully softened dentin to that of sound dentin.
 
-It is 1 of 18.6 GPa. Carious dentin was measured at 0.015 to 14.55 GPa (Angker et al. 2004).
+The modulus is about 1 GPa, compared with 18.6 GPa. Measured values of carious dentin are 0.015 to
+14.55 GPa (Angker et al. 2004).
 """
 
 TOLERANCE = 7e-4
 """Relative error in the energy norm at which a solve ends.
 
-The last correction then reduces the error to a third. The error of cells of 0.3 mm next to a cut is
-a hundred times larger.
+The last correction then reduces the error to a third. The discretisation error next to a cut is a
+hundred times larger with cells of 0.3 mm.
 """
 _MARGIN = 6
-"""Voxels of air added around a tooth that may fill its volume.
+"""Voxels of air added around a tooth, because the tooth may fill its voxel volume.
 
-They cover the reach of the smooth normal of its surface: a Gaussian of 1.5 voxels ends after four
-standard deviations.
+The surface normals are smoothed with a Gaussian of 1.5 voxels, which ends after four standard
+deviations. The added voxels cover this distance.
 """
 
 
 @dataclass(frozen=True)
 class SolveRecord:
-    """Cost and outcome of one solve."""
+    """Duration and outcome of one solve."""
 
     time_s: float
     iterations: int
@@ -76,13 +77,13 @@ class StressField:
     Parameters
     ----------
     tooth
-        The whole tooth in voxels, each of which becomes a particle.
+        The whole tooth in voxels. Each voxel becomes a particle.
     cell_m
         Edge of a cell [m].
     ligament_thickness_m
         Thickness of the ligament [m].
     contact_m
-        Radius over which the cutter's force is spread [m]: the radius of the cutter.
+        Radius within which the cutter's force is spread [m]: the radius of the cutter.
     constants
         Elastic constants of the layers.
     device, cores
@@ -95,10 +96,10 @@ class StressField:
     compliance
         Compliance of the tooth in its ligament.
     records
-        Cost and outcome of every solve.
+        Duration and outcome of every solve.
     root_guessed
-        True if the data hold neither ligament nor bone, so that the lower third is held as the
-        root.
+        True if the data hold neither ligament nor bone. The lower third of the tooth is then
+        treated as the root and held.
     """
 
     def __init__(
@@ -123,7 +124,7 @@ class StressField:
         self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
         self._particle_at[solid] = np.arange(len(places))
         particles = _particles(tooth, places, constants)
-        # steps of each particle, in fine voxels
+        # original volume of each particle in steps of 1/65535, and volume lost so far
         self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS
         self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
@@ -138,7 +139,7 @@ class StressField:
             cores=cores,
         )
         weights = np.zeros(grid.node_count)
-        # Each of the eight corners takes an eighth of the cell's material.
+        # Each of the eight corners gets an eighth of the cell's material.
         np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
         self.reference_m = np.average(grid.node_position_m, axis=0, weights=weights)
         self.compliance: SupportCompliance = support_compliance(
@@ -149,7 +150,7 @@ class StressField:
                 "stress.cell_mm",
                 "give a tooth that its ligament holds",
                 "a solve that did not converge",
-                # Twice the cell: larger cells hold more material each.
+                # Suggest twice the edge, because a larger cell holds more material.
                 f"use {2000.0 * cell_m:g}",
             )
         self._guess = FirstGuess(
@@ -159,7 +160,7 @@ class StressField:
             ]
         )
         layer = _cell_layers(self.body)
-        # the nearest particles of a cell lie 0.87 of it from the centre
+        # the nearest particles may be 0.87 of a voxel's edge from a cell's centre
         self._reach_m = max(REACH_M, tooth.spacing_m)
         self._recovery = StressRecovery(
             particles, self.body.cells, grid.cell_centre_m, layer, reach_m=self._reach_m
@@ -180,16 +181,16 @@ class StressField:
     def remove(
         self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
-        """Remove from the particles the loss of the finer voxels since the last call.
+        """Remove the volume that the finer voxels lost since the last call from the particles.
 
         Parameters
         ----------
         voxels, steps
-            Indices of the finer voxels, shape (n, 3), and the loss of each in steps of 1/65535,
-            shape (n,).
+            Indices of the finer voxels, shape (n, 3), and the loss of each voxel in steps of
+            1/65535, shape (n,).
         origin_m, spacing_m
-            Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples
-            of it.
+            Corner of the finer voxel (0, 0, 0), and edge of the finer voxels [m]. The planes of the
+            two voxel grids lie on multiples of this edge.
         """
         ratio = round(self._volume.spacing_m / spacing_m)
         first = np.rint(origin_m / spacing_m).astype(int)
@@ -206,9 +207,9 @@ class StressField:
         self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
 
     def solve(self, time_s: float, force_N: Array, point_m: Array) -> Frame:
-        """Solve for displacement and stress under a force on the tooth at a point, warm-started.
+        """Solve for displacement and stress under a force on the tooth at a point.
 
-        The frame is recorded and returned.
+        The solve starts from earlier solutions. The frame is recorded and returned.
         """
         begun = perf_counter()
         change = self.body.update()
@@ -244,7 +245,7 @@ class StressField:
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
     def recover(self, displacement_m: Array) -> tuple[Array, Array]:
-        """Return the von Mises and principal stress [Pa] recovered at the cell centres.
+        """Return the recovered von Mises and principal stresses at the cell centres [Pa].
 
         Their shapes are (c,) and (c, 3).
         """
@@ -254,19 +255,19 @@ class StressField:
 
 
 def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:
-    """Return one particle a voxel, with the cited elastic constants of its layer.
+    """Return one particle for each voxel, with the elastic constants of its layer.
 
-    Caries is graded by its softness.
+    The constants are those of the built-in sources. The modulus of caries depends on its softness.
     """
     at = tuple(places.T)
     layer = tooth.layer[at]
     fraction = tooth.fraction[at]
     modulus = np.ones(len(places))
-    # Placeholder: every particle belongs to a layer and is set below.
+    # Placeholder: the value of every particle is set below, by layer.
     ratio = np.full(len(places), 0.3)
     for index, name in enumerate(tooth.layer_names):
         chosen = layer == index
-        # Ligament and bone have no particles, so that any table does.
+        # Ligament and bone have no particles, so that the table chosen for them has no effect.
         table = constants.constants("tooth", name if name in TOOTH else "dentin")
         modulus[chosen] = 1e9 * table["modulus_GPa"].value
         ratio[chosen] = table["poisson_ratio"].value
@@ -290,7 +291,7 @@ def _ligament_springs(
 ) -> PointSprings:
     """Return springs where the tooth borders on ligament or bone.
 
-    Where the data hold neither, the springs act on its lower third.
+    If the data hold neither ligament nor bone, the springs act on the tooth's lower third.
     """
     table = constants.constants("tooth", "ligament")
     across, along = bed_stiffness(
@@ -302,7 +303,7 @@ def _ligament_springs(
         solid = np.pad(solid, _MARGIN)
         origin_m = origin_m - _MARGIN * tooth.spacing_m
         depth = np.flatnonzero(solid.any(axis=(0, 1)))
-        # The lower third stands for the root, which hangs in the ligament.
+        # The lower third represents the root, which the ligament holds.
         below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
         bed = ~solid & below[None, None, :]
     springs, area = bed_springs(

@@ -1,6 +1,7 @@
-"""Smoothing on the finest grid by products over strips of cells, and the coarser grids' stiffness.
+"""Multigrid smoothing on the finest grid, without assembled rows, and rows of the coarser grids.
 
-The stiffness of the coarser grids is assembled.
+On the finest grid the products with the stiffness run over strips of eight cells. The stiffness of
+the coarser grids is assembled.
 """
 
 from collections.abc import Callable
@@ -30,20 +31,20 @@ class NodeBlocks:
     grid
         The grid.
     cell_nodes, live, stiffness
-        Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`; read
-        at every `update`.
+        Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`. Every
+        `update` reads them.
     device
         Warp device.
 
     Attributes
     ----------
     row_start, column, block
-        Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]; lower colours
-        first.
+        Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]. Blocks of lower
+        colours come first.
     diagonal_block
         Index of each node's diagonal block, int32 (n,).
     diagonal
-        Diagonal block of each node with 1 on held components, float64 (n,).
+        Diagonal block of each node, with 1 at held components, float64 (n,).
     single, inverse
         Blocks and inverses of the diagonal in single precision, for smoothing.
     """
@@ -54,7 +55,7 @@ class NodeBlocks:
         neighbours = grid.node_neighbours
         there = neighbours >= 0
         starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
-        # 8, after the eight colours: missing neighbours are sorted to the end.
+        # Colour 8, after the eight colours, sorts missing neighbours to the end.
         colour = np.where(there, grid.node_colour[neighbours], 8)
         order = np.argsort(colour, axis=1, kind="stable")
         place = np.empty_like(neighbours)
@@ -84,7 +85,7 @@ class NodeBlocks:
         ]
 
     def update(self, nodes: Int32s) -> None:
-        """Gather the rows of these nodes again from their cells."""
+        """Compute the rows of these nodes again from their cells."""
         if len(nodes) == 0:
             return
         rows = put(nodes, wp.int32, self.device)
@@ -113,30 +114,32 @@ class NodeBlocks:
 
 
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
-"""Share of the last direction and gain of the residual of the smoothing polynomial.
+"""Coefficients of the smoothing steps: factor of the last direction, gain of the residual.
 
-It is Chebyshev's polynomial of the fourth kind of degree 2, which needs the largest eigenvalue only
-(Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). Degree 1 takes 1.3 times the iterations, degree
-3 saves none.
+The polynomial is Chebyshev's of the fourth kind, of degree 2. It needs only the largest eigenvalue
+(Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). With degree 1 the solves take 1.3 times as many
+iterations. Degree 3 saves no iteration.
 """
 POWER_STEPS = 30
-"""Steps of the power method: on the molar the eigenvalue is 3 % below the one of 100 steps."""
+"""Steps of the power method. On the molar the eigenvalue is 3 % below that after 100 steps."""
 MARGIN = 1.15
 """Factor on the computed largest eigenvalue.
 
-It covers the last per cents of the power method, and the increase by cuts before the eigenvalue is
-computed anew. The smoother diverges at 1.25 of the assumed value.
+It allows for the error of the power method, and for the increase caused by cuts until the
+eigenvalue is computed anew. The smoother diverges if the true eigenvalue is 1.25 times the assumed
+value.
 """
 
 
 class FinestLevel:
-    """Vectors of the finest grid and its smoothing, in single precision and lanes.
+    """Smoothing on the finest grid, in single precision and with SIMD lanes.
 
-    Springs on cells of the strips are left out of the product. They are below a hundredth of the
-    stiffness of their cells, and the coarser grids, which respond to them, include them. In the
-    molar and in caries they would save no iteration; with a ligament 100 times as stiff they would
-    save one of ten. All else is exact. With other particles moved to the nearest of the strips'
-    points, the molar's iterations on a grid at an angle to them were 31 to 44 instead of 14 to 15.
+    The product leaves out the springs on cells of the strips. Their stiffness is below a hundredth
+    of the stiffness of their cells, and the coarser grids include them. In the molar and in caries,
+    including them would save no iteration; with a ligament 100 times as stiff it would save one of
+    ten. Everything else is exact: particles that do not lie at the points of the strips are not
+    moved to these points. When they were moved, the solves of the molar on a rotated grid took 31
+    to 44 iterations instead of 14 to 15.
 
     Parameters
     ----------
@@ -146,9 +149,9 @@ class FinestLevel:
     Attributes
     ----------
     diagonal
-        Diagonal of the stiffness [N/m], 1 on held components, Warp array of vec3d, shape (n,).
+        Diagonal of the stiffness [N/m], 1 at held components, Warp array of vec3d, shape (n,).
     vector, residual
-        Correction of the coarser grids [m], and the residual load after smoothing [N], Warp vec3f,
+        Correction by the coarser grids [m], and residual load after smoothing [N], Warp vec3f,
         shape (n,).
     """
 
@@ -167,7 +170,7 @@ class FinestLevel:
         self.diagonal = wp.zeros(count, wp.vec3d, device)
         self.vector = wp.zeros(count, wp.vec3f, device)
         self.residual = wp.zeros(count, wp.vec3f, device)
-        # Any positive value: the first refresh replaces it.
+        # Any positive value is allowed here: the first refresh replaces it.
         self._largest = 4.0
         lanes = [LaneVector(strips.layout, wp.float32, device=device) for _ in range(5)]
         self._inverse, self._force, self._left, self._direction, self._found = lanes
@@ -224,7 +227,7 @@ class FinestLevel:
     def bound_eigenvalues(self) -> None:
         """Compute the largest eigenvalue of D^-1 K by the power method.
 
-        The inverse of the diagonal is scaled by it.
+        The inverse of the diagonal is divided by this eigenvalue.
         """
         layout = self._cells.strips.layout
         inverse = self._inverse.single.numpy()
@@ -250,9 +253,10 @@ class FinestLevel:
     def solve(self, load_N: Array, correct: Callable[[], None]) -> Array:
         """Return the displacement [m] for a load [N], smoothed, corrected and smoothed again.
 
-        Both have shape (n, 3).
+        Load and displacement have shape (n, 3).
 
-        ``correct`` takes ``residual`` and adds the coarser grids' correction to ``vector``.
+        ``correct`` is a function that reads ``residual`` and adds the correction by the coarser
+        grids to ``vector``.
         """
         self._found.single.zero_()
         self._direction.single.zero_()
@@ -278,9 +282,9 @@ class FinestLevel:
         self._steps[1]()
 
     def _multiply(self) -> None:
-        """Add the product with the direction to the force.
+        """Add the product of stiffness and direction to the force.
 
-        The force must be zero where not all cells are in strips.
+        If some cells are not in strips, the force must be zero before the call.
         """
         if self._cells.others is not None:
             self._give_direction()

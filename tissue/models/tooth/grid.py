@@ -1,6 +1,7 @@
 """Cells, particles and supports of a tooth: a Cartesian grid of trilinear hexahedra.
 
-Only the cells that hold material particles exist. The ligament is a bed of springs to the ground.
+Only the cells that hold material particles exist. The ligament is modelled as springs to the
+ground.
 """
 
 from dataclasses import dataclass
@@ -28,14 +29,14 @@ __all__ = [
 ]
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-"""Corners of a cell, in edges, shape (8, 3)."""
+"""Corners of a cell, in units of its edge, shape (8, 3)."""
 NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
-"""Steps to the nodes around a node, with the node itself in the middle, shape (27, 3)."""
+"""Offsets to the nodes around a node; the node itself is in the middle, shape (27, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class HexGrid:
-    """Active cells and their nodes, both in lexicographic order of (x, y, z).
+    """Active cells and their nodes, each in lexicographic order of (x, y, z).
 
     Attributes
     ----------
@@ -44,11 +45,11 @@ class HexGrid:
     edge_m
         Edge of a cell [m].
     cell_place
-        Place of each cell in the box, int32, shape (c, 3).
+        Integer position of each cell in the box, int32, shape (c, 3).
     node_place
-        Place of each node in the box, int32, shape (n, 3).
+        Integer position of each node in the box, int32, shape (n, 3).
     cell_nodes
-        Nodes of each cell, corner a = 4 i + 2 j + k at (i, j, k), int32, shape (c, 8).
+        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k lies at (i, j, k).
     """
 
     origin_m: Array
@@ -75,8 +76,8 @@ class HexGrid:
     ) -> "HexGrid":
         """Return the grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
 
-        The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge
-        below the lowest point.
+        The cells' corners lie at ``origin_m`` plus multiples of the edge. By default ``origin_m``
+        is half an edge below the lowest point.
         """
         origin = (
             position_m.min(axis=0) - 0.5 * edge_m
@@ -108,7 +109,7 @@ class HexGrid:
 
     @cached_property
     def node_cells(self) -> Int32s:
-        """Cell that has a node as its corner a, or -1, int32, shape (n, 8)."""
+        """Cell whose corner a is the node, or -1, for each node, int32, shape (n, 8)."""
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
             cells[self.cell_nodes[:, corner], corner] = np.arange(self.cell_count, dtype=np.int32)
@@ -116,14 +117,14 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Int32s:
-        """Nodes that share a cell with a node, or -1, int32, shape (n, 27).
+        """Neighbours of each node, which share a cell with it, or -1, int32, shape (n, 27).
 
-        They are in the order of `NEIGHBOURS`.
+        The neighbours are in the order of `NEIGHBOURS`.
         """
         found = np.full((self.node_count, 27), -1, dtype=np.int32)
         for corner in range(8):
             for other in range(8):
-                # Index of the step in `NEIGHBOURS`.
+                # Index of the offset in `NEIGHBOURS`.
                 step = int((CORNERS[other] - CORNERS[corner] + 1) @ (9, 3, 1))
                 found[self.cell_nodes[:, corner], step] = self.cell_nodes[:, other]
         return found
@@ -133,7 +134,7 @@ class HexGrid:
         """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
         colour.
         """
-        # Even or odd along each axis.
+        # The colour depends on whether the position is even or odd along each axis.
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
     @cached_property
@@ -147,7 +148,7 @@ class HexGrid:
         return np.concatenate(pairs).astype(np.int32)
 
     def find_cells(self, place: Integers) -> Int32s:
-        """Return the cells at positions in the box, shape (n, 3), or -1."""
+        """Return the cells at integer positions in the box, shape (n, 3), or -1."""
         shape, keys = self._cell_keys
         return _find_keys(keys, place, shape)
 
@@ -157,22 +158,22 @@ class HexGrid:
         return shape, _keys(self.cell_place, shape)
 
     def find_nodes(self, place: Integers) -> Int32s:
-        """Return the nodes at positions in the box, shape (n, 3), or -1."""
+        """Return the nodes at integer positions in the box, shape (n, 3), or -1."""
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
     def locate(self, position_m: Array) -> tuple[Int32s, Array]:
-        """Return the cell that holds each point, or -1, shape (n,), and the position in it.
+        """Return the cell that holds each point, or -1, and the position in that cell.
 
-        The position is 0 to 1 along each edge, shape (n, 3).
+        The cells have shape (n,). The positions are 0 to 1 along each edge, shape (n, 3).
         """
         scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Int32s]:
-        """Return the grid of twice the edge over these cells, and its cell of each cell.
+        """Return the grid with twice the edge, and the coarse cell of each cell.
 
-        The cells are int32, shape (c,).
+        The coarse cells are int32, shape (c,).
         """
         grid = HexGrid.of_cells(
             self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m
@@ -207,7 +208,7 @@ def _unique_places(place: Integers, shape: Integers) -> Int32s:
 
 
 def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
-    """Return the row of each position in the ordered positions ``known``, or -1."""
+    """Return the row of each position in the sorted positions ``known``, or -1."""
     return _find_keys(_keys(known, shape), place, shape)
 
 
@@ -219,7 +220,7 @@ def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
 
 
 FULL_STEPS = 65535
-"""Steps of a whole particle, equal to the steps of a whole voxel."""
+"""Remaining fraction of a whole particle, in steps, as for a whole voxel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,9 +236,9 @@ class ParticleSet:
     modulus_Pa
         Young's modulus [Pa], shape (n,).
     poisson_ratio
-        Poisson's ratio, shape (n,). Trilinear cells lock as it nears 0.5.
+        Poisson's ratio, shape (n,). Trilinear cells lock if it is near 0.5.
     layer
-        Layer, uint8, shape (n,).
+        Index of the layer, uint8, shape (n,).
     remaining
         Remaining fraction of each particle, in steps of 1/65535, uint16, shape (n,).
     """
@@ -255,7 +256,7 @@ class ParticleSet:
     ) -> "ParticleSet":
         """Return whole particles of one size and one material.
 
-        A Poisson's ratio of 0.3 is near those of bone and dentin (0.30 to 0.32).
+        The default Poisson's ratio, 0.3, is close to that of bone and dentin (0.30 to 0.32).
         """
         count = len(position_m)
         return cls(
@@ -277,14 +278,14 @@ class ParticleSet:
 
 @dataclass(frozen=True, eq=False)
 class NodeSupports:
-    """Nodes of a grid that are held, component by component.
+    """Supports of a grid: the displacement components of nodes that are held.
 
     Attributes
     ----------
     fixed
         Components that are held, bool, shape (n, 3).
     displacement_m
-        Prescribed displacement [m], shape (n, 3); read only where fixed.
+        Prescribed displacement [m], shape (n, 3), used only for fixed components.
     """
 
     fixed: Flags
@@ -294,9 +295,9 @@ class NodeSupports:
     def of(
         cls, node_count: int, *, held: Flags | None = None, displacement_m: Array | None = None
     ) -> "NodeSupports":
-        """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)).
+        """Return supports that hold whole nodes (``held``, shape (n,)) or components ((n, 3)).
 
-        They are held at zero unless a displacement is given.
+        The displacement there is zero unless ``displacement_m`` is given.
         """
         fixed = np.zeros((node_count, 3), np.bool_)
         if held is not None:
@@ -308,14 +309,14 @@ class NodeSupports:
 class PointSprings:
     """Springs to the ground at points of a body, in any direction.
 
-    A point that moves by u has the restoring force S u.
+    If a point moves by u, the restoring force is S u.
 
     Attributes
     ----------
     position_m
         The points [m], shape (k, 3).
     stiffness_N_m
-        Stiffness S of each, symmetric [N/m], shape (k, 3, 3).
+        Stiffness S of each spring, symmetric [N/m], shape (k, 3, 3).
     """
 
     position_m: Array
@@ -327,21 +328,21 @@ class PointSprings:
         return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
     def chosen(self, these: Flags) -> "PointSprings":
-        """Return the springs where ``these``, shape (k,), is true."""
+        """Return the springs for which ``these``, shape (k,), is True."""
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
     def restraint(self, centre_m: Array, length_m: float) -> Array:
         """Return the stiffness [N/m] against rigid motion about a point, shape (6, 6).
 
-        Rotations are multiplied by a length.
+        Rotations are multiplied by ``length_m``.
         """
         motion = rigid_modes((self.position_m - centre_m) / length_m, np.zeros(3))
         return np.asarray(np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion))
 
     def by_cell(self, grid: HexGrid) -> tuple[Int32s, Array]:
-        """Return the cells with springs, int32, shape (m,), and their ``sum N_a N_b S``.
+        """Return the cells with springs, int32, (m,), and the stiffness of their springs.
 
-        The blocks a <= b have shape (m, 36, 3, 3).
+        The stiffness is ``sum N_a N_b S``, in blocks a <= b of shape (m, 36, 3, 3).
         """
         cell, place = grid.locate(self.position_m)
         order = np.argsort(cell, kind="stable")
@@ -360,11 +361,12 @@ class PointSprings:
 def bed_stiffness(
     modulus_Pa: float, poisson_ratio: float, thickness_m: float
 ) -> tuple[float, float]:
-    """Return the stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
+    """Return the stiffness of a thin bonded layer, across and along the layer [N/m3].
 
-    A layer much thinner than it is wide cannot bulge. Across it the confined modulus E (1 - v) /
-    ((1 + v) (1 - 2 v)) acts, along it the shear modulus. This is a Winkler bed; its error is of the
-    order of thickness over width.
+    The layer is bonded on both sides. If it is much thinner than wide, it cannot bulge. Its modulus
+    is then the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)) across the layer, and the shear
+    modulus along the layer. This is a Winkler foundation. Its error is of the order of thickness
+    divided by width.
     """
     confined = (
         modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
@@ -381,13 +383,15 @@ def bed_springs(
     across_N_m3: float,
     along_N_m3: float,
 ) -> tuple[PointSprings, float]:
-    """Return springs where a tooth's voxels border on the bed.
+    """Return springs at the faces between a tooth's voxels and its bed, the ligament.
 
-    They act at the centres of the tooth's voxels. A face of area A and normal n has ``A (k_t I +
-    (k_n - k_t) n n^T)``, k_n and k_t the stiffness across and along it.
+    The springs act at the centres of the tooth's voxels. The spring of a face with area A and
+    normal n has the stiffness ``A (k_t I + (k_n - k_t) n n^T)``. k_n is the stiffness of the bed
+    across the face, k_t the stiffness along the face.
 
-    A border's faces form a staircase. Each face is weighed by the component of the smooth normal
-    along it, so that the weights sum to the area of the surface and not of the staircase.
+    The voxel faces form a staircase. The weight of a face is the component of the smoothed surface
+    normal along the normal of the face. The weighted areas therefore sum to the area of the surface
+    and not to that of the staircase.
 
     Parameters
     ----------
@@ -400,10 +404,10 @@ def bed_springs(
 
     Returns
     -------
-    The springs, and the area that the bed carries [m2].
+    The springs, and the area of the tooth on the bed [m2].
     """
-    # Chosen: the area of a sphere is 0.3 % too large, with 1 voxel 1.2 %, with 0.5 voxel 7 %. A
-    # wider filter rounds off edges.
+    # The filter width is chosen. With it, the area of a sphere is 0.3 % too large; it is 1.2 % too
+    # large with 1 voxel and 7 % with 0.5 voxel. A wider filter rounds edges.
     smooth = gaussian_filter(tooth.astype(np.float32), 1.5)
     slope = np.stack(np.gradient(smooth), axis=-1)
     positions = [np.zeros((0, 3))]
@@ -416,8 +420,8 @@ def bed_springs(
             faces = np.argwhere(tooth[inner] & bed[outer])
             if len(faces) == 0:
                 continue
-            # The mean of both sides is the normal at the face; the tooth's side alone loses 3 % of
-            # a sphere's area.
+            # The normal at a face is the mean of its two sides. With the tooth's side alone, the
+            # area of a sphere is 3 % too small.
             leans = slope[low][tuple(faces.T)] + slope[high][tuple(faces.T)]
             normal = leans / np.maximum(np.linalg.norm(leans, axis=1, keepdims=True), 1e-9)
             area = spacing_m**2 * np.abs(normal[:, axis])

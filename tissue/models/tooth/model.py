@@ -1,4 +1,4 @@
-"""Tooth under a bur: milled like bone, with the distance to the pulp and optional stress."""
+"""Tooth under a bur: removal as in bone, distance to the pulp, and optional stress and heat."""
 
 import numpy as np
 import warp as wp
@@ -22,45 +22,47 @@ __all__ = ["ToothModel"]
 
 
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
-"""Translation of the rigid tooth at the centroid of its stiff material."""
+"""Columns of the translation of the rigid tooth at the centroid of its stiff material."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 """Columns of the displacement of the rigid tooth at the bur.
 
-It is the displacement of the point that the bur touches, by translation and rotation of the tooth.
+They are the displacement, by translation and rotation of the tooth, of the point that the bur
+touches.
 """
 PULP_LIMIT_K = 5.5
-"""Temperature rise that the pulp may not survive [K] (Zach and Cohen 1965)."""
+"""Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Thicknesses of dentin over the pulp at which its loss is reported [m].
+"""Thicknesses of dentin over the pulp at which an event is reported [m].
 
-Below 0.5 mm the pulp is at risk (memory of the literature).
+Below 0.5 mm the pulp is at risk (from the literature, quoted from memory).
 """
 
 
 class ToothModel:
-    """Tooth that a bur drills: carving and forces of the bone model, and the dentin over the pulp.
+    """Tooth that a bur drills.
 
-    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the
-    start. Its smallest value so far is the remaining dentin at its thinnest. The error of the
-    distance is half a voxel. Where the voxels hold no pulp it is not measured: the pulp is then
-    farther away than the margin around the bur's reach.
+    Removal and forces are those of the bone model. The distance of the bur from the pulp is
+    measured to the voxels that the pulp filled at the start. The smallest distance so far is the
+    thickness of the remaining dentin at its thinnest point. The error of the distance is half a
+    voxel. If the voxels hold no pulp, the distance is not measured: the pulp is then farther away
+    than the margin around the bur's reach.
 
-    The tooth's motion follows the force at every tick by the compliance of its ligament, as of a
-    rigid body: at the centroid of its stiff material, and at the point that the bur touches. Stress
-    is solved in the background, on a copy of the voxels and the force taken every ``interval_s``.
-    The result is recorded one interval later, so that it does not depend on the duration of the
-    solve.
+    In every tick the tooth moves as a rigid body under the force, with the compliance of its
+    ligament. The motion is reported at the centroid of the stiff material, and at the point that
+    the bur touches. Stress is solved in the background, from a copy of voxels and force that is
+    made every ``interval_s``. The result is recorded one interval later. The record therefore does
+    not depend on the duration of the solve.
 
     Parameters
     ----------
     milling
-        The tooth's voxels and the bur; one layer named ``pulp``.
+        Model with the tooth's voxels and the bur. One layer is named ``pulp``.
     stress
-        Finite elements of the whole tooth; None where the scene needs only the force.
+        Finite elements of the whole tooth; None if the scene needs only the force.
     interval_s
         Time between two solves of the stress [s].
     heat
-        Heat in the whole tooth; None where the scene does not include it.
+        Temperature of the whole tooth; None if the scene does not include heat.
     device
         Warp device name.
     """
@@ -83,7 +85,7 @@ class ToothModel:
         is_pulp = volume.layer == self.layer_names.index("pulp")
         distance = _distance_to_pulp(volume.fraction, is_pulp, volume.spacing_m)
         self._reach_m = float(distance.max())
-        # Infinite where the region holds no pulp.
+        # Infinite if the voxels hold no pulp.
         self._pulp_near = bool(np.isfinite(self._reach_m))
         self.measure_names: tuple[str, ...] = ("dentin_over_pulp_mm",) if self._pulp_near else ()
         self._moves = slice(len(self.measure_names), len(self.measure_names) + 6)
@@ -170,7 +172,8 @@ class ToothModel:
         Raises
         ------
         InputError
-            If stress or heat is computed, whose state lies in another process or on a grid.
+            If stress or heat is computed: their state is in another process, or on a grid that is
+            not copied.
         """
         if self.stress is not None or self.heat is not None:
             raise InputError(
@@ -188,12 +191,12 @@ class ToothModel:
 
     @property
     def scheduling(self) -> str:
-        """Method, priority and cores of the background stress solve; empty without stress."""
+        """Description of the background solve: method, priority and cores; empty without stress."""
         return f"stress: {self.stress.scheduling}" if self.stress is not None else ""
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and its distribution [J]; None where the scene has no heat."""
+        """Energy of cutting and its distribution [J]; None if the scene has no heat."""
         return self.heat.balance_J if self.heat is not None else None
 
     @property
@@ -228,7 +231,7 @@ class ToothModel:
     def _take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return the bricks that lost material since the last call.
 
-        They are marked for the next solve.
+        The bricks (blocks of voxels) are marked for the next solve.
         """
         rows, left = self.milling.store.take_touched()
         self._touched[rows] = True
@@ -237,7 +240,7 @@ class ToothModel:
     def _contact(self, motion: ToolMotion) -> Array:
         """Return the contact point of the bur's head and the tooth [m].
 
-        It lies on the side from which the force comes. Without force it is the tip.
+        The point lies on the side from which the force acts. Without force it is the tip.
         """
         force = float(np.linalg.norm(self._load[:3]))
         radius = self._radius_m
@@ -245,7 +248,7 @@ class ToothModel:
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _see_pulp(self, heat: CuttingHeat) -> None:
-        """Take the temperature of the pulp at the end of an interval of the heat."""
+        """Read the pulp's temperature at the end of an interval of the heat; report limits."""
         before = self._pulp_rise_K
         self._pulp_rise_K = heat.pulp_rise_K
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
@@ -292,9 +295,10 @@ class ToothModel:
             self.heat.finish()
 
     def _lose_stress(self, lost: HelperLostError) -> None:
-        """Continue the run without the stress.
+        """Continue the run without stress after its process was lost.
 
-        After the tooth's compliance, the other process delivers nothing but the stress.
+        The run can continue, because the tooth's compliance, which it needs, was received at the
+        start.
         """
         self._stress_lost = True
         self.notices.append(
@@ -308,7 +312,7 @@ class ToothModel:
     def _measure_pulp(self, motion: ToolMotion) -> None:
         """Measure the distance to the pulp at a pose where the bur cuts.
 
-        A trial pose does not count.
+        A trial pose is not measured.
         """
         if not self._pulp_near:
             return
@@ -320,7 +324,7 @@ class ToothModel:
             self._response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
 
     def _report_pulp(self, near_m: float) -> None:
-        """Update the smallest distance and report when it passes a limit or the pulp itself."""
+        """Update the smallest distance; report when it falls below a limit or reaches the pulp."""
         before = self._least_m
         self._least_m = min(self._least_m, near_m)
         for limit in WARN_M:
@@ -331,7 +335,7 @@ class ToothModel:
 
 
 def _cross(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the cross product of the first three entries of two vectors, faster than NumPy's."""
+    """Return the cross product of the first three entries of two vectors, faster than NumPy."""
     (ax, ay, az) = a.tolist()[:3]
     (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -340,7 +344,7 @@ def _cross(a: Array, b: Array) -> tuple[float, float, float]:
 def _distance_to_pulp(fraction: Bytes, is_pulp: Flags, spacing_m: float) -> Singles:
     """Return the distance of every voxel's centre from the pulp's surface [m].
 
-    It is 0 inside, and infinite where there is no pulp.
+    It is 0 inside the pulp, and infinite if there is no pulp.
     """
     from scipy.ndimage import distance_transform_edt
 

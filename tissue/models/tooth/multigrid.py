@@ -1,10 +1,11 @@
-"""Multigrid on the cells' grid: coarser grids of twice the edge by exact Galerkin projection.
+"""Multigrid preconditioner: each coarser grid has twice the edge (exact Galerkin projection).
 
-A change of a few cells is transferred up through the few coarse cells over them, so that the
-hierarchy always belongs to the present body. One symmetric V-cycle in single precision is the
-preconditioner of conjugate gradients. It smooths by Chebyshev's polynomial on the finest grid,
-which has no assembled rows. On the coarser grids it smooths by Gauss-Seidel over eight colours, in
-reverse order afterwards. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
+After a change of a few cells, only the few coarse cells that contain them are computed again. The
+hierarchy therefore always belongs to the present body. One symmetric V-cycle in single precision is
+the preconditioner of conjugate gradients. On the finest grid, which has no assembled rows, the
+smoother is Chebyshev's polynomial. On the coarser grids it is Gauss-Seidel over eight colours.
+After the coarse correction the colours run in reverse order. (Trottenberg, Oosterlee, Schueller
+2001, Multigrid, ch. 2.)
 """
 
 from typing import Any
@@ -32,7 +33,7 @@ __all__ = ["GridHierarchy", "GridTransfer"]
 
 
 class GridTransfer:
-    """Recorded launches between two levels.
+    """Recorded kernel launches between two levels.
 
     Parameters
     ----------
@@ -44,9 +45,9 @@ class GridTransfer:
     Attributes
     ----------
     down
-        Restricts the fine residual to the coarse load.
+        Launch that restricts the fine residual to the coarse load.
     up
-        Adds the coarse displacement to the fine displacement.
+        Launch that adds the coarse displacement to the fine displacement.
     """
 
     def __init__(
@@ -87,7 +88,8 @@ class GridTransfer:
         self.down = launch(restrict, coarse_grid.node_count, inputs, [coarse.load])
         inputs = [
             put(coarse_of, wp.int32, device),
-            # A node in the middle of a coarse edge, face or cell is the mean of 2, 4 or 8 nodes.
+            # The value at a node in the middle of a coarse edge, face or cell is the mean of 2, 4
+            # or 8 coarse nodes.
             put(0.5 ** odd.sum(axis=1), wp.float32, device),
             free,
             coarse.vector,
@@ -95,7 +97,7 @@ class GridTransfer:
         self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
 
     def project(self, changed: Int32s) -> Int32s:
-        """Sum the coarse cells over the changed cells again, and return these coarse cells."""
+        """Sum the coarse cells that contain changed cells again, and return these coarse cells."""
         cells = np.unique(self._parent[changed])
         arrays = [*self._inputs, put(cells, wp.int32, self._device), 0]
         wp.launch(
@@ -111,28 +113,28 @@ class GridTransfer:
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
 
-On the molar's cells of 2.4 mm one sweep would double the count of iterations to 1e-6.
+With one smoothing sweep instead of a direct solve on the molar's cells of 2.4 mm, the number of
+iterations to a tolerance of 1e-6 would double.
 """
 SPLIT_NODES = 4000
-"""Largest number of nodes of a grid whose launches run on one core.
+"""Largest number of nodes of a grid whose kernel launches run on one core.
 
-A hand-over to another thread takes about 50 us, so that splitting pays above 0.2 ms of work.
+Passing work to another thread takes about 50 us, so that splitting saves time above 0.2 ms of work.
 """
 NULL_CUT = 1e-13
-"""Relative cut of the scaled eigenvalues of the coarsest grid.
+"""Relative threshold for the scaled eigenvalues of the coarsest grid.
 
-Eigenvalues below this share of the largest belong to motions that no finer node takes.
+Eigenvalues below this fraction of the largest one belong to motions that move no finer node.
 """
 
 
 class GridLevel:
-    """One coarser grid: its rows, its vectors, and Gauss-Seidel over eight colours on it.
+    """One coarser grid: rows of the stiffness, vectors, and Gauss-Seidel over eight colours.
 
     Attributes
     ----------
     load, vector, residual
-        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and its residual [N],
-        shape (n,).
+        Warp arrays of vec3f, shape (n,): load [N], computed displacement [m] and residual [N].
     """
 
     def __init__(self, grid: HexGrid, *, device: str, cores: int | None) -> None:
@@ -165,7 +167,7 @@ class GridLevel:
         return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=cores)
 
     def _sweeps(self) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
-        """Return Gauss-Seidel sweeps, colour after colour: from rest, and in reverse otherwise."""
+        """Return two Gauss-Seidel sweeps: from zero, and in reverse colour order."""
         blocks = self.blocks
         first = []
         last = []
@@ -189,19 +191,19 @@ class GridLevel:
         return first, last[::-1]
 
     def relax_first(self) -> None:
-        """Sweep from rest, and compute the residual."""
+        """Run the sweep that starts from zero, and compute the residual."""
         for sweep in self._first:
             sweep()
         self._leave_residual()
 
     def relax_last(self) -> None:
-        """Sweep in reverse from the corrected displacement."""
+        """Run the reverse sweep, from the corrected displacement."""
         for sweep in self._last:
             sweep()
 
 
 class GridHierarchy:
-    """Preconditioner of a body's stiffness: one V-cycle over grids of doubling edge.
+    """Preconditioner of a body's stiffness: one V-cycle over grids whose edge doubles.
 
     Parameters
     ----------
@@ -211,7 +213,8 @@ class GridHierarchy:
     Attributes
     ----------
     finest, coarser
-        The body's grid, and the grids of doubling edge; the last one is solved directly.
+        The body's grid, and the coarser grids, each with twice the edge. The last one is solved
+        directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
@@ -229,9 +232,9 @@ class GridHierarchy:
         self._stale = True
 
     def update(self, changed: Int32s) -> None:
-        """Transfer a change of these cells through all grids.
+        """Update all grids after a change of these cells.
 
-        The coarsest grid waits for `refresh`.
+        The direct solve of the coarsest grid is updated by `refresh`.
         """
         self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
         for level, transfer in zip(self.coarser, self._transfers, strict=True):
@@ -244,12 +247,12 @@ class GridHierarchy:
         return np.asarray(self.finest.diagonal.numpy())
 
     def refresh(self) -> None:
-        """Solve the coarsest grid anew after a change."""
+        """Decompose the stiffness of the coarsest grid anew after a change."""
         if not self._stale:
             return
         self.finest.bound_eigenvalues()
         matrix = self.coarser[-1].blocks.matrix().toarray()
-        # Rounding makes it unsymmetric, and `eigh` reads one half.
+        # Rounding makes the matrix unsymmetric, and `eigh` reads only one triangle.
         matrix = 0.5 * (matrix + matrix.T)
         size = np.diag(matrix)
         scale = np.where(size > 0.0, 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0)), 0.0)
@@ -260,14 +263,14 @@ class GridHierarchy:
         self._stale = False
 
     def __call__(self, residual: Array) -> Array:
-        """Return a correction [m] for a residual [N], shapes (n, 3).
+        """Return a correction [m] for a residual [N], each of shape (n, 3).
 
-        The map is linear, symmetric up to rounding, and positive.
+        The map is linear, positive, and symmetric apart from rounding.
         """
         return self.finest.solve(residual, self._correct)
 
     def _correct(self) -> None:
-        """Compute the coarser grids' correction of the finest residual, and add it there."""
+        """Add the coarser grids' correction for the finest residual to the finest vector."""
         self._transfers[0].down()
         for level, transfer in zip(self.coarser, self._transfers[1:], strict=False):
             level.relax_first()

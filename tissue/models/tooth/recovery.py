@@ -1,7 +1,7 @@
-"""Recovered stress, compliance of the supports, and first guesses of solves.
+"""Recovered stress, compliance of the supports, and first guesses for solves.
 
-Stress is averaged over particles within a fixed length. It converges where the stress at a point
-does not.
+Stress is averaged over particles within a fixed distance. This mean converges also where the stress
+at a point does not.
 """
 
 from dataclasses import dataclass
@@ -40,10 +40,10 @@ class StressPoints:
     cells
         The cells of the body.
     row
-        Rows of the next three arrays, shape (n,).
+        Row of each point in the next three arrays, shape (n,).
     cell, place, lame_Pa
-        Warp arrays: cell of each row, position in it, 0 to 1 along each edge, and Lame constants
-        [Pa], shape (rows, 2).
+        Warp arrays: cell of each row, position in the cell, 0 to 1 along each edge, and Lame
+        constants [Pa], shape (rows, 2).
     """
 
     def __init__(
@@ -65,9 +65,9 @@ class StressPoints:
         self._stress = wp.empty((self._count, 6), wp.float64, cells.device)
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Return the stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m].
+        """Return the stress xx, yy, zz, yz, xz, xy [Pa], (n, 6), for nodal displacements [m].
 
-        The next call overwrites it.
+        The next call overwrites the returned array.
         """
         self._cells.displacement.assign(displacement_m)
         self._cells.run(point_stress, self._count, self._inputs, [self._stress])
@@ -77,7 +77,7 @@ class StressPoints:
 def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
     """Return the von Mises stress and the principal stresses, largest first.
 
-    Stresses of shape (n, 6) give shapes (n,) and (n, 3).
+    For stresses of shape (n, 6) the shapes are (n,) and (n, 3).
     """
     count = len(stress_Pa)
     given = put(stress_Pa, wp.float64, device)
@@ -92,33 +92,33 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
 REACH_M = 0.6e-3
 """Radius of the ball over which stress is averaged [m].
 
-It is about the radius of a bur, and the bur's force is spread over this radius too. Next to a cut
-the error at cells of 0.3 mm is 6 %, and it decreases with the cells.
+It is about the radius of a bur; the bur's force is spread over a similar radius. Next to a cut, the
+error with cells of 0.3 mm is 6 %, and it decreases with smaller cells.
 """
 CELLS_A_REACH = 2.0
-"""Cells in the reach from which on the particles of a cell are averaged.
+"""Ratio of reach to cell edge from which the stress of each cell's particles is averaged first.
 
-Their mean stress equals the stress at their centre of mass up to the second order in the cell's
-edge. The whole recovery has an error of this order.
+The mean stress of these particles differs from the stress at their centre of mass by an error of
+second order in the cell's edge. The whole recovery has an error of this order.
 """
 
 
 class StressRecovery:
-    """Mean stress around points, over the particles of each point's own layer within a fixed reach.
+    """Mean stress around points, from the particles of each point's layer within a fixed reach.
 
-    The weight of a particle is its remaining volume, where its cell carries load, times
-    `ball_weight` of its distance. Layers are never mixed, since the stress jumps where the modulus
-    does.
+    The weight of a particle is its remaining volume times `ball_weight` of its distance. It is zero
+    if the particle's cell carries no load. Layers are not mixed, because the stress is
+    discontinuous where the modulus is.
 
     Parameters
     ----------
     particles, cells
-        The body.
+        Particles and cells of the body.
     place_m, layer
-        The points [m], shape (k, 3), and the layer of each, shape (k,).
+        The points [m], shape (k, 3), and the layer of each point, shape (k,).
     reach_m
-        Radius of the ball [m]; larger than half the diagonal of the particles' lattice, or a point
-        may have no particle in reach.
+        Radius of the ball [m]. If it is not larger than half the diagonal of the particles'
+        lattice, a point may have no particle in reach.
     """
 
     def __init__(
@@ -178,9 +178,9 @@ class StressRecovery:
         return np.asarray(np.bincount(self._group, weights=values))
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] at nodal displacements [m].
+        """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] for nodal displacements [m].
 
-        Its shape is (k, 6). It is NaN where no particle of the layer remains within reach.
+        The stress has shape (k, 6). It is NaN where no particle of the layer remains within reach.
         """
         left = self._total(self._volume * self._cells.remaining) * (
             self._cells.live[self._cell] > 0
@@ -198,19 +198,19 @@ class StressRecovery:
 
 @dataclass(frozen=True, eq=False)
 class SupportCompliance:
-    """Rigid motion of a part of a body for a wrench on it, both about a reference point.
+    """Compliance of a part of a body: its rigid motion under a wrench.
 
     Attributes
     ----------
     matrix
-        Translation [m] and rotation [rad] for force [N] and torque [N m], symmetric positive
-        definite, shape (6, 6).
+        Matrix from force [N] and torque [N m] to translation [m] and rotation [rad], symmetric
+        positive definite, shape (6, 6).
     reference_m
-        The reference point [m], shape (3,).
+        Reference point of motion and wrench [m], shape (3,).
     solutions
-        The six solves; if any has not converged the matrix must not be used.
+        The six solves. If one of them has not converged, the matrix must not be used.
     loads_N
-        Nodal forces of each [N], shape (n, 3).
+        Nodal forces of each solve [N], shape (n, 3).
     asymmetry
         Largest difference of the matrix from its transpose before it was made symmetric, relative
         to the geometric mean of the two diagonal entries.
@@ -236,11 +236,11 @@ def support_compliance(
     tolerance: float = 1e-4,
     start: SupportCompliance | None = None,
 ) -> SupportCompliance:
-    """Return the compliance of the part of a body where ``weights``, shape (n,), are not zero.
+    """Return the compliance of the part of a body with nonzero ``weights``, shape (n,).
 
-    The wrench is spread over the nodes as ``f = w R G^-1 q``. The rigid motion is the weighted
-    least-squares fit ``G^-1 sum w R^T u``, with R the unit rigid motions and ``G = sum w R^T R``.
-    The fit is the transpose of the spread, so the matrix is symmetric for any weights.
+    The wrench q is distributed to the nodes as ``f = w R G^-1 q``. The rigid motion is the weighted
+    least-squares fit ``G^-1 sum w R^T u``. R are the unit rigid motions and ``G = sum w R^T R``.
+    The fit is the transpose of the distribution, so the matrix is symmetric for any weights.
 
     Parameters
     ----------
@@ -251,9 +251,9 @@ def support_compliance(
     reference_m
         Reference point of torque and rotation [m], shape (3,).
     tolerance
-        Relative error in the energy norm of each solve.
+        Allowed relative error of each solve in the energy norm.
     start
-        An earlier result whose displacements the solves start from.
+        Earlier result. The solves start from its displacements.
     """
     used = np.where(body.carrying, weights, 0.0)
     motions = rigid_modes(body.grid.node_position_m, reference_m)
@@ -270,7 +270,7 @@ def support_compliance(
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept
-    # Entries have different units, so that each is compared with the diagonal.
+    # The entries have different units, so that each entry is compared with the diagonal.
     size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
     asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
     return SupportCompliance(
@@ -279,27 +279,28 @@ def support_compliance(
 
 
 NULL_CUT = 1e-6
-"""Relative cut of the scaled eigenvalues of the energies between solutions.
+"""Relative threshold for the scaled eigenvalues of the matrix of energies between solutions.
 
-Eigenvalues below this share of the largest are errors of the solves.
+Eigenvalues below this fraction of the largest one are errors of the solves.
 """
 
 
 class FirstGuess:
     """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
 
-    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``. The known part of a
-    force that has grown, turned or moved then costs no iterations. If the body has changed since,
-    the guess is a little worse.
+    For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``. If the
+    force has grown, turned or moved, the part that the earlier solutions contain then needs no
+    iterations. If the body has changed since these solutions, the guess is slightly worse.
 
     Parameters
     ----------
     kept
-        Solutions that are always kept, shape (n, 3) each, and the load of each: the six of the
-        support compliance.
+        Solutions that are always kept, each of shape (n, 3), and their loads: the six solutions of
+        the support compliance.
     recent
-        Number of latest solutions that are kept in addition. While a body is cut, two leave 3
-        iterations and six leave 5, since the older ones belong to a fuller body.
+        Number of latest solutions that are kept in addition. While a body is cut, a solve takes 3
+        iterations with two solutions and 5 iterations with six, because older solutions belong to a
+        body with more material.
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
@@ -312,7 +313,7 @@ class FirstGuess:
         ).reshape(len(kept), len(kept))
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
-        """Store a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
+        """Store a solution [m] and its load [N], shape (n, 3), in place of the oldest solution."""
         if not load_N.any():
             return
         if len(self._solutions) == self._most:
@@ -326,7 +327,8 @@ class FirstGuess:
         self._loads.append(load)
         column = np.array(
             [
-                # Equal for exact solutions: the mean keeps the matrix symmetric.
+                # The two products are equal for exact solutions. Their mean keeps the matrix
+                # symmetric.
                 0.5 * (dot(u, load) + dot(moved, f))
                 for u, f in zip(self._solutions, self._loads, strict=True)
             ]
@@ -336,7 +338,7 @@ class FirstGuess:
         )
 
     def __call__(self, load_N: Array) -> Array:
-        """Return a guess of the displacement [m] for a load [N], shapes (n, 3)."""
+        """Return a guess of the displacement [m] for a load [N], each of shape (n, 3)."""
         guess = np.zeros(load_N.size)
         load = load_N.ravel()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))

@@ -19,7 +19,7 @@ CENTRE = np.full(3, 0.5)
 
 
 class CellStiffness:
-    """Packed stiffness of every cell, summed over its particles.
+    """Packed stiffness of every cell, summed over the particles of the cell.
 
     The sum is computed by :mod:`kernels.particle_stiffness`.
 
@@ -28,27 +28,28 @@ class CellStiffness:
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Share of a full cell's inner stiffness that replaces the missing stiffness of a cell's
-        particles.
+        Fraction of a full cell's inner stiffness that is added where the particles of a cell leave
+        stiffness missing.
     springs
         Springs to the ground at points of the cells; default none.
     cores
-        Processor cores to split launches over; default all.
+        Number of processor cores to split kernel launches over; default all.
 
     Attributes
     ----------
     order
-        The caller's index of each particle as sorted by cell, shape (p,); ``rank`` is its inverse.
+        Caller's index of each particle in the order sorted by cell, shape (p,). ``rank`` is the
+        inverse.
     cell_start
         First sorted particle of each cell, int32, shape (c + 1,).
     particle_cell
         Cell of each sorted particle, int32, shape (p,).
     strips
-        The cells in strips, which the product runs over; springs, and cells of other particles, are
-        added to it.
+        The cells that the product handles in strips. Springs, and cells with particles at other
+        positions, are added to this product.
     others
-        Adds to ``force`` the product of these other cells, their springs included, with
-        ``displacement``, both Warp arrays of vec3d, shape (n,); None where there are no other
+        Product of these other cells, including their springs, with ``displacement``. A call adds it
+        to ``force``. The two are Warp arrays of vec3d, shape (n,). None if there are no other
         cells.
     """
 
@@ -108,7 +109,7 @@ class CellStiffness:
         of_springs = regular[sprung]
 
         def packed(cells: Integers, rows: Integers, blocks: Any) -> PackedProduct | None:
-            """Return the product of some cells with the displacement, None without cells."""
+            """Return the product of some cells with the displacement; None without cells."""
             if len(cells) == 0:
                 return None
             return PackedProduct(
@@ -133,16 +134,16 @@ class CellStiffness:
 
     @property
     def fill(self) -> Array:
-        """Volume of each cell's particles over the volume of the cell."""
+        """Volume of each cell's particles divided by the volume of the cell."""
         return np.asarray(self.fill_on.numpy())
 
     @property
     def live(self) -> Bytes:
-        """1 where a cell carries load."""
+        """1 for each cell that carries load, otherwise 0."""
         return np.asarray(self.live_on.numpy())
 
     def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
-        """Set the remaining fraction of sorted particles; `update` of their cells applies it."""
+        """Set the remaining fraction of sorted particles. `update` of their cells applies it."""
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
@@ -155,7 +156,7 @@ class CellStiffness:
         self._weigh(changed)
 
     def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel once; its last input is the first thread's index."""
+        """Launch a kernel once; the last input is the index of the first thread."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def update(self, cells: Int32s) -> None:
@@ -191,7 +192,7 @@ class CellStiffness:
     def product(self, displacement_m: Array) -> Array:
         """Return the nodal forces [N] for nodal displacements [m], without an assembled matrix.
 
-        Both have shape (n, 3).
+        Forces and displacements have shape (n, 3).
         """
         self.displacement.assign(displacement_m)
         self.strips.product(self.displacement, self.force)
@@ -213,16 +214,16 @@ class CellStiffness:
 def full_cell_stiffness(
     edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float
 ) -> Array:
-    """Return the stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24).
+    """Return the stiffness [N/m] of a cell, the sum of B^T D B at points, shape (24, 24).
 
-    It uses plain NumPy.
+    The function uses only NumPy.
 
     Parameters
     ----------
     edge_m
         Edge of the cell [m].
     points
-        Places in the cell, 0 to 1 along each edge, shape (p, 3).
+        Positions in the cell, 0 to 1 along each edge, shape (p, 3).
     weights
         Volume of each point [m3], shape (p,).
     first_Pa, shear_Pa
@@ -256,7 +257,7 @@ def strain_matrix(place: Array, edge_m: float) -> Array:
 def _inner_stiffness(edge_m: float) -> Array:
     """Return the stiffness of a full cell minus the stiffness of its centre point, shape (24, 24).
 
-    The Lame constants are 1.
+    The Lame constants are set to 1.
     """
     gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
     volume = edge_m**3

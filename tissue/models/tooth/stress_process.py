@@ -1,8 +1,8 @@
-"""Stress in the background, solved when it is due: in this process or in a separate one.
+"""Background solves of the stress in a tooth, in this process or in a separate process.
 
-Ticks and solves in one Python process wait for each other's interpreter lock, at the 99th
-percentile for most of a millisecond. A separate process receives the removed material and the force
-of the bur. Its frames arrive at the end of the run.
+Ticks and solves in one Python process wait for each other's interpreter lock. The 99th percentile
+of this wait is most of a millisecond. A separate process avoids it. It receives the removed
+material and the force of the bur, and sends its frames at the end of the run.
 """
 
 import os
@@ -28,23 +28,23 @@ __all__ = ["Bricks", "Drilled", "InlineStressSolver", "StressProcess", "StressSo
 
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
-"""Largest time of the other process before its first answer, and for one solve [s].
+"""Longest wait for the other process, before its first answer and for one solve [s].
 
-They only end the wait for a process that hangs.
+The limits only end the wait for a process that hangs.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Drilled:
-    """Change of the drilled voxels and load, the input of a solve.
+    """Input of a solve: changes of the drilled voxels, and the load.
 
     Attributes
     ----------
     time_s
         Time of the state [s].
     rows, left
-        Bricks that lost material since the last solve, shape (n,), and their remaining fraction in
-        steps, shape (n, 512).
+        Rows of the bricks (blocks of voxels) that lost material since the last solve, shape (n,).
+        Remaining fraction of their voxels, 65535 = full, shape (n, 512).
     force_N, point_m
         Force on the tooth [N] and its point of action [m], shape (3,) each.
     """
@@ -63,7 +63,7 @@ class Bricks:
     Attributes
     ----------
     places, remaining
-        Grid position of each brick, and its remaining fraction in steps, as in `BrickStore`.
+        Grid position of each brick, and remaining fraction of its voxels, as in `BrickStore`.
     grid
         Lattice of the bricks.
     """
@@ -79,7 +79,7 @@ class Bricks:
 
 
 class InlineStressSolver:
-    """Stress solver in this process, which solves in `wait`.
+    """Stress solver in this process. The solve runs in `wait`.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class InlineStressSolver:
 
     @property
     def scheduling(self) -> str:
-        """Place of the solves, in words."""
+        """Description of where the solves run."""
         return "between the ticks"
 
     def begin(self, state: Drilled) -> None:
@@ -144,8 +144,8 @@ class StressProcess:
     InputError
         As `StressField`.
     HelperLostError
-        If the process ends, is stopped or hangs, here and in every wait for it; its frames are
-        lost with it.
+        If the process ends, is stopped or hangs. `__init__` and every wait for the process may
+        raise it. The frames of the process are then lost.
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
@@ -159,11 +159,11 @@ class StressProcess:
 
     @property
     def scheduling(self) -> str:
-        """Priority and cores of the solves, in words."""
+        """Description of the priority and the cores of the solves."""
         return self._helper.priority.described
 
     def begin(self, state: Drilled) -> None:
-        """Send the input of a solve, for which the other process waits."""
+        """Send the input of a solve to the other process."""
         arrays = (state.rows, state.left, state.force_N, state.point_m)
         self._helper.priority.step_back()
         self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
@@ -190,11 +190,11 @@ class StressProcess:
 
 
 StressSolver = InlineStressSolver | StressProcess
-"""Solves that start in a tick and are awaited outside it."""
+"""Solver whose solves start in a tick, and which is waited for between ticks."""
 
 
 def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
-    """Return a state from the bytes of its arrays, which are faster to send than arrays."""
+    """Return the input of a solve from the bytes of its arrays; bytes are faster to send."""
     steps = np.frombuffer(left, dtype=np.uint16).reshape(-1, BRICK_VOXELS)
     return Drilled(
         time_s,
@@ -206,11 +206,11 @@ def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: b
 
 
 def _serve() -> None:
-    """Solve for the states on the standard input until it ends.
+    """Solve for every input that is read from the standard input, until it ends.
 
-    The standard output is for answers alone.
+    The standard output is used only for answers.
     """
-    limit_cores(1)  # the others are the ticks'
+    limit_cores(1)  # the other cores are for the ticks
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
 
@@ -229,7 +229,7 @@ def _serve() -> None:
             answer(here.wait())
         answer(here.series.frames)
     except (EOFError, BrokenPipeError):
-        return  # the ticks ended first
+        return  # the process with the ticks ended first
     except InputError as problem:
         answer(problem)
     except Exception as problem:

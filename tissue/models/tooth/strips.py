@@ -1,6 +1,6 @@
 """Products of the stiffness of a grid's cells with a vector.
 
-They run in strips of eight cells along z, or over packed cells.
+The products run over strips of eight cells along z, or over single cells with packed stiffness.
 """
 
 from typing import Any
@@ -29,14 +29,14 @@ class PackedProduct:
     cells, rows
         Cells of the product, shape (k,), and their rows in ``stiffness``.
     stiffness
-        Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`; read at every call.
+        Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`. Every call reads it.
     live
-        Warp array, 0 where a cell carries no load, shape (c,).
+        Warp array, shape (c,), with 0 for each cell that carries no load.
     vector, force
-        Warp arrays of vec3d: displacement of the nodes [m], and the force that the product is added
-        to [N], shape (n,).
+        Warp arrays of vec3d, shape (n,): displacement of the nodes [m], and the force [N] to which
+        the product is added.
     cores
-        Processor cores to split launches over.
+        Number of processor cores to split kernel launches over.
     """
 
     def __init__(
@@ -83,26 +83,27 @@ class PackedProduct:
 
 
 AT_CUBE = 1e-6
-"""Distance of a particle from a cube's centre, in edges, that counts as rounding."""
+"""Largest distance of a particle from a cube's centre that is rounding [cell edges]."""
 
 
 class StripLayout:
-    """Positions of nodes and cells in lanes.
+    """Positions of nodes and cells in lane vectors, the memory layout of SIMD kernels.
 
-    A pencil is the nodes with equal x and y. Its nodes follow each other along z. Then comes space
-    for a strip that reaches beyond the last of them.
+    A pencil is the row of all nodes, or of all cells, with equal x and y. A strip is eight cells in
+    a row along z. In memory the nodes of a pencil follow each other along z. After the last node
+    there is free space for a strip that extends beyond it.
 
     Attributes
     ----------
     slots
-        Length of a lane vector; ``slot`` is the position of each node, int32, shape (n,).
+        Length of a lane vector. ``slot`` is the position of each node in it, int32, shape (n,).
     strip
-        Strip of each cell and its lane there, int32, shape (c, 2).
+        Strip of each cell, and lane of the cell in the strip, int32, shape (c, 2).
     start, base
-        First strip of each pencil of cells, shape (p + 1,), and slots of a strip's lowest nodes,
-        shape (s, 4), int32.
+        First strip of each pencil of cells, shape (p + 1,), and slots of the four lowest nodes of
+        each strip, shape (s, 4), int32.
     colours
-        Pencils that share no node, int32 arrays.
+        Groups of pencils that share no node, int32 arrays.
     """
 
     def __init__(self, grid: HexGrid) -> None:
@@ -134,18 +135,18 @@ class StripLayout:
 
 
 class LaneVector:
-    """Vector of three components a node in lanes, with two views of one memory.
+    """Vector with three components for each node, in lane order, with views of the same memory.
 
-    One view has single values, the other has eight values from every slot on.
+    The first view has single values. The two other views have groups of eight values.
 
     Attributes
     ----------
     single
         Shape (3, slots).
     from_each
-        Eight numbers from each slot on, shape (3, slots - 7).
+        The eight numbers that begin at each slot, shape (3, slots - 7).
     by_eight
-        The slots in groups of eight, shape (3, slots / 8).
+        Groups of eight slots without overlap, shape (3, slots / 8).
     """
 
     def __init__(self, layout: StripLayout, scalar: Any, *, device: str) -> None:
@@ -169,16 +170,17 @@ class LaneVector:
 
 
 class StripProduct:
-    """Recorded product of strips with a lane vector, added to another lane vector.
+    """Recorded product of strips with a lane vector; it is added to another lane vector.
 
     Parameters
     ----------
     layout
         The strips.
     weight
-        Their weights, a Warp array of single or double precision, shape (strips, WEIGHTS, LANES).
+        Weights of the strips, a Warp array of single or double precision, shape (strips, WEIGHTS,
+        LANES).
     vector, force
-        Vector of equal precision, and the vector that the product is added to.
+        Lane vector of the same precision, and the lane vector to which the product is added.
     """
 
     def __init__(
@@ -219,23 +221,24 @@ class StripProduct:
 
 
 class CellStrips:
-    """Weights of a body's cells in strips, and the exact product.
+    """Weights of a body's cells in strips, and the exact product with them.
 
-    The weights are in double precision, and in single precision for smoothing. Cells whose
-    particles do not lie at the centres of their eight cubes are left out of both.
+    The weights are stored in double precision, and again in single precision for smoothing. A cell
+    is divided into eight cubes. Cells whose particles do not lie at the centres of these cubes have
+    no weights.
 
     Parameters
     ----------
     grid
         The cells.
     place, particle_cell
-        Position of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and the
+        Position of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and its
         cell, shape (p,).
 
     Attributes
     ----------
     regular
-        Cells that the weights hold, bool, shape (c,).
+        True for each cell with weights, bool, shape (c,).
     weight, single
         Warp arrays, shape (strips, WEIGHTS, LANES).
     """
@@ -245,7 +248,7 @@ class CellStrips:
     ) -> None:
         self.layout = StripLayout(grid)
         self.device = device
-        # Cubes of half an edge have their centres at 1/4 and 3/4.
+        # The cubes have half the cell's edge, so that their centres lie at 1/4 and 3/4.
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
         self.regular = np.ones(grid.cell_count, np.bool_)
         self.regular[particle_cell[off]] = False
@@ -264,7 +267,7 @@ class CellStrips:
     def update(
         self, particles: list[Any], live: Any, cells: Any, *, edge_m: float, strength: float
     ) -> None:
-        """Sum the weights of some cells over their particles again, as `kernels.lane_vectors`.
+        """Sum the weights of some cells over their particles again, see `kernels.lane_vectors`.
 
         `cells` is a Warp array.
         """
@@ -273,7 +276,7 @@ class CellStrips:
         wp.launch(cube_weights, dim=len(cells), inputs=inputs, outputs=outputs, device=self.device)
 
     def product(self, vector: Any, force_out: Any) -> None:
-        """Compute the product of the double precision weights with a vector of nodes.
+        """Compute the product of the double-precision weights with a vector of nodes.
 
         Both vectors are Warp arrays of vec3d, shape (n,).
         """
@@ -295,7 +298,7 @@ def _pencil_keys(place: Int32s, width: int) -> Ints:
 def _pencils(place: Int32s, width: int) -> tuple[Ints, Ints, Ints]:
     """Return the key of each pencil and its lowest and highest position along z.
 
-    The positions are in order.
+    The positions are sorted.
     """
     keys, first = np.unique(_pencil_keys(place, width), return_index=True)
     last = np.append(first[1:], len(place)) - 1

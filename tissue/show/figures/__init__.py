@@ -17,20 +17,20 @@ __all__ = ["draw_pictures"]
 
 
 def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
-    """Draw a run's pictures as png, svg or pdf.
+    """Draw the pictures of a run as png, svg or pdf.
 
-    ``force_torque`` is drawn for every run. The other pictures depend on the run:
+    ``force_torque`` is drawn for every run. These pictures depend on the run:
 
-    - ``bone_before_after`` and ``removed_depth`` for voxels,
+    - ``bone_before_after`` and ``removed_depth`` for a tissue of voxels,
     - ``section`` and ``force_depth`` for a tissue of several layers that reports more than volumes,
       such as a tooth,
-    - ``press`` and ``held`` for fields,
-    - ``played`` for a run by a hand on a device,
-    - pictures that the table of anatomies adds, such as ``insertion``.
+    - ``press`` and ``held`` for a run with fields,
+    - ``played`` for a run with a device,
+    - pictures that the registry of anatomies adds, such as ``insertion``.
 
     Returns
     -------
-    A sentence for every picture that could not be drawn.
+    A sentence for each picture that could not be drawn.
     """
     import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
 
@@ -58,7 +58,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
             draw_removed_depth(run, depth, path("removed_depth"))
             has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
             side = {"axis": depth.axis, "outward": depth.outward}
-            # a tool that does not turn removes nothing, so that its section would show nothing new
+            # a tool that does not rotate removes nothing, so its section would show nothing new
             is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
             if is_drilled or parts.keep_clear is not None:
                 draw_section(run, path("section"), **side)
@@ -88,9 +88,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
 @contextmanager
 def _background() -> Iterator[ThreadPoolExecutor]:
-    """Provide a thread that renders in 3D. An exception in the block, such as Ctrl-C, does not
-    wait for it.
-    """
+    """Provide a thread that renders in 3D; an exception in the block does not wait for it."""
     with ThreadPoolExecutor(1) as thread:
         try:
             yield thread

@@ -48,35 +48,36 @@ __all__ = ["draw_before_after", "draw_removed_depth"]
 
 
 HEIGHTS_PX = 64, 170
-"""Above and below the renderings [pixel]."""
+"""Heights above and below the renderings [pixels]."""
 TILT_DEG = (36.0, 12.0)
 OPENED_DEG = (58.0, 12.0)
-"""Angles of the view from the tool's axis, down and to the side, for a whole and an opened bone."""
+"""Angles of the view from the tool's axis (downwards, sideways), for a whole and an opened bone."""
 DEEP = 0.5
-"""A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom
-is not seen.
+"""Ratio of depth to narrower side above which a cut is shown opened.
+
+The bottom of such a cut is not visible from the side of the tool.
 """
 CUT_OUT = (0.82, 0.82, 0.85)
-"""Colour of faces at the end of the simulated region, beyond which the bone continues."""
+"""Colour of faces at the end of the simulated region; the bone continues beyond these faces."""
 MOST_POINTS = 20_000
-"""Points of a surface that place the camera: enough for the extent of the surface."""
+"""Number of points of a surface from which the camera is placed; enough to find the extent."""
 WIDEST_ARC = 0.4
-"""Widest arrow around the tool's axis, as a share of the picture's height."""
+"""Largest width of the arrow around the tool's axis, relative to the height of the picture."""
 
 
 @dataclass(frozen=True)
 class _View:
-    """Bone before and after a run, cut open where needed, and the view of it.
+    """Bone before and after a run, cut open if necessary, and the view of the bone.
 
     Attributes
     ----------
     volume, remaining
-        Bone before and after the run, without the part in front of the plane.
+        Bone before and after the run. The part in front of the plane is left out.
     depth
-        Depth map with the side that the tool came from.
+        Depth map, which contains the side from which the tool came.
     plane
-        World axis at right angles to the plane of the opened bone, and the plane's coordinate [mm].
-        None if the bone is not opened.
+        World axis perpendicular to the plane of the opened bone, and the coordinate of the plane
+        [mm]. None if the bone is not opened.
     """
 
     volume: VoxelVolume
@@ -86,7 +87,9 @@ class _View:
 
     @classmethod
     def of(cls, run: Run, depth: DepthMap) -> "_View":
-        """Return the whole bone, or the half behind the deepest point of a deep and narrow cut."""
+        """Return the view of the whole bone; for a deep and narrow cut, that of the half behind its
+        deepest point.
+        """
         volume = run.volume
         remaining = run.remaining
         cut = np.argwhere(depth.depth_mm > 0.0)
@@ -118,13 +121,13 @@ class _View:
             np.cos(down) * (np.cos(aside) * out + np.sin(aside) * np.cross(v, out))
             - np.sin(down) * v
         )
-        # Points of the surface itself, not of its box, so that the bone fills the picture.
+        # Points of the surface are used instead of its bounding box, so the bone fills the picture.
         return Camera.seeing(
             np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v
         )
 
     def opened(self, surface: "pyvista.PolyData") -> Flags:
-        """Return which triangles lie in the plane."""
+        """Return which triangles lie in the plane of the opened bone."""
         if self.plane is None:
             return np.zeros(surface.n_cells, dtype=bool)
         axis, place = self.plane
@@ -150,7 +153,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         return "no bone is left to show"
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        """Return the bone before and after, seen by the same camera."""
+        """Return the bone before and after the run, seen by the same camera."""
         whole = bone_surface(volume, volume.fraction)
         camera = view.camera(whole)
         before = with_layers(_seen(whole, camera), volume)
@@ -160,7 +163,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[
             after.regular_faces
         ].mean(axis=1)
-        # The box that was simulated; the bone continues beyond it.
+        # The box is the simulated region; the bone continues beyond it.
         simulated_m = reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
         carved[cut_out(after, volume, simulated_m)] = CUT_OUT
         opened = view.opened(after)
@@ -185,8 +188,9 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
 
 def _depth_paint(depth_mm: Singles, limit: float) -> Array:
-    """Return colours of points by removed depth. They blend into the colour of bone over the
-    first few hundredths.
+    """Return the colours of points as a function of removed depth.
+
+    At small depths, the colours blend into the colour of bone.
     """
     from matplotlib import colormaps
 
@@ -214,7 +218,7 @@ def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
 
 
 def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
-    """Add legends, colour bar, axes and the sense of rotation."""
+    """Add legends, colour bar, axes and the sense of rotation of the tool."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.patches import Patch
@@ -251,7 +255,7 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
 def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     """Draw the sense of the tool's rotation at its first contact.
 
-    The arc is as wide as the tool if there is enough space.
+    The arc is as wide as the tool, if there is enough space.
     """
     tool = run.scene.tool
     assert isinstance(tool, Tool)
@@ -272,15 +276,16 @@ EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Line styles around the layers that a run exposed."""
 SMALL = 0.5
 AROUND = 0.4
-"""Share of the region along both axes below which a cut is drawn enlarged, and its margin.
+"""Share of the region along both axes up to which a cut is drawn enlarged, and margin around this
+cut.
 
-The margin is a share of the cut's longer side.
+The margin is relative to the longer side of the cut.
 """
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
-    """Return the extent of the map along its two axes [mm]: the region, or a small cut with its
-    surroundings.
+    """Return the extent of the map along both axes [mm]: the whole region, or the surroundings of a
+    small cut.
     """
     u0, u1, v0, v1 = depth.extent_mm
     cut = np.argwhere(depth.depth_mm > 0.0)
@@ -322,7 +327,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
         f"{run.scene.name}: {summary}", (8.0, per_mm * (v1 - v0) + 1.35), layout="compressed"
     )
     placed = {"origin": "lower", "extent": depth.extent_mm, "interpolation": "nearest"}
-    # Slopes are smoothed: the depth of a hole would shade a rim around it.
+    # Slopes are smoothed, because the depth of a hole would shade a rim around the hole.
     uncut = np.where(depth.depth_mm < least, depth.height_mm * depth.outward, np.nan)
     shade = _hillshade(uncut, spacing)
     ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
@@ -356,7 +361,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
 
 
 def _hillshade(height_mm: Array, spacing_mm: float) -> Array:
-    """Compute the brightness of a face lit from the upper left."""
+    """Compute the brightness of a face that is lit from the upper left."""
     from scipy.ndimage import gaussian_filter
 
     # the filter of 2 voxels hides the steps of the voxels. 1e-6 keeps places far from bone finite.

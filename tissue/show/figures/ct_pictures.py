@@ -34,12 +34,12 @@ __all__ = [
 
 BONE_HU = (-200.0, 1300.0)
 SOFT_HU = (-160.0, 240.0)
-"""Grey values from black to white for bone and for soft tissue.
+"""Hounsfield units that are shown as black and as white, for bone and for soft tissue.
 
-The first range covers fat to cortical bone, the second is the usual abdominal window.
+The first range covers fat to cortical bone. The second range is the usual abdominal window.
 """
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
-"""Axes of a slice to the right and upward, the axis through it, and its name."""
+"""For each slice: axes to the right and upward, axis perpendicular to the slice, and name."""
 AXES = ("left", "back", "head")
 BODY = "#E69F00"
 SITE = "#D55E00"
@@ -47,9 +47,9 @@ PATH = "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 LINES = ("solid", "dashed", "dotted")
-"""Strokes of the outlines. The next stroke is used after all colours."""
+"""Line styles of the outlines. The next style is used after all colours."""
 NORMAL_MM = 12.0
-"""Length of the arrow along the normal, visible in slices of a joint [mm]."""
+"""Length of the arrow along the normal [mm]; it is visible in slices of a joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,11 @@ class Marks:
     Attributes
     ----------
     centre_mm
-        Site [mm, LPS], or the middle of the bone. None without a place.
+        Site [mm, LPS], or middle of the bone; None if there is no such point.
     normal
-        Outward direction at the site. None without a site.
+        Outward direction at the site; None if there is no site.
     points_mm
-        Corners of a path [mm, LPS], shape (n, 3). None without a path.
+        Corners of a path [mm, LPS], shape (n, 3); None if there is no path.
     """
 
     centre_mm: Array | None
@@ -77,14 +77,14 @@ class Marks:
         return np.stack([self.centre_mm, self.centre_mm + length_mm * self.normal])
 
     def draw(self, axes: "Axes", projected: Callable[[Array], Array], length_mm: float) -> None:
-        """Draw the path, and the site as a dot with an arrow along its normal.
+        """Draw the path, and the site as a dot with an arrow along the normal.
 
         Parameters
         ----------
         axes
-            Panel.
+            Axes to draw on.
         projected
-            Returns coordinates in the panel of points in space, shape (n, 2).
+            Function that returns the coordinates in the panel of points in space, shape (n, 2).
         length_mm
             Length of the arrow.
         """
@@ -107,17 +107,17 @@ def draw_ct_slices(
     title: str,
     window_HU: tuple[float, float] = BONE_HU,
 ) -> None:
-    """Draw the slices to a file.
+    """Draw three slices of a CT to a file.
 
     Parameters
     ----------
     image
         Grey values around the bone.
     outlines
-        Images that are above 0 inside a structure, by its name; the bone first. An image lies on
-        the same voxels, within its own extent.
+        Images of structures, keyed by name; the bone comes first. An image is above 0 inside its
+        structure. It uses the voxel grid of `image`, but may cover only a part of it.
     marks
-        The slices intersect at its centre.
+        Site and path. The slices intersect at the site.
     window_HU
         Hounsfield units from black to white. Images in other units use their own range.
     """
@@ -175,7 +175,7 @@ def draw_ct_slices(
 def _outline(
     axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, look: dict[str, str]
 ) -> None:
-    """Draw the line where a field is 0 in the slice at a place along its axis."""
+    """Draw the line where a field is 0, in the slice at a given coordinate."""
     through = order[2]
     at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
     # the slice lies outside the extent of the structure's image
@@ -194,20 +194,20 @@ def _outline(
 
 
 AROUND_ORGAN_MM = 10.0
-"""Shown surroundings of an organ [mm]."""
+"""Width of the surroundings of an organ that are shown [mm]."""
 
 
 def draw_ct_organ(
     image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh, title: str
 ) -> None:
-    """Draw slices through the middle of the smallest part with outlines.
+    """Draw slices through the middle of the smallest part, with outlines.
 
-    The outlines are those of the meshed organ and of the labels.
+    The outlines show the meshed organ and the labels.
 
     Parameters
     ----------
     masks
-        The organ first, then its parts, of the image's shape.
+        Masks with the shape of the image, keyed by name: the organ first, then its parts.
     mesh
         Tetrahedra of the organ in the frame of the image.
     """
@@ -237,27 +237,29 @@ HEAD_PX = 110
 FOOT_PX = 150
 PATH_FOOT_PX = 330
 AXES_PX = 150
-"""Heights above and below the renderings, and edge of the small axes [pixel]."""
+"""Heights above and below the renderings, and size of the small axes [pixels]."""
 UNDER_MM = 2.0
-"""Depth at which the density is read that a point of the surface shows.
+"""Depth below the surface at which the shown density is read [mm].
 
-Voxels at the surface hold a part of the tissue outside, and their density is too low.
+Voxels at the surface contain some tissue from outside the bone, so their density is too low.
 """
 DENSITIES = (0.0, 1800.0)
-"""Range of the density's colours, up to dense cortical bone [kg/m3]."""
+"""Range of the colours of density, up to dense cortical bone [kg/m3]."""
 COLOURS = "YlGnBu"
-"""Colour map with light colours where bone is sparse, so that shading stays visible.
+"""Colour map in which sparse bone is light, so that shading stays visible.
 
-Colour-blind readers can distinguish its colours.
+Colour-blind readers can distinguish the colours.
 """
 FRONT = (0.3, -1.0, 0.25)
-"""Direction to the eye of a bone without a site: from the patient's front left above."""
+"""Direction to the eye for a bone without a site: the view is from the patient's front, left and
+above.
+"""
 
 
 def draw_ct_bone(
     surface: Surface, path: Path, marks: Marks, *, density: Image | None, title: str
 ) -> str | None:
-    """Draw the bone to a file.
+    """Draw a bone to a file.
 
     Parameters
     ----------
@@ -266,7 +268,7 @@ def draw_ct_bone(
     marks
         Site and path.
     density
-        Apparent density [kg/m3]. None if it is unknown.
+        Apparent density [kg/m3]; None if it is not known.
 
     Returns
     -------
@@ -301,7 +303,7 @@ def draw_ct_bone(
 
 
 def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
-    """Return the directions to the eye and upward of each panel, by its title."""
+    """Return the directions to the eye and upward for each panel, keyed by title."""
     head = np.array([0.0, 0.0, 1.0])
     if normal is None:
         front = np.array(FRONT)
@@ -315,7 +317,7 @@ def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
 
 
 def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
-    """Return the bone, each point in the colour of the density under it."""
+    """Return the bone; the colour of each point shows the density below the point."""
     import pyvista
     from matplotlib import colormaps
     from scipy.ndimage import map_coordinates
@@ -336,20 +338,20 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
 OUTSIDE = "0.45"
 PATH_COLOURS = "inferno_r"
 AROUND_PATH_MM = 40.0
-"""Minimum half width of the bone that is shown around the path [mm]."""
+"""Smallest half width of the bone that is shown around a path [mm]."""
 
 
 def draw_path_depth(
     surface: Surface, found: PathDepth, path: Path, *, normal: Array, title: str
 ) -> str | None:
-    """Draw a path over the bone around it, seen along the site's axis and from the side.
+    """Draw a path on a bone, seen along the normal of the site and from the side.
 
     Parameters
     ----------
     surface
-        The bone in the frame of its image.
+        Bone in the frame of its image.
     found
-        Points of the path and their depth, see `meshes.paths.toolpath.depth_along`.
+        Points of the path and their depths; see `meshes.paths.toolpath.depth_along`.
     path
         File to write.
     normal
@@ -420,7 +422,7 @@ ALL = "0.6"
 INSIDE = "#E69F00"
 LEVEL = "#D55E00"
 BINS = 160
-"""Edges of the bins: 20 HU wide, about the noise of a CT."""
+"""Number of edges of the bins, which are 20 HU wide, about the noise of a CT."""
 RANGE_HU = (-1100.0, 2200.0)
 """Range of the histogram, from air to dense cortical bone; metal is left out."""
 
@@ -436,18 +438,18 @@ def draw_ct_histogram(
     density: tuple[float, float] | None,
     title: str,
 ) -> None:
-    """Draw the histogram to a file.
+    """Draw the histogram of an image to a file.
 
     Parameters
     ----------
     values, counts
-        Whole values of the image, and number of voxels with each value.
+        Integer values of the image, and number of voxels with each value.
     inside
-        Values of the voxels of the bone.
+        Values of the voxels inside the bone.
     threshold
-        Value above which a voxel is bone; None with a label.
+        Value above which a voxel is bone; None if a label defines the bone.
     density
-        Density per value and at value 0 [kg/m3]. None if it is unknown.
+        Slope of density over value, and density at value 0 [kg/m3]; None if they are not known.
     """
     low = max(RANGE_HU[0], float(values[0]))
     high = min(RANGE_HU[1], float(values[-1]))

@@ -53,11 +53,11 @@ __all__ = [
 P = ParamSpec("P")
 T = TypeVar("T")
 DPI = 200
-"""Pixels per inch of a PNG picture: sharp on screens and in documents."""
+"""Pixels per inch of a PNG picture, for sharp pictures on screens and in documents."""
 VECTOR_DPI = 2 * DPI
 """Pixels per inch of raster parts in SVG and PDF.
 
-Raster parts are everything except lines and text. The value is the resolution of a rendering, see
+Raster parts are all parts except lines and text. The value is the resolution of a rendering; see
 `tissue.show.figures.rendering`.
 """
 STYLE: "dict[RcKeyType, float]" = {
@@ -71,11 +71,11 @@ STYLE: "dict[RcKeyType, float]" = {
     "lines.linewidth": 1.2,
 }
 DRAWING = RLock()
-"""Lock around the drawing of a picture, since matplotlib has one style for all threads."""
+"""Lock during the drawing of a picture, because matplotlib has one style for all threads."""
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Make a function draw in the style of the figures."""
+    """Decorate a function so that it draws in the style of the figures."""
 
     @wraps(draw)
     def drawn(*arguments: P.args, **options: P.kwargs) -> T:
@@ -89,7 +89,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 @styled
 def figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure without a window."""
+    """Return an empty figure that has no window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), dpi=DPI)
@@ -105,7 +105,7 @@ def panelled(
     layout: Literal["constrained", "compressed"] = "constrained",
     **options: Any,
 ) -> "tuple[Figure, NDArray[np.object_]]":
-    """Return a titled figure, and its panels row by row.
+    """Return a figure with a title, and its panels row by row.
 
     Parameters
     ----------
@@ -132,10 +132,10 @@ def legend_above(axes: "Axes", columns: int, handles: "list[Artist] | None" = No
 
 @styled
 def save(chart: "Figure", path: Path) -> None:
-    """Write a figure as png, svg or pdf, by the ending of its file.
+    """Write a figure as png, svg or pdf, according to the suffix of the file.
 
-    The same figure gives the same bytes. SVG and PDF keep lines and text as vectors. 3D drawings
-    and images have `VECTOR_DPI` pixels per inch.
+    Equal figures give equal bytes. SVG and PDF keep lines and text as vectors. 3D drawings and
+    images in them have `VECTOR_DPI` pixels per inch.
     """
     import matplotlib
 
@@ -155,12 +155,12 @@ def save(chart: "Figure", path: Path) -> None:
 
 
 def is_vector(path: Path) -> bool:
-    """Return whether a file holds lines and text as such."""
+    """Return whether the format of a file keeps lines and text as vectors."""
     return path.suffix in (".svg", ".pdf")
 
 
 def plain(panels: "Iterable[Axes]") -> None:
-    """Remove the frame above and to the right of panels, and add a grid along y."""
+    """Remove the upper and right frame of panels, and add a grid along y."""
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="y", color="0.92", linewidth=0.6)
@@ -169,9 +169,9 @@ def plain(panels: "Iterable[Axes]") -> None:
 
 
 def plain_numbers(axis: "Axis") -> None:
-    """Write numbers instead of powers of ten on a logarithmic axis.
+    """Label a logarithmic axis with numbers instead of powers of ten.
 
-    Few numbers are written over many decades.
+    An axis over many decades gets few numbers.
     """
     from matplotlib.ticker import LogLocator
 
@@ -206,29 +206,29 @@ STRESS = "magma_r"
 OTHER = "YlGnBu"
 """Colour maps of fields.
 
-Small values are light, so that a body does not turn black in unloaded parts. Colour-blind readers
-can distinguish the colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
+Small values are light, so that unloaded parts of a body are not black. Colour-blind readers can
+distinguish the colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
 """
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008).
 
-They are distinct for colour-blind readers.
+Colour-blind readers can distinguish them.
 """
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
 """Torque below which a picture shows thousandths [N m].
 
-A bur's torque is a thousandth of a reamer's, which is 0.2 to 2 N m.
+The torque of a bur is a thousandth of that of a reamer, which is 0.2 to 2 N m.
 """
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
-"""Meaning of the world's axes by kind of anatomy."""
+"""Anatomical directions of the world axes, keyed by kind of anatomy."""
 
 
 def axis_names(run: "Run") -> tuple[str, ...]:
-    """Return the names of the world's axes, with their anatomical direction if known.
+    """Return the names of the world axes, with their anatomical directions if known.
 
-    The kind of anatomy determines the direction.
+    The kind of anatomy determines the directions.
     """
     meanings = ANATOMICAL.get(run.scene.anatomy.kind)
     if meanings is None:
@@ -236,15 +236,16 @@ def axis_names(run: "Run") -> tuple[str, ...]:
     named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
     bone = run.scene.bone
     if getattr(bone, "centre_mm", None) is not None or getattr(bone, "along", None) is not None:
-        return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
-    # On bone from a file x points forward or backward with the side of the body, which the file
-    # does not state.
+        return tuple("xyz")  # the site on a bone need not be its glenoid
+    # For bone from a file, the direction of x (forward or backward) depends on the side of the
+    # body, which the file does not contain.
     return ("x", *named[1:]) if bone.from_file else named
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Return red, green and blue of every layer. Known layers have the same colour in every
-    scene.
+    """Return red, green and blue of each layer.
+
+    Known layers have the same colour in every scene.
     """
     from matplotlib.colors import to_rgb
 
@@ -254,8 +255,9 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 
 
 def field_colours(low: float, high: float) -> str:
-    """Return the name of the colour map for a field with this range. A range that begins above 0
-    is a stress.
+    """Return the name of the colour map for a field with a given range.
+
+    A range that begins above 0 belongs to a stress.
     """
     if low < 0.0:
         return SIGNED
@@ -263,14 +265,16 @@ def field_colours(low: float, high: float) -> str:
 
 
 def field_words(*names: str) -> str:
-    """Return the words that fields or columns share, with the unit, such as ``von Mises / kPa``."""
+    """Return the words that field or column names share, with the unit, such as ``von Mises /
+    kPa``.
+    """
     words = [field_label(name)[0].split() for name in names]
     shared = [first for first, *others in zip(*words, strict=False) if set(others) <= {first}]
     return " / ".join(filter(None, (" ".join(shared), field_label(names[0])[1])))
 
 
 def depth_limit(depth: "DepthMap") -> float:
-    """Return the upper end of the depth scale [mm]: the depth of the deepest column."""
+    """Return the upper end of the scale of removed depth [mm]: the depth of the deepest column."""
     cut = depth.depth_mm[depth.depth_mm > 0.0]
     # a colour scale needs a range: 1 um for rounding, and 1 mm without a cut
     return float(max(cut.max(), 1e-3)) if cut.size else 1.0
@@ -285,7 +289,7 @@ def draw_outline(
     linewidth: float,
     linestyle: "LineStyleType" = "-",
 ) -> None:
-    """Draw the contour line at 0.5 of columns between 0 and 1, closed at the edge of the map."""
+    """Draw the contour at 0.5 of a map of values from 0 to 1, closed at the edge of the map."""
     # nothing is inside
     if values.max(initial=0) < 0.5:
         return
@@ -323,7 +327,7 @@ def draw_arrow(
 
 
 def halo(width: float = 4.0) -> "list[AbstractPathEffect]":
-    """Return path effects that keep a line or text legible on any ground."""
+    """Return path effects that keep a line or text legible on any background."""
     from matplotlib.patheffects import withStroke
 
     return [withStroke(linewidth=width, foreground="white")]

@@ -38,12 +38,12 @@ SIMULATED = "#0072B2"
 PRIOR = "0.75"
 ROW = 0.44
 FRAME = 1.0
-"""Height of a constant's row, and of the frame around the rows [in]."""
+"""Height of the row of a constant, and of the frame around the rows [in]."""
 
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """Constant before and after a fit, for a picture.
+    """Constant before and after a fit, as drawn in a picture.
 
     Attributes
     ----------
@@ -52,10 +52,10 @@ class FittedConstant:
     unit
         Unit of the constant.
     cited, fitted
-        Median and the ends of the 90 % interval, (low, value, high), before and after.
+        Median and ends of the 90 % interval, (low, value, high), before and after the fit.
     fitted_z, cited_z
-        The three fitted values, and the ends of the cited range, in standard deviations of the
-        prior.
+        The three fitted values, and the ends of the range before the fit, in standard deviations of
+        the prior.
     is_identified
         True if the log narrows the constant.
     """
@@ -73,16 +73,16 @@ class FittedConstant:
 def draw_measured(
     times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path
 ) -> None:
-    """Draw measured and simulated loads over time with their residuals.
+    """Draw measured and simulated loads over time, with their residuals.
 
-    Forces and torques are drawn separately, each with the residuals below.
+    Forces and torques are drawn separately, with the residuals below.
 
     Parameters
     ----------
     times_s
         Times [s], shape (n,).
     measured, simulated
-        Loads, shape (n, channels); NaN where nothing was measured.
+        Loads, shape (n, channels); NaN where there is no measurement.
     channels
         Names with units, such as ``force_x_N``.
     path
@@ -127,14 +127,15 @@ def draw_table(
     channels: Sequence[str],
     path: Path,
 ) -> None:
-    """Draw measured and simulated steady loads by feed per turn.
+    """Draw measured and simulated steady loads over feed per turn.
 
     Parameters
     ----------
     feeds_mm
         Feed per turn [mm], shape (n,).
     measured, simulated, scatter
-        Loads and their standard deviation, shape (n, channels). The scatter may be None.
+        Measured loads, simulated loads, and standard deviations of the measured loads, each of
+        shape (n, channels). `scatter` may be None.
     channels
         Names with units, such as ``force_z_N``.
     path
@@ -163,7 +164,8 @@ def draw_table(
 def draw_presses(
     depths_mm: Array, forces_N: Array, fitted_N: Array, path: Path, *, law: str
 ) -> None:
-    """Draw the median of presses by depth, the range of 90 % of them, and the fitted force.
+    """Draw the median force of presses over depth, the range of 90 % of the presses, and the fitted
+    force.
 
     Parameters
     ----------
@@ -176,7 +178,7 @@ def draw_presses(
     path
         File to write.
     law
-        Name of the law.
+        Name of the fitted law.
     """
     chart, (axes,) = panelled("presses and fitted force", (6.4, 4.0), 1)
     low, middle, high = np.quantile(forces_N, [0.05, 0.5, 0.95], axis=0)
@@ -191,17 +193,17 @@ def draw_presses(
 
 @styled
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
-    """Draw the distribution of innovations over the assumed density, and the autocorrelations.
+    """Draw the distribution of innovations with the assumed density, and the autocorrelations.
 
     Parameters
     ----------
     innovations
-        Standardised innovations, shape (n, channels). NaN where nothing was measured.
+        Standardised innovations, shape (n, channels); NaN where there is no measurement.
     correlations
-        Autocorrelation of residuals and of innovations over lags, each the mean over channels,
-        shape (2, lags + 1).
+        Autocorrelation of residuals and of innovations for each lag, averaged over channels, shape
+        (2, lags + 1).
     freedom
-        Degrees of freedom of the assumed Student's t.
+        Degrees of freedom of the assumed Student's t distribution.
     path
         File to write.
     """
@@ -236,7 +238,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: str = "log") -> None:
     """Draw the 90 % intervals of constants before and after the fit, with their values.
 
-    The scale is that of the cited range. `source` is the kind of the measurement.
+    The scale is that of the range before the fit. `source` is the kind of measurement.
     """
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
@@ -273,13 +275,16 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: s
 
 OUTER = 0.22
 INNER = 0.4
-"""Opacity of the 90 % band, and of the 50 % band upon it."""
+"""Opacity of the 90 % band, and of the 50 % band on top of it."""
 FIRST = "#0072B2"
 TOTAL = "#E69F00"
 SHOWN = 8
-"""Constants in a bar chart. The least important ones are left out and counted."""
+"""Largest number of constants in a bar chart.
+
+The chart states the number of constants that are left out; these have the smallest indices.
+"""
 UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")
-"""Unit at the end of a constant's name."""
+"""Pattern of the unit at the end of the name of a constant."""
 WORDS = {
     "force_N.peak": "peak force",
     "force_N.mean_in_contact": "mean force in contact",
@@ -290,15 +295,16 @@ WORDS = {
 
 @styled
 def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, title: str) -> None:
-    """Draw size and components of force, and of torque where there is any, with their bands.
+    """Draw magnitude and components of force, and of torque if it is not zero, with uncertainty
+    bands.
 
     Parameters
     ----------
     times_s
         Times [s], shape (n,).
     nominal
-        Loads at the constants' nominal values: x, y, z and size of force [N] and of torque [N m],
-        shape (n, 8).
+        Loads at the nominal values of the constants: x, y, z and magnitude of force [N] and of
+        torque [N m], shape (n, 8).
     quantiles
         5, 25, 50, 75 and 95 % quantiles of these loads, shape (5, n, 8).
     path
@@ -353,12 +359,13 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
 def draw_sobol(
     indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path, *, title: str
 ) -> None:
-    """Draw first-order and total Sobol indices with 90 % intervals, one panel per figure.
+    """Draw first-order and total Sobol indices with 90 % intervals, one panel for each figure of
+    the run.
 
     Parameters
     ----------
     indices
-        ``first``, ``first_90``, ``total`` and ``total_90`` by figure and constant, as in
+        ``first``, ``first_90``, ``total`` and ``total_90``, keyed by figure and constant, as in
         ``summary.json``.
     path
         File to write.
@@ -426,7 +433,7 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
 
 
 def _label(group: str) -> str:
-    """Return names of constants without table and unit, one line each."""
+    """Return the names of constants without table and unit, one per line."""
     lines = []
     for name in group.split(" + "):
         table, *material, constant = name.split(".")

@@ -1,4 +1,4 @@
-"""Figures of force over depth: of a first descent, of a needle and of a ball on a wall."""
+"""Figures of force over depth: for a first descent, for a needle, and for a ball on a wall."""
 
 from pathlib import Path
 
@@ -32,21 +32,22 @@ __all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent"]
 
 
 RISE_MM = 0.2
-"""A tool that rises by this much has ended its descent.
+"""Rise of the tool that ends a descent [mm].
 
-It is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
+The value is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
 """
 
 
 def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
-    """Return the rows from before the first contact to the deepest point before the tool rises.
+    """Return the rows of the first descent, from before the contact to the deepest point.
 
-    They start where the tool is `RISE_MM` above its first contact.
+    The rows start where the tool is `RISE_MM` above its first contact, and end before the tool
+    rises by `RISE_MM`.
 
     Parameters
     ----------
     coordinate_mm
-        Coordinate of the tool's tip, increasing out of the tissue [mm], shape (rows,).
+        Coordinate of the tool's tip, which increases out of the tissue [mm], shape (rows,).
     contact
         True where the tool touches tissue, shape (rows,).
     """
@@ -76,16 +77,16 @@ def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
 
 @styled
 def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | None:
-    """Draw force and further quantities of the tissue over the depth of the first descent.
+    """Draw force and other quantities of the tissue over the depth of the first descent.
 
     Parameters
     ----------
     run
         A run with voxels.
     path
-        File.
+        File to write.
     axis, outward
-        World axis closest to the tool's axis, and the side that the tool comes from.
+        World axis closest to the tool's axis, and the side from which the tool comes.
 
     Returns
     -------
@@ -149,7 +150,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
 def _shade(
     run: Run, panels: NDArray[np.object_], depth: Array, passed: NDArray[np.str_], force: Array
 ) -> None:
-    """Shade a band for each layer, with its name and the mean force in it."""
+    """Shade a band for each layer, with the name of the layer and the mean force in it."""
     colours = layer_colours(run.volume.layer_names)
     for first, last, name in spells(passed, shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
@@ -183,12 +184,12 @@ SHARES = (
     ("friction_N", "friction along the shaft", "#009E73"),
 )
 SIDE_BY_SIDE = 0.15
-"""Share of the depth range within which a puncture's name is placed above the previous one."""
+"""Share of the depth range within which a puncture's name is placed above the previous name."""
 
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force over the tip's depth and its shares over time, punctures marked."""
+    """Draw the axial force over the depth of the tip, its parts over time, and the punctures."""
     trace = run.trace
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
@@ -244,17 +245,17 @@ BALL = "0.1"
 DEVICE = "#D55E00"
 FORCE = "#0072B2"
 LONGEST = 0.28
-"""Length of the arrow of the largest force, as a share of the picture's height."""
+"""Length of the arrow of the largest force, relative to the height of the picture."""
 
 
 @styled
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and device at a wall, and the force over the device's depth.
+    """Draw the paths of ball and device at a wall, and the force over the depth of the device.
 
-    The paths are drawn across the wall and into it, with the force below.
+    The upper panel shows the paths along the wall and into it. The lower panel shows the force.
 
-    The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's
-    own depth.
+    The ball is drawn at its deepest position. In a run without a device, the force is drawn over
+    the depth of the ball.
     """
     from matplotlib.patches import Circle
 

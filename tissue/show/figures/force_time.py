@@ -1,4 +1,4 @@
-"""Figures over time: force and torque with events, and the force that a device displayed."""
+"""Figures over time: force and torque with events, and the force that a device played."""
 
 from pathlib import Path
 from textwrap import wrap
@@ -33,24 +33,26 @@ __all__ = ["FLICKER_S", "draw_force_torque", "draw_played", "event_lines", "mark
 
 
 MOST_EVENTS = 6
-"""Events that are numbered and listed below a picture; more would take more height than a panel."""
+"""Largest number of events that are numbered and listed below a picture; more events would need
+more height than a panel.
+"""
 FOOTNOTE_LETTERS = 92
-"""Letters of a line of 8.5 points in 7 inches: 101 of them went over the edge."""
+"""Largest number of letters in a line of 8.5 points in 7 inches; 101 letters did not fit."""
 EVENT_IN = 0.17
-"""Height of a line that names an event [inch]."""
+"""Height of a line that describes an event [in]."""
 FLICKER_S = 0.02
 """Time below which intervals and repeated events are joined with the previous one [s].
 
-A contact that begins touches and releases a few times within a few ticks of 1 ms. Bands of that
-width would appear as stripes.
+At its start, a contact opens and closes several times within a few ticks of 1 ms. Bands of this
+width would look like stripes.
 """
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return runs of equal entries: first index, index after the last one, entry.
+    """Return intervals of equal entries: first index, index after the last one, entry.
 
-    A run with fewer entries than `shortest` is joined with the previous run, and the first run with
-    the next one.
+    An interval with fewer entries than `shortest` is joined with the previous interval; the first
+    interval is joined with the next one.
     """
     if not len(names):
         return []
@@ -70,9 +72,9 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the events without repetitions of the same words within `FLICKER_S`.
+    """Return the events without repetitions of the same text within `FLICKER_S`.
 
-    Numbers in the words are ignored.
+    Numbers in the texts are ignored in the comparison.
     """
     last: dict[str, float] = {}
     found = []
@@ -85,7 +87,7 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
-    """Return a numbered line for each event, and one line for the events beyond the limit."""
+    """Return a numbered line for each event, and one line about the events beyond the limit."""
     lines = [
         f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)
     ]
@@ -94,7 +96,7 @@ def event_lines(events: list[tuple[float, str]]) -> list[str]:
 
 
 def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
-    """Return the lines of the events, broken so that they fit below a figure 8 inches wide."""
+    """Return the lines of the events, broken to fit below a figure 8 inches wide."""
     return [
         piece
         for line in event_lines(events)
@@ -105,7 +107,7 @@ def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
 def mark_events(
     panels: NDArray[np.object_], events: list[tuple[float, str]], *, listed: bool = True
 ) -> None:
-    """Draw a numbered line through all panels at every event, and list the events below them."""
+    """Draw a numbered line through all panels at each event, and list the events below."""
     low, high = panels[0].get_xlim()
     place = -np.inf
     lowered = 0
@@ -132,14 +134,15 @@ def mark_events(
 
 
 COMMANDED = 0.35
-"""Opacity of the commanded quantities, below the model's line."""
+"""Opacity of the commanded quantities, which are drawn below the quantities of the model."""
 
 
 @styled
 def draw_force_torque(run: Run, path: Path) -> None:
-    """Draw force, torque, removal rate and the tool's path.
+    """Draw force, torque, removal rate and the path of the tool.
 
-    Torque is left out if it is zero. Contact area replaces the removal rate if nothing is removed.
+    Torque is left out if it is zero. If nothing is removed, the contact area is drawn instead of
+    the removal rate.
     """
     trace = run.trace
     time = trace["time_s"]
@@ -158,7 +161,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
     )
     _draw_components(panels[0], run, "force", "N", 1.0, "force / N")
     if turns:
-        # A bur's torque is a thousandth of a reamer's.
+        # The torque of a bur is a thousandth of that of a reamer.
         small = bool(np.abs(trace.vectors("torque", "Nm")).max(initial=0.0) < SMALL_NM)
         scale, unit = (1e3, "mN·m") if small else (1.0, "N·m")
         _draw_components(panels[1], run, "torque", "Nm", scale, f"torque / {unit}")
@@ -177,9 +180,9 @@ def draw_force_torque(run: Run, path: Path) -> None:
 def _draw_components(
     axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str
 ) -> None:
-    """Draw the model's components over the commanded ones.
+    """Draw the components of the model in front of the commanded components.
 
-    The commanded components form a wide band where teeth vibrate.
+    With the vibration of teeth, the commanded components look like wide bands.
     """
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
@@ -200,7 +203,7 @@ def _draw_components(
 
 
 def _draw_path(axes: "Axes", run: Run) -> None:
-    """Draw the tip position along the tool's axis, with the layer at the tip shaded."""
+    """Draw the tip position along the tool's axis, and shade the layer at the tip."""
     trace = run.trace
     time = trace["time_s"]
     turned = tool_axes(tool_turns(trace))
@@ -221,7 +224,9 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 
 MOMENT_S = 0.06
-"""Length of the steepest moment [s]: latencies of some milliseconds are visible in it."""
+"""Duration of the interval with the steepest change [s], in which latencies of some milliseconds
+are visible.
+"""
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("model_force", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),
     ("raw_force", "as the renderer gives it", {"color": "#0072B2", "linewidth": 1.6}),
@@ -237,18 +242,19 @@ LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))},
     ),
 )
-"""Columns, their labels, and colours after Okabe and Ito (2008).
+"""Columns, with labels and colours after Okabe and Ito (2008).
 
-The colours also differ in lightness and stroke.
+The lines also differ in lightness and line style.
 """
 SATURATED = "#F0E442"
 
 
 @styled
 def draw_played(run: Run, path: Path) -> None:
-    """Draw device forces [N], compressed spans, force changes, and tool and device [mm].
+    """Draw device forces [N], intervals of compressed force, force changes, and positions of tool
+    and device [mm].
 
-    The force changes are the largest changes at 1 ms.
+    The force changes are shown in the interval with the largest change per millisecond.
     """
     trace = run.trace
     held = run.scene.held

@@ -1,4 +1,4 @@
-"""Figures of a soft organ: pressed, and at rest with its supports."""
+"""Figures of a soft organ: under a press, and undeformed with its supports."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,21 +40,25 @@ __all__ = ["draw_held", "draw_press"]
 
 EYE = (0.25, -0.75, 0.62)
 ACROSS = (0.0, -1.0, 0.0)
-"""Directions towards the eye: lower than in `tissue view`, and at right angles to a section."""
+"""Directions to the eye: for the whole organ (lower than in `tissue view`), and for a section
+(perpendicular to it).
+"""
 TOOL = (0.72, 0.72, 0.75)
 INCLUSION = "#56B4E9"
-"""Colours of the tool and of an inclusion's edge, which is seen on light and on dark ones."""
+"""Colours of the tool and of an inclusion's edge, which is visible on light and dark colours."""
 NUDGE = (0.0, 1e-4, 0.0)
-"""Distance of a section behind the tool's tip [mm], so that it does not cut a row of nodes."""
+"""Distance between a section and the tip of the tool [mm]; with it, the section does not cut a row
+of nodes.
+"""
 ABOVE = 0.2
-"""Height of the drawn part of a needle above an organ, in heights of the organ."""
+"""Height of the drawn part of a needle above an organ, relative to the height of the organ."""
 HEIGHTS_PX = 90, 150
-"""Above and below the renderings [pixel]."""
+"""Heights above and below the renderings [pixels]."""
 
 
 @dataclass(frozen=True)
 class _Shown:
-    """A field of the picture: name, ends of its scale, and whether the organ is cut open."""
+    """Field of the picture: name, ends of the colour scale, and whether the organ is cut open."""
 
     name: str
     ends: tuple[float, float]
@@ -62,7 +66,7 @@ class _Shown:
 
     @property
     def colours(self) -> "ScalarMappable":
-        """Colours by value. The scale is logarithmic if it begins above 0."""
+        """Mapping from values to colours; the scale is logarithmic if it begins above 0."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
@@ -71,8 +75,9 @@ class _Shown:
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """Return the frame to draw, and the reason: nearest to an inclusion, or the largest
-    displacement.
+    """Return the frame to draw, and the reason.
+
+    It is the frame with the tool nearest to an inclusion, or with the largest displacement.
     """
     pressed = [frame for frame in series.frames if _largest(frame) > 0.0]
     if not pressed:
@@ -97,7 +102,7 @@ def draw_press(
     tool: "pyvista.PolyData | None" = None,
     flat: bool = False,
 ) -> str | None:
-    """Draw the deformed organ at the moment of `moment_of_press`, whole and cut open at the tool.
+    """Draw the deformed organ at the time of `moment_of_press`, whole and cut open at the tool.
 
     Parameters
     ----------
@@ -105,16 +110,17 @@ def draw_press(
         Fields of the organ. The frames have a displacement at the nodes and von Mises stress in the
         cells.
     trace
-        Trace with the tool's position and force.
+        Trace with the position of the tool and its force.
     path
         File.
     title
         Title of the picture.
     tool
-        Surface of the tool in its frame [mm], from `tissue.show.figures.tool_mesh.tool_surface`.
+        Surface of the tool in the frame of the tool [mm], from
+        `tissue.show.figures.tool_mesh.tool_surface`.
     flat
-        If true, both pictures show the section along the tool from the front, as needed for a
-        needle's track.
+        If true, both pictures show the section along the tool from the front. This is needed for
+        the track of a needle.
 
     Returns
     -------
@@ -145,8 +151,8 @@ def draw_press(
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
-        # a needle is several times as long as an organ is high: its shaft would make the organ
-        # small
+        # a needle is several times as long as an organ is high, so with its shaft the organ would
+        # be small
         if flat and probe.n_points:
             probe = probe.clip(
                 normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2]))
@@ -191,16 +197,16 @@ def _organ(
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """Return the organ in a field's colours with the outline of an inclusion.
+    """Return the organ in the colours of a field, with the outline of an inclusion.
 
-    On request, the organ is cut open at the tool.
+    If `shown` requests it, the organ is cut open at the tool.
     """
     whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
     parts = [whole]
     if shown.opened:
         place = tip_mm + NUDGE
         cap = section_cap(mesh, whole, shown.name, place_mm=place, normal=np.array(ACROSS))
-        # Lit as if it faced the eye, so that its colours are those of the scale.
+        # The section is lit as if it faced the eye, so its colours are those of the scale.
         facing = (np.array(eye) / np.linalg.norm(eye)).astype(np.float32)
         cap.point_data["Normals"] = np.tile(facing, (cap.n_points, 1))
         parts = [whole.clip(normal=ACROSS, origin=tuple(place)), cap]
@@ -219,7 +225,7 @@ def _organ(
 def _edge_of_inclusion(
     mesh: "pyvista.UnstructuredGrid", tip_mm: Array
 ) -> "tuple[str, pyvista.PolyData] | None":
-    """Return name and outline of an inclusion in the section at the tool, or None."""
+    """Return the name and the outline of an inclusion in the section at the tool, or None."""
     names = tuple(str(name) for name in mesh.field_data["layer_names"])
     layer = np.asarray(mesh.cell_data["layer"])
     inside = inclusions(
@@ -233,7 +239,7 @@ def _edge_of_inclusion(
 
 
 def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
-    """Write the inclusion's name below its outline."""
+    """Write the name of the inclusion below its outline."""
     pixels = camera.pixels(line.points)
     # the lowest point of the outline; y of pixels increases downward
     x, y = pixels[pixels[:, 1].argmax()]
@@ -258,7 +264,8 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
-    """Draw the organ's surface with coloured triangles of held nodes and of touchable nodes.
+    """Draw the surface of an organ, with coloured triangles for held nodes and for nodes that can
+    be touched.
 
     Returns
     -------
@@ -290,7 +297,9 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
 
 
 def _surface(series: FieldSeries) -> "pyvista.PolyData":
-    """Return the boundary with separate colours of held and touchable triangles."""
+    """Return the boundary with different colours for held triangles and triangles that can be
+    touched.
+    """
     import pyvista
 
     grid = pyvista.UnstructuredGrid(

@@ -1,6 +1,4 @@
-"""Fields of meshes as they are drawn: a boundary without facets, and sections with values
-between the nodes.
-"""
+"""Smooth boundaries and sections of meshes, with interpolated fields, for pictures."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -25,26 +23,27 @@ __all__ = [
 ]
 
 SHOWN = "shown"
-"""Point array of the values that are drawn."""
+"""Name of the point array with the values that are drawn."""
 SHARP_DEG = 40.0
-"""Edges of a greater angle are drawn sharp: those of a block, not those between facets."""
+"""Angle above which an edge is drawn sharp: edges of a block, but not edges between facets."""
 LEVELS = 2
 """Number of times that each triangle of the boundary is divided into four.
 
-Sixteen triangles in place of one appear smooth at the size of a picture.
+Sixteen triangles instead of one look smooth at the size of a picture.
 """
 CAP_EDGE = 0.012
 MOST_PASSES = 10
-"""Longest edge of a section's triangles, in diagonals of the organ, and most divisions.
+"""Longest edge of the triangles of a section, relative to the diagonal of the organ, and largest
+number of divisions.
 
-The edge is about ten pixels of a picture.
+This edge is about ten pixels of a picture long.
 """
 
 
 INWARD = 5e-3
-"""Share of the distance to a cell's middle by which a boundary point is moved inside.
+"""Share of the distance to the middle of a cell by which a boundary point is moved inside.
 
-A point on the boundary itself counts as outside by rounding.
+Because of rounding, a point on the boundary itself may count as outside.
 """
 
 
@@ -56,7 +55,7 @@ def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData
     Parameters
     ----------
     mesh
-        Cells of three dimensions, in mm.
+        Mesh of three-dimensional cells [mm].
     values
         Values at the nodes, shape (nodes,) or (nodes, k). They are returned as the point array
         `SHOWN`.
@@ -73,8 +72,9 @@ def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData
 def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     """Divide each triangle into four.
 
-    New points lie on curves at right angles to the normals at both ends of an edge. The two sides
-    of a sharp edge have separate points. They are kept together by the mean of their curves.
+    New points lie on curves that are perpendicular to the normals at both ends of an edge. The two
+    sides of a sharp edge have separate points. Both use the mean of their curves, so the sides stay
+    together.
     """
     import pyvista
 
@@ -114,7 +114,7 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
 
 
 def with_normals(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Return triangles with normals at their points, which keep sharp edges."""
+    """Return triangles with normals at their points; sharp edges stay sharp."""
     return surface.compute_normals(
         cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
     )
@@ -128,10 +128,10 @@ def section_cap(
     place_mm: Array,
     normal: Array,
 ) -> "pyvista.PolyData":
-    """Return the section inside a drawn boundary, with values as the point array `SHOWN`.
+    """Return the section inside a drawn boundary, with values in the point array `SHOWN`.
 
-    Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps
-    its edge.
+    Values of cells are averaged at the nodes, separately for each layer, so the edge of an
+    inclusion stays sharp.
     """
     import pyvista
     from vtkmodules.vtkFiltersGeneral import vtkContourTriangulator
@@ -163,16 +163,18 @@ def section_cap(
 
 
 def at_nodes(mesh: "pyvista.DataSet", name: str) -> Singles:
-    """Return a field at the nodes: its nodal values, or the mean of the cells around."""
+    """Return a field at the nodes: its nodal values, or the mean over the adjacent cells."""
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
 
 
 def _sampled(mesh: "pyvista.DataSet", places: Array) -> Array:
-    """Interpolate `SHOWN` in a mesh. Places outside take the value at the nearest place inside.
+    """Interpolate `SHOWN` in a mesh.
 
-    There are such places because the drawn boundary is bent outward between the nodes.
+    Places outside the mesh get the value at the nearest place inside.
+
+    Such places exist because the drawn boundary is curved outwards between the nodes.
     """
     import pyvista
 
@@ -188,14 +190,14 @@ def _sampled(mesh: "pyvista.DataSet", places: Array) -> Array:
 
 
 def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Return the cells of the smallest layer inside the others, such as a nodule.
+    """Return the cells of the smallest layer that other layers enclose, such as a nodule.
 
     The result is empty if there is no such layer.
 
     Parameters
     ----------
     corners
-        Places of each cell's corners, shape (cells, corners, 3).
+        Positions of the corners of each cell, shape (cells, corners, 3).
     layer
         Layer of each cell, shape (cells,).
     """
@@ -214,20 +216,21 @@ def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
 def interpolate_in_layers(
     series: FieldSeries, values: Floats, place_m: Array, layer: NDArray[np.integer]
 ) -> Array:
-    """Interpolate values trilinearly between the centres of the cells of each place's layer.
+    """Interpolate values trilinearly between cell centres, using only cells of the layer of each
+    place.
 
-    Cells of another layer or without a value do not count. If none of the eight cells around a
-    place counts, the nearest cell of its layer is used. If the layer has no cell, the nearest cell
+    Cells of another layer or without a value are not used. If no cell of the eight around a place
+    can be used, the nearest cell of the layer is used. If the layer has no cell, the nearest cell
     of any layer is used.
 
     Parameters
     ----------
     series
-        Cubes of one edge on a lattice.
+        Cubic cells of equal size on a lattice.
     values
         Value of each cell, shape (cells,), NaN for removed cells.
     place_m, layer
-        The places [m], shape (k, 3), and the layer of each, shape (k,).
+        Places [m], shape (k, 3), and layer of each place, shape (k,).
     """
     from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
@@ -244,7 +247,7 @@ def interpolate_in_layers(
     for index in np.unique(layer):
         here = np.flatnonzero(layer == index)
         same = np.flatnonzero(series.layer[there] == index)
-        # Normalised convolution: the interpolated sum of values over the interpolated count of
+        # Normalised convolution: interpolated sum of values, divided by the interpolated number of
         # cells.
         total, weight = np.zeros((2, *(lattice.max(axis=0) + 1)))
         total[tuple(lattice[same].T)] = values[there[same]]

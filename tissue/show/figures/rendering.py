@@ -27,36 +27,40 @@ __all__ = ["FIELD_AMBIENT", "Camera", "Shaded", "draw_axes", "draw_shaded", "pai
 
 PANEL_PX = 780
 GAP_PX = 40
-"""Width of a panel and of the space between two panels: two panels are 8 inches at 200 dpi [px]."""
+"""Width of a panel, and of the space between two panels [pixels].
+
+Two panels are 8 inches wide at 200 dpi.
+"""
 OVERSAMPLING = 2
-"""Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card
-smooths none.
+"""Number of rendered pixels for a pixel of the picture, along each edge.
+
+Outlines are thus smooth even if the graphics card does not smooth them.
 """
 AMBIENT = 0.34
 FIELD_AMBIENT = 0.72
 ALL_LIGHT = 1.08
-"""Ambient light on bone and on a field, and the total light with lamps.
+"""Ambient light on bone and on fields, and total light including lamps.
 
-The colours of a field must agree with its scale, so that it has little shade.
+A field has little shade, because its colours must agree with its scale.
 """
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
-"""Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
+"""Direction (right, up, towards the eye) and strength of the lights: key, fill and rim light."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A parallel projection.
+    """Camera with parallel projection.
 
     Attributes
     ----------
     towards_eye, up
-        Directions in the world, at right angles.
+        Perpendicular directions in the world.
     centre_mm
         Point in the middle of the picture.
     height_mm
-        Height of the picture in the world.
+        Height of the picture in the world [mm].
     size
-        Width and height [pixel].
+        Width and height [pixels].
     """
 
     towards_eye: tuple[float, ...]
@@ -91,7 +95,9 @@ class Camera:
         )
 
     def pixels(self, points_mm: ArrayLike) -> Array:
-        """Return the pixels of points, right and down from the upper left corner, shape (n, 2)."""
+        """Return the pixel coordinates of points, right and down from the upper left corner, shape
+        (n, 2).
+        """
         axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
         right, upward = (
             axes @ (np.asarray(points_mm) - self.centre_mm).T * (self.size[1] / self.height_mm)
@@ -100,9 +106,7 @@ class Camera:
 
 
 def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
-    """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n,
-    3).
-    """
+    """Set the colour of each point or triangle: red, green and blue from 0 to 1, shape (n, 3)."""
     data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
     # VTK draws bytes as they are; other numbers would go through a colour table
     data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
@@ -116,13 +120,13 @@ class Shaded:
     Attributes
     ----------
     chart
-        The figure.
+        Figure with the renderings.
     panels
-        One for each rendering.
+        Axes, one for each rendering.
     cameras
         Camera of each panel.
     size_px
-        Width and height of the figure [pixel].
+        Width and height of the figure [pixels].
     """
 
     chart: "Figure"
@@ -141,23 +145,23 @@ def draw_shaded(
     names: Sequence[str] = (),
     ambient: float = AMBIENT,
 ) -> str | None:
-    """Render surfaces side by side with scale bars, annotate the figure and write it.
+    """Render surfaces side by side with scale bars, annotate the figure, and write it to a file.
 
     Parameters
     ----------
     make
-        Returns painted surfaces with normals, and the camera of each. It is called once, while the
-        drawing process starts.
+        Function that returns painted surfaces with normals, and the camera of each surface. It is
+        called once, while the drawing process starts.
     path
         File.
     annotate
-        Adds legends, colour bars and marks to the figure.
+        Function that adds legends, colour bars and marks to the figure.
     margins_px
-        Height above and below the renderings [pixel].
+        Heights above and below the renderings [pixels].
     title, names
-        Text above all panels, and above each of them.
+        Text above all panels, and text above each panel.
     ambient
-        Share of the light that comes from everywhere. More of it gives less shade.
+        Share of ambient light. A larger share gives less shade.
 
     Returns
     -------
@@ -207,7 +211,7 @@ def draw_shaded(
 
 
 def _main(name: str, averaged: str, ambient: str) -> None:
-    """Draw the surfaces that come on the standard input, and write the pictures into a folder."""
+    """Render the surfaces from standard input, and write the pictures into a folder."""
     import pyvista
 
     # loads OpenGL while the surfaces are still being made
@@ -224,7 +228,10 @@ def _main(name: str, averaged: str, ambient: str) -> None:
 
 
 def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> Bytes:
-    """Render one surface. Squares of `averaged` pixels along each edge are averaged."""
+    """Render one surface.
+
+    Squares with `averaged` pixels along each edge are averaged.
+    """
     import pyvista
 
     width, height = (OVERSAMPLING * pixels // averaged for pixels in camera.size)
@@ -272,8 +279,9 @@ def round_length(longest_mm: float) -> float:
 
 
 def _draw_scale(axes: "Axes", camera: Camera) -> None:
-    """Draw a bar of a round length. It holds across the picture because the projection is
-    parallel.
+    """Draw a bar of a round length.
+
+    The bar is valid everywhere in the picture because the projection is parallel.
     """
     per_mm = camera.size[1] / camera.height_mm
     # at most a quarter of the width
@@ -290,7 +298,7 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
-    """Draw the world's axes as the camera sees them."""
+    """Draw the world axes as the camera sees them."""
     view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
     # arrows of length 0.8 and their names fit; up is wider, since z points up in most views
     axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")

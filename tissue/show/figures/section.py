@@ -1,4 +1,4 @@
-"""Section through the deepest point of the tool: layers, removed tissue, stress and structures
+"""Section through the deepest point of the tool, with layers, removed tissue, stress and structures
 to keep clear of.
 """
 
@@ -38,30 +38,33 @@ __all__ = ["draw_section", "plane_of"]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
-"""Share of its layer's colour that removed tissue keeps."""
+"""Share of the colour of a layer in the colour of removed tissue."""
 PATH = "#CC79A7"
-"""Colour of the tip's path."""
+"""Colour of the path of the tip."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
 DECADES = 3.0
-"""Widest span of a logarithmic scale: over more, colours of neighbouring values look alike."""
+"""Largest span of a logarithmic scale [decades]; over more decades, neighbouring values look the
+same.
+"""
 
 
 @dataclass(frozen=True)
 class Section:
-    """Voxels in a plane that holds the tool's axis.
+    """Voxels in a plane that contains the tool's axis.
 
     Attributes
     ----------
     axes
-        World axes of the arrays' first and second index and at right angles to the plane, 0 to 2.
+        World axes of the first and second index of the arrays, and world axis perpendicular to the
+        plane, 0 to 2.
     place_mm
-        Coordinate of the plane along the normal [mm].
+        Coordinate of the plane along its normal [mm].
     row
-        Row of the trace at the moment.
+        Row of the trace at the shown time.
     extent_mm
         Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
     start, left
-        Tissue before the first cut and at the moment, 0 to 1, shape (nu, nv).
+        Content of the voxels before the first cut and at the shown time, 0 to 1, shape (nu, nv).
     layer
         Layer of each voxel, shape (nu, nv).
     """
@@ -76,12 +79,12 @@ class Section:
 
 
 def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
-    """Return the plane through the deepest point so far, along the tool's axis and direction.
+    """Return the plane through the deepest point so far, along tool axis and direction of motion.
 
     Returns
     -------
-    World axes of the tool's main direction and at right angles to the plane, and the plane's
-    coordinate [mm].
+    World axis of the main direction of motion, world axis perpendicular to the plane, and
+    coordinate of the plane [mm].
     """
     tips = run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
@@ -96,16 +99,16 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
 
 
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
-    """Return the section through the deepest point so far, along the tool's axis and direction.
+    """Return the section through the deepest point so far, along tool axis and direction of motion.
 
     Parameters
     ----------
     run
         A run with voxels.
     axis, outward
-        World axis closest to the tool's axis, and the side that the tool comes from.
+        World axis closest to the tool's axis, and the side from which the tool comes.
     row
-        Row of the trace at the moment that is shown.
+        Row of the trace at the shown time.
     """
     volume = run.volume
     across, normal, place = plane_of(run, axis=axis, outward=outward, row=row)
@@ -131,9 +134,9 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
-    """Return the last frame with at least a tenth of the run's peak stress.
+    """Return the last frame with at least a tenth of the peak stress of the run.
 
-    The result is None if there is no stress.
+    The result is None if the run has no stress.
     """
     peaks = [
         float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
@@ -145,8 +148,9 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
-    """Return the row of the trace and the fields at the moment of the section: under load, else
-    at the last cut.
+    """Return the row of the trace and the fields for the section.
+
+    The time is the last one under load; without load, that of the last cut.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)
@@ -158,7 +162,7 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
 
 @styled
 def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
-    """Draw layers, removed tissue and the stress in the same section at the same moment.
+    """Draw layers, removed tissue and stress in the same section at the same time.
 
     Stress is drawn only if fields were computed.
     """
@@ -199,7 +203,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
 
 
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
-    """Draw every voxel in its layer's colour, pale where it was removed."""
+    """Draw each voxel in the colour of its layer; removed voxels are pale."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     # white where there was no tissue
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
@@ -217,7 +221,7 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
-    """Draw the outline of the tool at one moment, and the path of its tip so far."""
+    """Draw the outline of the tool at the shown time, and the path of its tip so far."""
     plane = list(section.axes[:2])
     tips = run.trace.vectors("tool", "mm")[: section.row + 1, plane]
     along = tool_axes(tool_turns(run.trace))[section.row, plane]
@@ -234,7 +238,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
 
 def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
     """Draw the von Mises stress of the remaining tissue on a logarithmic scale, and the edges of
-    its layers.
+    the layers.
     """
     from matplotlib.colors import LogNorm
 
@@ -262,7 +266,9 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
 
 
 def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Array:
-    """Return the stress at the centres of the section's voxels [MPa], each in its layer."""
+    """Return the stress at the centres of the voxels of a section, from cells of the same layer
+    [MPa].
+    """
     u0, u1, v0, v1 = section.extent_mm
     (columns, rows) = section.layer.shape
     places = np.empty((*section.layer.shape, 3))
@@ -277,7 +283,7 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Arra
 
 
 def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
-    """Return legend entries: the layers of the section, and its marks."""
+    """Return legend entries for the layers and the marks of the section."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -299,13 +305,13 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
 Window = tuple[float, float, float, float]
 """Lowest and highest coordinate along the two axes of a section, (u0, u1, v0, v1) [mm]."""
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
-"""After Okabe and Ito (2008)."""
+"""Colours of structures after Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""Shown margin of a structure beyond its nearest point [mm]."""
+"""Margin beyond the nearest point of a structure that is shown [mm]."""
 ACROSS = 200
-"""Points along each side of the section at which the distance is computed."""
+"""Number of points along each side of the section at which the distance is computed."""
 STEP_M = 1e-5
-"""Step of the differences that approximate the gradient of a distance [m]."""
+"""Step of the finite differences for the gradient of a distance [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,11 +321,11 @@ class Nearest:
     Attributes
     ----------
     name, distance
-        The structure.
+        Name of the structure, and function that computes the distance from it.
     tool_mm, structure_mm
-        Points of the tool's body and of the structure's surface [mm], shape (3,).
+        Nearest points of tool and structure [mm], shape (3,).
     least_mm
-        Their distance, negative inside the structure [mm].
+        Distance of these points, negative inside the structure [mm].
     """
 
     name: str
@@ -330,7 +336,7 @@ class Nearest:
 
 
 def nearest_places(run: Run) -> list[Nearest]:
-    """Return the smallest distance of the tool from each structure to keep clear of."""
+    """Return the smallest distance between the tool and each structure to keep clear of."""
     from scipy.spatial.transform import Rotation
 
     clear = run.parts.keep_clear
@@ -354,9 +360,9 @@ def nearest_places(run: Run) -> list[Nearest]:
 
 
 def kept_window(places: Sequence[Nearest], section: Section) -> Window:
-    """Return a window around the tissue of a section and each structure's nearest point.
+    """Return a window around the tissue of a section and the nearest point of each structure.
 
-    Without structures it is the whole section.
+    If there are no structures, the window is the whole section.
     """
     tissue = np.argwhere(section.start > 0.0)
     u0, u1, v0, v1 = section.extent_mm
@@ -379,8 +385,8 @@ def draw_kept_clear(
 ) -> "list[Artist]":
     """Draw structures in a section and return legend entries with the smallest distances.
 
-    A line between two dots joins the nearest points of tool and structure, seen along the section's
-    normal.
+    A line between two dots joins the nearest points of tool and structure, projected onto the
+    section.
     """
     across, axis, _ = section.axes
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))

@@ -1,4 +1,4 @@
-"""Surfaces of a scene's tool and of faces without a mesh, and the tool's pose in a trace."""
+"""Surfaces of the tool of a scene and of faces without a mesh, and poses of the tool in a trace."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -33,26 +33,26 @@ __all__ = [
 ]
 
 NEEDLE_MM = 80.0
-"""Length of a needle as it is drawn: longer than the 60 mm of the deepest push in a study."""
+"""Length of a drawn needle [mm], longer than the deepest insertion in a study (60 mm)."""
 BLADE_MM = 40.0
-"""Length of a blade above its edge as it is drawn."""
+"""Length of a drawn blade above its edge [mm]."""
 POINT = 2.0
-"""Length of a needle's point, in diameters."""
+"""Ratio of the length of the needle's point to the diameter."""
 SIDES = 72
-"""Sides of a round body: a turn of 5 degrees each appears round."""
+"""Number of sides of a round body; steps of 5 degrees look round."""
 ARC = np.radians(270.0)
-"""Length of the arc that shows the sense of a tool's spin."""
+"""Angle of the arc that shows the sense of rotation of a tool [rad]."""
 ROD_MM = 40.0
-"""Length of a probe of another shape as it is drawn [mm]."""
+"""Length of a drawn probe of any other shape [mm]."""
 ABOVE = 0.6
-"""Width of the arc above a tool over the width of an arc around it."""
+"""Ratio of the width of an arc above a tool to that of an arc around the tool."""
 
 
 def tool_surface(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
-    """Return the surface of a tool in its own frame [mm], or None.
+    """Return the surface of a tool in the frame of the tool [mm], or None.
 
-    The tip is at the origin, and z points from tip to shank. The result is None without a tool, or
-    if the file of the tool can no longer be read.
+    The tip is at the origin, and z points from tip to shank. The result is None if there is no
+    tool, or if the file of the tool can no longer be read.
     """
     import pyvista
 
@@ -82,7 +82,7 @@ def tool_surface(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyDat
 
 
 def turning_tool(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
-    """Return `tool_surface`, with an arrow in the sense of rotation around a tool that turns."""
+    """Return `tool_surface`, with an arrow in the sense of rotation around a rotating tool."""
     import pyvista
 
     surface = tool_surface(tool)
@@ -103,7 +103,7 @@ def turning_tool(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyDat
 
 
 def spin_arc_mm(tool: Tool) -> Array:
-    """Return an arc around the tool tip in the sense of rotation, in the tool's own frame [mm]."""
+    """Return an arc around the tip in the sense of rotation, in the frame of the tool [mm]."""
     turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
     # 15 % outside of the tool
     radius = 0.575 * tool.diameter_mm
@@ -113,7 +113,7 @@ def spin_arc_mm(tool: Tool) -> Array:
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
     """Return the transform from a tool frame to the world [mm], shape (4, 4).
 
-    It follows from tip and quaternion (x, y, z, w).
+    The transform is computed from tip and quaternion (x, y, z, w).
     """
     from scipy.spatial.transform import Rotation
 
@@ -124,7 +124,7 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
 
 
 def row_at(trace: "Table", time_s: float) -> int:
-    """Return the row of a trace at a moment."""
+    """Return the row of a trace at a time."""
     times = trace["time_s"]
     # times from files are rounded: a tick at the moment itself counts
     return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
@@ -165,22 +165,22 @@ def _plate(blade: Blade) -> "pyvista.PolyData":
 
 
 def _turned(line_mm: Array) -> "pyvista.PolyData":
-    """Return the surface of revolution of a line in the half plane y = 0 around z."""
+    """Return the surface that a line in the half plane y = 0 sweeps around z."""
     import pyvista
 
     return pyvista.lines_from_points(line_mm).extrude_rotate(resolution=SIDES, capping=False)
 
 
 FACE_MM = 30.0
-"""Edge of a drawn piece of an infinite face, and length of a wall beyond the path on it [mm]."""
+"""Edge of a drawn piece of an infinite face, and length of a drawn wall beyond the path [mm]."""
 WALL_MESH_MM = 5.0
-"""Width of the squares of a drawn wall."""
+"""Width of the squares of a drawn wall [mm]."""
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a tool passes or presses [mm], by name.
+    """Return pieces of the faces that a tool passes or presses [mm], keyed by name.
 
-    Voxels and meshes have no such faces.
+    A scene with voxels or a mesh has no such faces.
     """
     if scene is None:
         return {}
@@ -190,7 +190,7 @@ def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
 
 
 def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return a wall or the surface of a tissue under all of the path that the tool can go."""
+    """Return a wall, or the surface of a tissue, under all positions that the tool can reach."""
     import pyvista
 
     path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
@@ -214,7 +214,7 @@ def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a needle passes, by layer."""
+    """Return pieces of the faces that a needle passes, keyed by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)

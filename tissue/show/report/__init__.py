@@ -1,3 +1,1 @@
-"""A run as one HTML file to hand over: figures, forces, the bone or organ in 3D over time,
-materials, scene.
-"""
+"""Report on a run as one HTML file: figures, forces, 3D view over time, materials, scene."""

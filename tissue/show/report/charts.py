@@ -1,4 +1,4 @@
-"""The report's charts, and arrays as compact text in JSON, which `decode.js` reads."""
+"""Charts of a report, and encoding of arrays as compact text in JSON, which `decode.js` reads."""
 
 import zlib
 from base64 import b64encode
@@ -24,19 +24,19 @@ __all__ = [
 ]
 
 Record = dict[str, Any]
-"""Values that JSON can hold."""
+"""Values that JSON can contain."""
 LARGEST = 32767
-"""Steps to either side of a quantised number of 16 bits."""
+"""Number of steps on each side of zero of a quantised number of 16 bits."""
 STEPS = 255
-"""Steps of a colour: one byte, as many as a screen shows."""
+"""Number of steps of a colour: one byte, as many as a screen shows."""
 
 
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
     """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
 
-    Differences between rows are wrapped around, and negative differences become odd numbers. Small
-    differences of either sign therefore have high bytes of 0. All first bytes come before all
-    second bytes, column by column.
+    Differences between rows are wrapped around, and negative differences become odd numbers. The
+    high bytes of small differences, positive or negative, are therefore 0. All first bytes come
+    before all second bytes, column by column.
     """
     rows = values if values.ndim == 2 else values[:, None]
     size = rows.dtype.itemsize
@@ -63,10 +63,11 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
 
 
 def packed_vectors(values: ArrayLike) -> Record:
-    """Encode numbers in 65,532 steps over the widest column's range: ``low`` + ``step`` * (whole +
-    32767).
+    """Encode numbers in 65,532 steps over the range of the widest column.
 
-    A 0 stays exactly 0.
+    A number is decoded as ``low`` + ``step`` * (whole + 32767).
+
+    A value of 0 stays exactly 0.
     """
     rows = np.asarray(values, dtype=np.float64)
     low, high = (
@@ -81,7 +82,7 @@ def packed_vectors(values: ArrayLike) -> Record:
 
 
 def packed_column(values: ArrayLike) -> Record:
-    """Encode one column of numbers as `packed_vectors` does."""
+    """Encode one column of numbers like `packed_vectors`."""
     return packed_vectors(np.asarray(values, dtype=np.float64)[:, None])
 
 
@@ -93,10 +94,11 @@ def packed_shares(values: ArrayLike) -> Record:
 
 
 def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """Encode a surface, and return the order in which its points are kept.
+    """Encode a surface, and return the order of its points in the encoded surface.
 
-    Unused points are left out. Points come in the order in which triangles first name them. A
-    corner is encoded as its distance below the next new point, 0 for the new point itself.
+    Unused points are left out. Points are in the order in which triangles first use them. A corner
+    is encoded as the distance of its index below that of the next new point; the new point itself
+    is 0.
     """
     corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
     used, first, at = np.unique(corners, return_index=True, return_inverse=True)
@@ -114,12 +116,12 @@ def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDA
 
 PLAYED = {"raw_force": "renderer's", "device_force": "played by the device"}
 FIRST = ("indentation_mm", "insertion_mm", "depth_mm")
-"""Measures that the last chart shows at first, where there is one of them."""
+"""Columns that the last chart shows at the start, if a run has one of them."""
 HIDDEN = ("tool_q", "device_q")
 
 
 def columns(trace: Table) -> Record:
-    """Return every varying column of the trace, and the layer at the tip, for the browser."""
+    """Return all columns of the trace that vary, and the layer at the tip, for the browser."""
     varying = [
         name
         for name in trace.columns
@@ -140,8 +142,10 @@ def columns(trace: Table) -> Record:
 
 
 def charts(trace: Table, scene: Scene | None) -> list[Record]:
-    """Return the charts: force, torque, removal rate or contact area, force at a device, depth,
-    and a chosen column.
+    """Return the charts of a report.
+
+    They show force, torque, removal rate or contact area, force at a device, depth, and a chosen
+    column.
     """
     small = bool(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0) < SMALL_NM)
     torque = ("torque", "Nm", *(("torque / mN·m", 1e3) if small else ("torque / N·m", 1.0)))

@@ -1,4 +1,4 @@
-"""The text of a report as HTML: figures, bands, events, notes, materials, scene, versions."""
+"""Text of a report as HTML: figures, bands, events, notes, materials, scene and versions."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,7 +21,7 @@ __all__ = [
 
 
 Text = Callable[[str], str]
-"""Function that makes HTML of a plain text: cleaned and escaped."""
+"""Function that converts a plain text to HTML, cleaned and escaped."""
 CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
@@ -75,7 +75,7 @@ def figures_of(saved: SavedRun, text: Text) -> str:
 
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
-    """Return heading, lines and picture of an assessment; the picture is a PNG."""
+    """Return the section with heading, lines and PNG picture of an assessment."""
     shown = "".join(f"<li>{text(line)}</li>" for line in lines)
     data = b64encode(picture).decode()
     return (
@@ -85,7 +85,7 @@ def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
 
 
 def events_table(summary: Summary, text: Text) -> str:
-    """Return the table of events, with buttons that go to their moments."""
+    """Return the table of events, with buttons that go to the times of the events."""
     events = summary.get("events", [])
     if not events:
         return "<p>None.</p>"
@@ -101,7 +101,7 @@ def events_table(summary: Summary, text: Text) -> str:
 
 
 def notes_table(summary: Summary, text: Text) -> str:
-    """Return the table of the run's notes."""
+    """Return the table of the notes of the run."""
     notes = summary.get("notes", {})
     if not notes:
         return "<p>None.</p>"
@@ -111,7 +111,7 @@ def notes_table(summary: Summary, text: Text) -> str:
 
 
 def materials_table(used: Sequence[Used], text: Text) -> str:
-    """Return the table of cited constants with value, range, source and confidence."""
+    """Return the table of constants with value, range, source and confidence."""
     if not used:
         return (
             "<p>This scene rests on no cited constant: what it is made of is stated in the scene "
@@ -136,7 +136,7 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """Return the scene as text, the commands that run it again, and versions."""
+    """Return the scene as text, the commands that run the scene again, and versions."""
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = (
         f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as '
@@ -163,7 +163,7 @@ def _torque(torque_Nm: float) -> str:
 def _table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
 ) -> str:
-    """Return a table of cells that are HTML already. Columns of numbers align to the right."""
+    """Return a table from cells in HTML; columns of numbers align to the right."""
 
     def line(cells: Sequence[str], element: str) -> str:
         shown = ""
@@ -184,17 +184,20 @@ ROWS = (
     ("mean torque in contact", "torque_Nm", "mean_in_contact", "N m"),
 )
 ENDS = ("p25", "p75"), ("p05", "p95")
-"""Ends of the bands of 50 and 90 %."""
+"""Quantiles at the ends of the 50 % and the 90 % band."""
 BAND_PICTURES = {
     "band": "loads over time with their bands",
     "band_sobol": "which constant matters",
 }
 PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
-"""Formats that a page shows, with their types."""
+"""Picture formats that a page can show, with their media types."""
 
 
 def band_section(saved: SavedRun, text: Text) -> str:
-    """Return heading, table and pictures of a run's band, or an empty string without a band."""
+    """Return heading, table and pictures of the uncertainty band of a run.
+
+    The result is an empty string if the run has no band.
+    """
     band: dict[str, Any] | None = saved.summary.get("band")
     if band is None or not saved.complete:
         return ""
@@ -225,11 +228,13 @@ def _pictures(saved: SavedRun) -> str:
 
 
 LARGEST_PREFIX = "greatest_"
-"""Beginning of the name of a figure that is the largest value of a column or a field."""
+"""Prefix of the name of a figure that is the largest value of a column or a field."""
 
 
 def _band_text(band: Summary) -> str:
-    """Describe the method of a band and the most important constants for the peak force."""
+    """Return a text on the method of a band, and on the constants that matter most for the peak
+    force.
+    """
     asked = f", {band['asked']} asked for" if band["asked"] != band["samples"] else ""
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
@@ -239,7 +244,7 @@ def _band_text(band: Summary) -> str:
 
 
 def band_lines(band: Summary) -> Iterator[str]:
-    """Yield sentences on a band: its samples, figures with 90 % intervals, and left-out samples."""
+    """Yield sentences on a band: samples, figures with 90 % intervals, and left-out samples."""
     yield _band_text(band)
     for name, ends in band.items():
         if name.startswith(LARGEST_PREFIX):

@@ -1,4 +1,4 @@
-"""A saved run as one HTML file that needs no network."""
+"""Report on a saved run as one HTML file that needs no network."""
 
 import json
 import re
@@ -40,13 +40,13 @@ __all__ = ["NAME", "write_report"]
 
 
 NAME = "report.html"
-"""File in a run's folder."""
+"""Name of the report in the folder of a run."""
 SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")
-"""Own scripts, in the order of their dependencies."""
+"""Scripts of this project in a report, in the order of their dependencies."""
 PACKED = "data"
-"""Key under which `packing` keeps encoded arrays, which are no text."""
+"""Key of encoded arrays in JSON; they are not cleaned as texts."""
 Clean = Callable[[str], str]
-"""Function that takes the folders of files out of a text."""
+"""Function that removes the folders of files from a text."""
 
 
 def write_report(
@@ -57,7 +57,7 @@ def write_report(
     progress: Progress | None = None,
     assessment: tuple[list[str], bytes] | None = None,
 ) -> Path:
-    """Write a run's report.
+    """Write the report on a run.
 
     Parameters
     ----------
@@ -66,11 +66,11 @@ def write_report(
     out
         HTML file to write. Default: ``report.html`` in the folder.
     overwrite
-        Replace an existing file.
+        Whether to replace an existing file.
     progress
-        Called with a description of the current step.
+        Function that is called with a description of the current work.
     assessment
-        Lines and picture (PNG) of an assessment of the run, for a section of its own.
+        Lines and picture (PNG) of an assessment of the run, which gets a section of its own.
 
     Returns
     -------
@@ -79,8 +79,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder holds no run or damaged files, the file exists and may not be replaced, or
-        trame-vtk is missing.
+        If the folder contains no run or damaged files, the file exists and `overwrite` is not set,
+        or trame-vtk is missing.
     """
     report = progress or silent
     folder = Path(folder)
@@ -92,7 +92,8 @@ def write_report(
             "out", "end in .html", out, f"choose for example {out.with_suffix('.html')}"
         )
     require_new_file(out, overwrite=overwrite)
-    # In the run's folder the report is one of the run's files, which a new run there removes.
+    # In the folder of the run, the report counts as a file of the run, which a new run in this
+    # folder removes.
     belongs = out.absolute().parent == folder.absolute() and out.name == NAME
     with added_to_run(folder) if belongs else nullcontext():
         report("reading the run", 0.0)
@@ -108,7 +109,7 @@ def write_report(
 
 
 def _require_whole(saved: SavedRun) -> None:
-    """Refuse files that are damaged, before VTK reads them in this process, which it could end."""
+    """Refuse damaged files, which could make VTK end this process."""
     require_whole(saved)
     surfaces = [saved.path / "bone.vtp", *sorted((saved.path / "carving").glob("*.vtp"))]
     there = {
@@ -141,7 +142,7 @@ def _html(
     clean: Clean,
     assessment: tuple[list[str], bytes] | None,
 ) -> str:
-    """Return the whole file."""
+    """Return the content of the HTML file."""
     scene = saved.scene
     used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
     kept = saved.path / "scene.toml"
@@ -179,11 +180,11 @@ def _html(
 
 
 def _cleaner(saved: SavedRun) -> Clean:
-    """Return a function that replaces the paths of files in a text by their names.
+    """Return a function that replaces paths of files in a text by file names.
 
-    A report is passed on to others, and folders may be named after a patient. Texts are cleaned
-    before they are put into the page. The finished page holds markup and encoded arrays, in which a
-    short folder name occurs by chance.
+    A report is given to other people, and the name of a folder may be that of a patient. Texts are
+    cleaned before they are put into the page, not afterwards. The finished page contains markup and
+    encoded arrays, in which a short folder name may occur by chance.
     """
     folders = folders_of(saved.scene) if saved.scene is not None else []
 
@@ -198,7 +199,7 @@ def _cleaner(saved: SavedRun) -> Clean:
 
 
 def _cleaned(value: Any, clean: Clean) -> Any:
-    """Return a value of JSON with all its texts cleaned, keys included, but for encoded arrays."""
+    """Return a JSON value with all texts cleaned, including keys, except encoded arrays."""
     if isinstance(value, str):
         return clean(value)
     if isinstance(value, dict):
@@ -213,13 +214,15 @@ def _cleaned(value: Any, clean: Clean) -> Any:
 
 
 def _data_element(data: Record) -> str:
-    """Return the element that holds the data as JSON. No text of the run can end it."""
+    """Return the HTML element that contains the data as JSON; no text of the run can end the
+    element.
+    """
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="report-data">{written}</script>'
 
 
 def _start(part_count: int) -> str:
-    """Return the script that gives vtk.js an empty scene with a number of parts."""
+    """Return the script that passes an empty scene with a number of parts to vtk.js."""
     return (
         "window.global = window; window.loadDataSet = () => { window.loadDataSet = undefined; "
         "OfflineLocalView.load(document.getElementById('stage'), "
@@ -246,23 +249,23 @@ def _versions(saved: SavedRun) -> list[tuple[str, str]]:
 
 
 STYLE_ELEMENT = "document.createElement('style')"
-"""Call by which the viewer adds styles for its file dialogue.
+"""Call with which the viewer adds styles for its file dialogue.
 
-The policy of a page does not allow this call.
+The security policy of the page does not allow this call.
 """
 ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
-"""Begin of the addresses of icons that the viewer would fetch."""
+"""Beginning of the addresses of icons that the viewer would download."""
 
 
 def viewer_scripts() -> tuple[list[str], list[str]]:
-    """Return the classic and the module scripts of trame-vtk's static viewer.
+    """Return the classic scripts and the module scripts of the static viewer of trame-vtk.
 
-    They offer ``OfflineLocalView``. The icons that the viewer would fetch are left out.
+    The scripts define ``OfflineLocalView``. The icons that the viewer would download are left out.
 
     Raises
     ------
     InputError
-        If trame-vtk is missing, or its version ships no such viewer (2.11.0 does not).
+        If trame-vtk is missing, or its version does not contain this viewer (2.11.0 does not).
     """
     found = find_spec("trame_vtk")
     text = ""
@@ -284,9 +287,10 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
 
 
 def empty_scene(parts: int) -> str:
-    """Return a scene of empty parts with colours and normals, as base64 of a zip.
+    """Return a scene of empty parts with colours and normals, as a zip file in base64.
 
-    The browser's script gives them their points: vtk.js makes objects only from such a scene.
+    A script in the browser adds the points. The empty scene is needed because vtk.js makes objects
+    only from a scene.
     """
     record = json.loads(_own("scene.json"))
     (renderer,) = record["scene"]["dependencies"]

@@ -1,4 +1,4 @@
-"""The 3D view of a report: bone or organ over time, tool, force and colour scales."""
+"""3D view of a report: bone or organ over time, tool, force and colour scales."""
 
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
@@ -36,20 +36,23 @@ DEVICE = "#D55E00"
 PATH = "#D55E00"
 FORCE = COMPONENTS[0]
 MOST_POSES = 6000
-"""Maximum number of poses of the tool, 84 kB. The browser interpolates between them."""
+"""Largest number of poses of the tool (84 kB).
+
+The browser interpolates between the poses.
+"""
 MOST_POINTS = 3000
-"""Points of the path that is drawn: more than a screen has pixels across."""
+"""Largest number of points of the drawn path, more than a screen has pixels across."""
 LONGEST = 0.3
-"""Ratio of the arrow length of the largest force to the size of the touched object."""
+"""Ratio of the length of the arrow of the largest force to the size of the touched object."""
 
 
 class Shown:
-    """Surfaces over time and the scales of their colours.
+    """Surfaces over time, and their colour scales.
 
     Attributes
     ----------
     parts
-        Records of surfaces with their moments.
+        Records of surfaces with their times.
     scales
         Records of colour scales.
     points_mm
@@ -69,11 +72,11 @@ class Shown:
 
 
 def stage(saved: SavedRun) -> Record:
-    """Return the record that the browser shows in 3D.
+    """Return the record of the 3D view for the browser.
 
-    ``parts`` are surfaces over time, ``scales`` the scales of their colours, and ``bounds`` the box
-    of each group of parts that must be in view [mm]. A run with ticks also has ``poses`` of the
-    tool, ``force`` and ``peak_row``.
+    ``parts`` contains surfaces over time, and ``scales`` their colour scales. ``bounds`` contains
+    the box of each group of parts that must be in view [mm]. A run with ticks also has ``poses`` of
+    the tool, ``force`` and ``peak_row``.
     """
     scene = saved.scene
     fields = saved_fields(saved)
@@ -111,7 +114,7 @@ def stage(saved: SavedRun) -> Record:
 
 def _ends(points_mm: Array) -> list[list[float]]:
     """Return the lowest and highest corner around points."""
-    # nothing is shown: any box will do
+    # nothing is shown, so any box is valid
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
@@ -120,7 +123,7 @@ def _ends(points_mm: Array) -> list[list[float]]:
 def _add_tool(
     record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float
 ) -> None:
-    """Add the tool and its device with their poses, the tip's path and the force arrow."""
+    """Add tool and device with their poses, the path of the tip, and the force arrow."""
     import pyvista
 
     tips = trace.vectors("tool", "mm")
@@ -166,7 +169,7 @@ def _add_tool(
 def _still(surface: "pyvista.PolyData") -> Record:
     """Return the record of a surface that keeps its shape.
 
-    Both sides of an edge have separate points.
+    The two sides of an edge have separate points.
     """
     surface = with_normals(surface.triangulate())
     mesh, _ = packed_mesh(surface.points, surface.regular_faces)
@@ -174,11 +177,11 @@ def _still(surface: "pyvista.PolyData") -> Record:
 
 
 MOST_MOMENTS = 40
-"""Maximum number of moments of the bone of an incomplete run. Each is a surface in the report."""
+"""Largest number of times at which the bone of an incomplete run is shown; each needs a surface."""
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
-    """Return the bone by removed depth and by layer at the saved moments, or None."""
+    """Return the bone at the saved times, coloured by removed depth and by layer, or None."""
     moments = list(_bone_moments(saved))
     if not moments:
         return None
@@ -209,7 +212,9 @@ def bone_shown(saved: SavedRun) -> Shown | None:
 
 
 def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
-    """Return time [s], whether the part is one that no cut changes, and surface [mm]."""
+    """Return for each surface the time [s], whether it is the part that no cut changes, and the
+    surface [mm].
+    """
     import pyvista
 
     placement = saved_placement(saved.path)
@@ -239,9 +244,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
 
 
 def _entries(index: Path) -> list[tuple[float, int, str]]:
-    """Read times [s], parts and files from ``carving.pvd``. Files outside the folder are
-    refused.
-    """
+    """Read times [s], parts and files from ``carving.pvd``; refuse files outside the folder."""
     with suppress(ElementTree.ParseError, KeyError, ValueError, LookupError, OSError):
         root = ElementTree.fromstring(index.read_bytes())
         found = [
@@ -272,9 +275,9 @@ def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) ->
 
 
 def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
-    """Return the deformed mesh by each of its fields, whole and cut open at a plane.
+    """Return the deformed mesh, coloured by each of its fields, whole and cut open at a plane.
 
-    The plane is given by normal and point [mm].
+    The plane is given by a normal and a point [mm].
     """
     shown = Shown()
     first = fields.frames[0]
@@ -301,8 +304,9 @@ def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
 
 
 def _moments_of_fields(fields: SavedFields, parts: Sequence[Any]) -> Record:
-    """Return the surfaces of all frames. Consecutive frames with the same triangles share a
-    mesh.
+    """Return the surfaces of all frames.
+
+    Consecutive frames with the same triangles share a mesh.
     """
     surfaces = [part.extract_surface(algorithm="dataset_surface").triangulate() for part in parts]
     moved = [fields.moved_mm(surface) for surface in surfaces]
@@ -330,7 +334,9 @@ def _moments_of_fields(fields: SavedFields, parts: Sequence[Any]) -> Record:
 
 
 def _shares(values: NDArray[Any], limits: tuple[float, float]) -> Array:
-    """Return the place of values on their scale, logarithmic where it begins above 0."""
+    """Return the positions of values on their colour scale, which is logarithmic if it begins above
+    0.
+    """
     low, high = limits
     values = np.asarray(values, dtype=np.float64)
     if low > 0.0:
@@ -348,24 +354,24 @@ def _is_same(a: Any, b: Any) -> bool:
 
 
 UNCUT = 0.02
-"""Share of the deepest cut below which bone counts as uncut."""
+"""Removed depth, relative to the deepest cut, below which bone counts as uncut."""
 
 
 def depth_scale(deepest_mm: float) -> Record:
-    """Return the scale of removed depth. Uncut bone has a separate colour."""
+    """Return the colour scale of removed depth; uncut bone has a separate colour."""
     colours = _colours(DEPTH_COLOURS)
     colours[: round(UNCUT * len(colours))] = np.array(BONE)
     return _scale("removed depth", "mm", "depth", colours) | _ends_of_scale(0.0, deepest_mm)
 
 
 def field_scale(name: str, limits: tuple[float, float]) -> Record:
-    """Return the scale of a field over the whole run, logarithmic where it begins above 0."""
+    """Return the colour scale of a field over the whole run, logarithmic if it begins above 0."""
     colours = _colours(field_colours(*limits))
     return _scale(*field_label(name), name, colours) | _ends_of_scale(*limits)
 
 
 def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
-    """Return the colours of layers. The legend names the shown layers."""
+    """Return the colours of layers, and a legend with the shown layers."""
     colours = layer_colours(tuple(names))
     # an index of one byte
     table = np.zeros((256, 3))
@@ -375,7 +381,7 @@ def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
 
 
 def _scale(label: str, unit: str, array: str, colours: Array) -> Record:
-    """Return the record of a scale: its words, and its colours as bytes."""
+    """Return the record of a colour scale: its texts, and its colours as bytes."""
     table = b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")
     return {"label": label, "unit": unit, "array": array, "colours": table}
 

@@ -1,1 +1,1 @@
-"""The window of `tissue view`, its screenshots and movies."""
+"""Window, screenshots and movies of `tissue view`."""

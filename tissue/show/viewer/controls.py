@@ -1,6 +1,4 @@
-"""Controls of the window of `tissue view`: layers, clip plane, point values, list of fields,
-playback.
-"""
+"""Controls in the window of `tissue view`: layers, clip plane, point values, fields, playback."""
 
 from collections.abc import Callable, Sequence
 from time import perf_counter
@@ -28,7 +26,7 @@ __all__ = [
 ]
 
 MOST = 9
-"""Layers that have a key: the digits from 1 on."""
+"""Number of layers that have a key (the digits from 1 on)."""
 
 
 class LayerKeys:
@@ -37,20 +35,20 @@ class LayerKeys:
     Parameters
     ----------
     plotter
-        Plotter in which the digits are bound.
+        Plotter in which the digit keys are bound.
     names
         Names of the layers. The first layer has the key 1.
     hidden
-        Layers that are hidden at first.
+        Layers that are hidden at the start.
     hide
-        Called with the hidden layers, now and after every change.
+        Function that is called with the hidden layers, now and after each change.
 
     Attributes
     ----------
     hidden
         Hidden layers.
     help
-        Description of the keys. Empty if there is only one layer.
+        Description of the keys; empty if there is only one layer.
     """
 
     def __init__(
@@ -87,20 +85,20 @@ OUT = "comma"
 IN = "period"
 HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
 STEP = 0.02
-"""Distance by which a key moves the plane, in diagonals of the mesh."""
+"""Distance by which a key moves the plane, relative to the diagonal of the mesh."""
 
 
 class ClipPlane:
-    """Plane that cuts the fields open.
+    """Plane at which the fields are cut open.
 
     Parameters
     ----------
     plotter
         Plotter of the window.
     fields
-        Fields that are cut.
+        Fields that the plane cuts.
     start
-        Plane when it is first switched on.
+        Position of the plane when it is first switched on.
     """
 
     def __init__(self, plotter: Plotter, fields: FieldsShown, *, start: Plane) -> None:
@@ -116,20 +114,20 @@ class ClipPlane:
         self._follow()
 
     def switch(self) -> None:
-        """Cut the mesh open, or close it again."""
+        """Cut the mesh open, or show it whole again."""
         self._on = not self._on
         self._fields.cut(self._plane if self._on else None)
         self._plotter.render()
 
     def move(self, normal: Sequence[float], origin: Sequence[float]) -> None:
-        """Bring the plane elsewhere."""
+        """Move the plane to a new normal and origin."""
         a, b, c, x, y, z = map(float, (*normal, *origin))
         self._plane = (a, b, c), (x, y, z)
         if self._on:
             self._fields.cut(self._plane)
 
     def push(self, share: float) -> None:
-        """Move the plane along its normal, by a share of the mesh's diagonal."""
+        """Move the plane along its normal, by a share of the diagonal of the mesh."""
         normal, origin = self._plane
         moved = np.add(origin, share * self._fields.size_mm * np.array(normal)).tolist()
         # the widget is made when the plane is first switched on
@@ -139,7 +137,7 @@ class ClipPlane:
         self._plotter.render()
 
     def _follow(self) -> None:
-        """Show the handles of the plane while there is something that it cuts."""
+        """Show the handles of the plane while there is a mesh to cut."""
         wanted = self._on and self._fields.name is not None
         # the widget is made at first use, since a mesh is needed for its bounds
         if wanted and self._widget is None and self._fields.actor is not None:
@@ -162,13 +160,15 @@ class ClipPlane:
 
 MARK = "#56B4E9"
 NEGLIGIBLE = 1e-5
-"""Share of a vector below which one of its components is rounding."""
+"""Share of a vector below which a component counts as a rounding error."""
 LEFT = 0.012
 TOP = 0.80
 ROW = 0.032
 WIDTH = 0.2
 LETTER = 0.024
-"""Place and size of the list in shares of the window: a row lies upon the line of its letters."""
+"""Position and size of the list, relative to the window; a row lies on the base line of its
+letters.
+"""
 CHOSEN = "#0072B2"
 OTHER = (0.45, 0.45, 0.45)
 
@@ -179,7 +179,7 @@ class PointRead:
     Parameters
     ----------
     plotter
-        Plotter of the mark.
+        Plotter in which the mark is drawn.
     fields
         Fields that are read.
     size_mm
@@ -190,7 +190,7 @@ class PointRead:
     reference_mm
         Position of the point before loading [mm], or None.
     text
-        Its description.
+        Description of the point.
     """
 
     def __init__(self, plotter: Plotter, fields: FieldsShown, *, size_mm: float) -> None:
@@ -213,7 +213,7 @@ class PointRead:
         fields.drawn.append(self.update)
 
     def click(self, x: int, y: int) -> bool:
-        """Mark the object under a pixel, counted from the lower left; return whether one exists."""
+        """Mark the point under a pixel (counted from the lower left); return whether one exists."""
         actor = self._fields.actor
         found = None if actor is None else picked(self._plotter, actor, x, y)
         if actor is None or found is None:
@@ -223,7 +223,7 @@ class PointRead:
         return True
 
     def update(self) -> None:
-        """Bring the mark and the words to the moment."""
+        """Update the mark and the text for the shown time."""
         if self.reference_mm is None:
             return
         found = self._fields.read(self.reference_mm) if self._fields.name is not None else None
@@ -240,7 +240,7 @@ class PointRead:
 
 
 def _line(name: str, value: Array) -> str:
-    """Return a field's value in words."""
+    """Return the value of a field as text."""
     words, unit = field_label(name)
     if value.ndim == 0:
         return f"{words}: {value:.3g} {unit}".rstrip()
@@ -257,11 +257,11 @@ class NameList:
     plotter
         The window.
     title
-        Title above them.
+        Title above the list.
     names
-        Possible choices and their labels.
+        Possible choices, with their labels.
     choose
-        Called with the clicked choice.
+        Function that is called with the clicked choice.
     """
 
     def __init__(
@@ -281,7 +281,7 @@ class NameList:
         ][1:]
 
     def mark(self, name: str | None) -> None:
-        """Show which one is chosen."""
+        """Show which name is chosen."""
         from pyvista import Color
 
         for (each, words), actor in zip(self._names, self._words, strict=True):
@@ -290,7 +290,7 @@ class NameList:
             actor.prop.color = Color(CHOSEN if chosen else OTHER)
 
     def click(self, x: int, y: int) -> bool:
-        """Choose the name under a pixel, counted from the lower left; return whether one exists."""
+        """Choose the name under a pixel (counted from the lower left); return whether it exists."""
         wide, tall = self._plotter.window_size
         # the title is row 0 of the list
         row = int((TOP + LETTER - y / tall) // ROW) - 1
@@ -301,28 +301,28 @@ class NameList:
 
 
 EVERY_MS = 40
-"""Time between two updates during playback: 25 a second [ms]."""
+"""Time between two updates during playback [ms]: 25 updates per second."""
 PLAY_KEY = "space"
 SLOWEST_S = 4.0
-"""Duration below which a run is played slower, so that it lasts this time [s]."""
+"""Shortest duration of a playback [s]; a shorter run is played slower."""
 
 
 class Playback:
-    """Shown moment, moved by the user or automatically.
+    """Shown time, which the user or the playback changes.
 
     Parameters
     ----------
     span_s
-        First and last moment [s].
+        First and last time [s].
     time_s
-        Moment that is shown at first [s].
+        Time that is shown at the start [s].
 
     Attributes
     ----------
     time_s
-        Shown moment [s].
+        Shown time [s].
     playing
-        True if the moment moves automatically.
+        True if the playback changes the time.
     """
 
     def __init__(self, span_s: tuple[float, float], time_s: float) -> None:
@@ -333,14 +333,14 @@ class Playback:
         self._before_s = 0.0
 
     def play(self, playing: bool) -> None:
-        """Play or pause. At the end, play from the start."""
+        """Play or pause; at the end, play from the start."""
         self.playing = playing
         self._before_s = perf_counter()
         if playing and self.time_s >= self.span_s[1]:
             self.time_s = self.span_s[0]
 
     def advance(self) -> bool:
-        """Advance by the elapsed time; return True if the shown moment has changed."""
+        """Advance by the elapsed time; return whether the shown time has changed."""
         if not self.playing:
             return False
         now_s = perf_counter()
@@ -352,18 +352,18 @@ class Playback:
 
 
 class PlaybackWidgets:
-    """Slider, button and key of the shown moment in a window.
+    """Slider, button and key for the shown time in a window.
 
     Parameters
     ----------
     plotter
         The window.
     playback
-        Shown moment.
+        Playback, which contains the shown time.
     show
-        Called with the moment [s].
+        Function that is called with the time [s].
     slider
-        Ends of the slider in shares of the window, left, right and height.
+        Left end, right end and height of the slider, relative to the window.
     """
 
     def __init__(
@@ -383,7 +383,7 @@ class PlaybackWidgets:
         )
 
     def start(self) -> None:
-        """Bind the key, add the button and start the clock of a window that is about to open."""
+        """Bind the key, add the button and start the clock; call this before the window opens."""
         plotter = self._plotter
         button = plotter.add_checkbox_button_widget(
             lambda pressed: self.play(bool(pressed)),
@@ -409,7 +409,7 @@ class PlaybackWidgets:
         self.to(self._playback.time_s)
 
     def to(self, time_s: float) -> None:
-        """Move to a moment."""
+        """Go to a time."""
         self._playback.time_s = time_s
         self._slider.GetRepresentation().SetValue(time_s)
         self._show(time_s)

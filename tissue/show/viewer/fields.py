@@ -1,6 +1,4 @@
-"""Tissue in the window of `tissue view`: the deformed mesh of the moment with its fields, and the
-bone by layer or by removed depth.
-"""
+"""Tissue in the window of `tissue view`: deformed mesh with fields, and bone."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,30 +26,30 @@ if TYPE_CHECKING:
 __all__ = ["REFERENCE", "BoneShown", "FieldsShown", "interpolated", "layer_look"]
 
 TETRAHEDRON = 10
-"""VTK's number of the cell."""
+"""VTK's number of the cell type."""
 AMBIENT = 0.78
 DIFFUSE = 0.25
-"""Light on a field.
+"""Diffuse light on a field.
 
-The shade shows the shape but keeps the colours in agreement with the scale.
+The shade shows the shape, but the colours still agree with the scale.
 """
 REFERENCE = "reference_mm"
 SHOWN = "shown"
-"""Arrays that are only there to be drawn and read."""
+"""Names of arrays that are used only to draw and to read values."""
 
 
 @dataclass(frozen=True)
 class PointValues:
-    """Values of the fields at a point of the material.
+    """Field values at a material point.
 
     Attributes
     ----------
     place_mm
         Drawn position [mm], shape (3,).
     values
-        Field values by name.
+        Field values, keyed by name.
     layer
-        Layer of the point. Empty without layers.
+        Layer of the point; empty if there are no layers.
     """
 
     place_mm: Array
@@ -60,16 +58,16 @@ class PointValues:
 
 
 class FieldsShown:
-    """Fields over time in a plotter. Nothing is shown until `show` is called.
+    """Fields over time in a plotter; nothing is shown until `show` is called.
 
     Parameters
     ----------
     plotter
         Plotter of the fields.
     fields
-        The fields.
+        Fields to show.
     scale
-        Factor by which the displacement is enlarged.
+        Factor by which the displacement is multiplied.
     clip
         Plane at which the mesh is cut open, or None.
     fine
@@ -83,8 +81,8 @@ class FieldsShown:
         Actor that can be picked in the plotter, or None. Its mesh has the point array
         ``reference_mm``.
     drawn
-        Called without arguments after every change of the shown fields. The caller of the change
-        renders it.
+        Function that is called without arguments after each change of the shown fields. The code
+        that makes the change must render it.
     """
 
     def __init__(
@@ -111,43 +109,43 @@ class FieldsShown:
 
     @property
     def bounds_mm(self) -> tuple[float, ...]:
-        """Ends of the box around the first frame, x, y, z, low and high each [mm]."""
+        """Box around the first frame: low and high end along x, y and z [mm]."""
         return tuple(self._fields.frames[0].bounds)
 
     @property
     def size_mm(self) -> float:
-        """Diagonal of this box [mm]."""
+        """Diagonal of the box around the first frame [mm]."""
         return self._fields.size_mm
 
     def show(self, name: str | None) -> None:
-        """Show a field, or none."""
+        """Show a field; hide the fields if the name is None."""
         self.name = name
         self._draw()
 
     def at(self, time_s: float) -> None:
-        """Show the moment."""
+        """Show a time."""
         self._time_s = time_s
         self._draw()
 
     def enlarge(self, scale: float) -> None:
-        """Enlarge the drawn displacement by a factor."""
+        """Set the factor of the drawn displacement."""
         self.scale = scale
         self._draw()
 
     def cut(self, clip: Plane | None) -> None:
-        """Cut the mesh open at a plane, or leave it whole."""
+        """Cut the mesh open at a plane; show it whole if the plane is None."""
         self.clip = clip
         self._draw()
 
     def hide(self, hidden: frozenset[str]) -> None:
-        """Leave out the cells of some layers."""
+        """Hide the cells of some layers."""
         self._hidden = hidden
         self._draw()
 
     def read(self, reference_mm: Array) -> PointValues | None:
-        """Return the values at a point of the material, or None if no cell is left.
+        """Return the field values at a material point, or None if no cell is left.
 
-        The point is given before loading [mm].
+        The point is given in the undeformed mesh [mm].
         """
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
@@ -249,7 +247,7 @@ class FieldsShown:
 
 
 def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: Array, name: str) -> Array:
-    """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
+    """Interpolate a point array in one cell of a mesh with the shape functions of the cell."""
     from vtkmodules.vtkCommonCore import reference
 
     one = mesh.GetCell(cell)
@@ -274,7 +272,7 @@ SHADING = {
 
 
 def layer_look(names: tuple[str, ...]) -> dict[str, object]:
-    """Return the options with which a plotter shows a surface by layer."""
+    """Return the options with which a plotter colours a surface by layer."""
     from matplotlib.colors import ListedColormap
 
     colours = ListedColormap(list(layer_colours(names).values()))
@@ -289,22 +287,22 @@ class BoneShown:
     Parameters
     ----------
     plotter
-        Plotter of the bone. The key c is bound in it.
+        Plotter of the bone, in which the key c is bound.
     bone
-        The bone over time.
+        Bone over time.
     legend
-        If true, a legend of the layers and their colours is shown.
+        If true, a legend shows the layers and their colours.
 
     Attributes
     ----------
     layers
-        Layers that can be switched, by name.
+        Layers that can be hidden, keyed by name.
     help
-        Description of its key. Empty without a key.
+        Description of the key; empty if there is no key.
     points_mm
-        Points of its surface when it was made [mm], shape (n, 3).
+        Points of the initial surface [mm], shape (n, 3).
     colours
-        Colours of all layers by name, red, green and blue, 0 to 1.
+        Colours of all layers (red, green and blue, 0 to 1), keyed by name.
     by_depth
         True if the bone is coloured by removed depth, not by layer.
     is_cut
@@ -342,32 +340,34 @@ class BoneShown:
                 self._draw_part("bone")
 
     def _take(self, *, rest: bool = True) -> None:
-        """Update the surfaces of the shown layers, and the remaining surface if requested."""
+        """Update the surfaces of the shown layers; if requested, also the surface that no cut
+        changes.
+        """
         shown = [index for name, index in self._index.items() if name not in self._hidden]
         self._parts["bone"] = self._bone.cut(shown)
         if rest:
             self._parts["bone beyond the cut"] = self._bone.rest(shown)
 
     def change(self) -> None:
-        """Change between removed depth and layer."""
+        """Switch between colours for removed depth and for layers."""
         self.by_depth = not self.by_depth
         self._draw()
         self._plotter.render()
 
     def hide(self, hidden: frozenset[str]) -> None:
-        """Leave out some layers, and colour the bone by layer."""
+        """Hide some layers, and colour the bone by layer."""
         self._hidden = hidden
         self.by_depth = False
         self._take()
         self._draw()
 
     def show(self, visible: bool) -> None:
-        """Show the bone or hide it."""
+        """Show or hide the bone."""
         self._visible = visible
         self._draw()
 
     def _draw(self) -> None:
-        """Bring all that is shown up to date."""
+        """Draw all surfaces, the legend and the scale again."""
         plotter = self._plotter
         plotter.remove_legend(render=False)
         if DEPTH_TITLE in plotter.scalar_bars:
@@ -380,7 +380,7 @@ class BoneShown:
                 plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label=""
             )
         elif self._visible and self._legend and not self.by_depth:
-            # Layers and their colours; one that is off is pale.
+            # The legend shows the layers and their colours; a hidden layer is pale.
             entries = [
                 [name, "lightgray" if name in self._hidden else self.colours[name]]
                 for name in self.layers
@@ -395,7 +395,7 @@ class BoneShown:
             )
 
     def _draw_part(self, name: str) -> "pyvista.Actor | None":
-        """Draw one of the surfaces again; return its actor, or None if there is nothing to show."""
+        """Draw one of the surfaces again; return its actor, or None if the surface is empty."""
         self._plotter.remove_actor(name, reset_camera=False, render=False)
         part = self._parts[name].copy(deep=False)
         if not self._visible or not part.n_cells:

@@ -1,4 +1,4 @@
-"""Basics of every 3D view: its process, text, colour scale, keys, clicks and camera."""
+"""Functions for all 3D views: process, text, colour scale, keys, clicks and camera."""
 
 import os
 import signal
@@ -28,26 +28,27 @@ __all__ = [
 Plotter: TypeAlias = Any
 """Type of a `pyvista.Plotter`.
 
-PyVista declares its methods that forward to a renderer without their arguments.
+It is not the class itself, because PyVista declares methods that forward to a renderer without
+arguments.
 """
 STILL_PX = 2
-"""A mouse that moves less between press and release has clicked [px]: hands are not still."""
+"""Largest motion of the mouse during a click [pixels], because hands are never still."""
 KEPT = tuple("eqrsw")
-"""Keys of VTK that stay: leave, leave, reset the camera, surfaces, wires."""
+"""Keys of VTK that are kept: leave (e, q), reset the camera, surfaces, wireframe."""
 ROTATE = 1
-"""VTK's number of the state in which the left button turns the camera."""
+"""VTK's number of the state in which the left button rotates the camera."""
 
 
 NICE = 5
-"""Lower priority of a process that draws while ticks run."""
+"""Niceness of a process that draws while ticks run; it lowers the priority."""
 
 
 def own_process(*, beside_ticks: bool) -> TextIO:
     """Prepare a process that only draws, and return its standard output.
 
-    All other output goes to the standard error. The parent process decides when it ends, so Ctrl-C
-    is ignored. Next to ticks it has a lower priority and draws with one thread, since OpenGL in
-    software would take every core.
+    All other output goes to standard error. The parent process decides when this process ends, so
+    Ctrl-C is ignored. If ticks run at the same time, the process has a lower priority and draws
+    with one thread, because OpenGL in software would otherwise use all cores.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if beside_ticks:
@@ -87,12 +88,14 @@ def add_text(
     size: int = 9,
     colour: object = "black",
 ) -> Any:
-    """Write a text, its lower left corner in shares of the window, and return its actor."""
+    """Write a text and return its actor; `place` is its lower left corner relative to the
+    window.
+    """
     return plotter.add_text(words, position=place, viewport=True, font_size=size, color=colour)
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
-    """Write names below each other at the right, each in its colour."""
+    """Write names in their colours at the right, one below the other."""
     for row, (name, colour) in enumerate(colours.items()):
         # one line below the other, to the right of the scene
         add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
@@ -107,7 +110,7 @@ def add_slider(
     place: tuple[float, float, float],
     fmt: str,
 ) -> Any:
-    """Add a slider, its left and right end and its height in shares of the window."""
+    """Add a slider; `place` is the left end, right end and height relative to the window."""
     left, right, height = place
     return plotter.add_slider_widget(
         call,
@@ -127,7 +130,7 @@ def add_slider(
 
 
 def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array] | None:
-    """Return the cell of an actor under a pixel and the point there [mm], or None.
+    """Return the cell of an actor under a pixel, and the point there [mm], or None.
 
     The pixel is counted from the lower left.
     """
@@ -147,9 +150,9 @@ def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array]
 def add_colour_scale(
     plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object
 ) -> None:
-    """Draw the scale of a mapper's colours at the right.
+    """Draw the colour scale of a mapper at the right.
 
-    It starts at `bottom`, a share of the window's height.
+    The scale starts at `bottom`, relative to the height of the window.
     """
     plotter.add_scalar_bar(
         title,
@@ -170,11 +173,11 @@ def add_colour_scale(
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
-    """Call a function with the pixel when the left button is clicked in one place.
+    """Call a function with the pixel when the left button is clicked.
 
-    The pixel is counted from the lower left. The button must be pressed and released in the same
-    place. An interactor style that turns the camera grabs the mouse between the two, so the events
-    of the style are observed.
+    The pixel is counted from the lower left. In a click, the button is pressed and released in the
+    same place. An interactor style that rotates the camera grabs the mouse in between, so the
+    events of the style are observed.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -194,8 +197,9 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 
 
 def free_keys(plotter: Plotter) -> None:
-    """Leave VTK only keys that are not taken: its 3 is a stereo picture, its m an animation that
-    stops the mouse.
+    """Remove VTK's keys except `KEPT`.
+
+    For example, VTK uses 3 for a stereo picture, and m for an animation that stops the mouse.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -217,11 +221,11 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Point the camera down from the front so that the points fill the area.
+    """Point the camera from the front and above, so that the points fill the area.
 
-    Without points, everything drawn fills the area.
+    If no points are given, everything that is drawn fills the area.
 
-    A parallel projection has one scale everywhere, which a scale bar needs.
+    A scale bar needs a parallel projection, because it has the same scale everywhere.
     """
     plotter.camera.parallel_projection = parallel
     plotter.camera.SetWindowCenter(0.0, 0.0)

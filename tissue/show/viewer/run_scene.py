@@ -1,6 +1,4 @@
-"""A saved run in a plotter: bone, fields, faces, tool and force at any moment, for windows,
-files and pages alike.
-"""
+"""Saved run in a plotter, for windows, files and pages: bone, fields, faces, tool and force."""
 
 import json
 from collections.abc import Iterator
@@ -25,28 +23,29 @@ if TYPE_CHECKING:
 __all__ = ["CHART_SHARE", "Choice", "RunScene", "ToolShown", "times_of"]
 
 CHART_SHARE = 0.27
-"""Height of the chart in the window."""
+"""Height of the chart, relative to the window."""
 MOST_ROWS = 4000
-"""Rows of the trace that a path or a curve shows: several for each pixel across."""
+"""Largest number of rows of the trace that a path or a curve shows: several for each pixel."""
 LONGEST = 0.3
-"""Ratio of the longest arrow's length to the size of the touched object."""
+"""Ratio of the length of the longest arrow to the size of the touched object."""
 
 
 class MomentShown:
-    """Tool, force and chart cursor of one moment of a trace.
+    """Tool, force and chart cursor at one time of a trace.
 
     Parameters
     ----------
     plotter
-        Plotter of the moment.
+        Plotter in which the parts are drawn.
     trace
         Trace with at least one row.
     tool
-        Surface of the tool in its own frame [mm], or None.
+        Surface of the tool in the frame of the tool [mm], or None.
     size_mm
-        Size of the object that the tool touches [mm]. The arrow is in proportion to it.
+        Size of the object that the tool touches [mm]. The length of the arrow is proportional to
+        this size.
     chart
-        If true, the force is written and drawn over time along the lower edge.
+        If true, the force is shown as text, and as a chart over time along the lower edge.
     """
 
     def __init__(
@@ -85,15 +84,15 @@ class MomentShown:
 
     @property
     def extent_mm(self) -> Array:
-        """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
+        """Both ends of the tool's path, and of the longest arrow [mm], shape (4, 3)."""
         tip = self._tips[self._peak]
         arrow = self._longest * self._force[self._peak] / self._largest_N
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: Array, *, reach_mm: float) -> Array:
-        """Return the points of the tool near its tip at the largest force [mm].
+        """Return the points of the tool near its tip, at the time of the largest force [mm].
 
-        The input points are in the tool's frame.
+        The given points are in the frame of the tool.
         """
         near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
         matrix = pose(self._tips[self._peak], self._turns[self._peak])
@@ -105,7 +104,7 @@ class MomentShown:
         return float(self._trace["time_s"][self._peak])
 
     def at(self, time_s: float) -> None:
-        """Show the moment."""
+        """Show a time."""
         trace = self._trace
         row = row_at(trace, time_s)
         force = self._force[row]
@@ -125,10 +124,10 @@ class MomentShown:
 def _chart(
     plotter: Plotter, trace: Table, every: slice
 ) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
-    """Add the force over time along the lower edge, with a cursor.
+    """Add a chart of the force over time along the lower edge, with a cursor.
 
-    The commanded force is pale and the model's force is drawn over it. Vibrating teeth would
-    otherwise make a band that hides the model's force.
+    The commanded force is pale, and the force of the model is drawn in front of it. Otherwise the
+    vibration of the teeth would look like a band that hides the force of the model.
     """
     import pyvista
 
@@ -165,18 +164,18 @@ def _chart(
 
 FORCE = "#0072B2"
 LEAST = 1e-3
-"""Share of the largest force below which no arrow is drawn."""
+"""Ratio to the largest force below which no arrow is drawn."""
 
 
 class ToolShown:
-    """Tool, and an arrow in proportion to its force.
+    """Tool, and an arrow whose length is proportional to the force.
 
     Parameters
     ----------
     plotter
         Plotter of the tool and the arrow.
     tool
-        Surface of the tool in its own frame [mm], or None.
+        Surface of the tool in the frame of the tool [mm], or None.
     longest_mm
         Length of the arrow of the largest force [mm].
     opacity
@@ -211,9 +210,9 @@ class ToolShown:
         plotter.add_actor(self._value, reset_camera=False, render=False)
 
     def show(self, tip_mm: Array, turn: Array, force_N: Array, *, largest_N: float) -> None:
-        """Show the tool at its tip [mm] and turn (x, y, z, w), and its force [N].
+        """Show the tool at a tip [mm] and quaternion (x, y, z, w), and its force [N].
 
-        The arrow's length is in proportion to the largest force.
+        The length of the arrow is proportional to the ratio of the force to the largest force.
         """
         import pyvista
 
@@ -243,28 +242,28 @@ class ToolShown:
 
 
 TISSUE = ("bone", "bone beyond the cut", "field")
-"""Names of the simulated tissue among the meshes of a scene."""
+"""Names of the meshes of a scene that show the simulated tissue."""
 MOST_POINTS = 20_000
-"""Maximum number of points of a surface for its extent: the camera needs no more."""
+"""Largest number of points that represent the extent of a surface; the camera needs no more."""
 NEAR_TIP = 0.5
-"""Part of the tool from its tip that has to be seen, as a share of the size of the tissue."""
+"""Length of the tool from its tip that must be in view, relative to the size of the tissue."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """First view of a run.
+    """Choice of the initial view of a run.
 
     Attributes
     ----------
     hide
         Hidden layers.
     field
-        Field that is shown in place of the bone. Default: the bone, or the first field of a run
+        Field that is shown instead of the bone. Default: the bone, or the first field of a run
         without bone.
     scale
-        Factor by which the displacement is enlarged.
+        Factor by which the displacement is multiplied.
     time_s
-        Shown moment [s]. Default: the moment of the largest force.
+        Shown time [s]. Default: the time of the largest force.
     clean
         If true, only the simulated tissue is shown, without text, widgets, marks and tool.
     """
@@ -277,7 +276,7 @@ class Choice:
 
     @classmethod
     def of_json(cls, text: str) -> "Choice":
-        """Read a choice that another process has written."""
+        """Read a choice that another process wrote."""
         found = json.loads(text)
         return cls(**found | {"hide": tuple(found["hide"])})
 
@@ -290,30 +289,30 @@ class RunScene:
     saved
         Saved run.
     choice
-        First view. Its layers, field and moment are applied by the caller.
+        Initial view. The caller applies its layers, field and time.
     plotter
         Plotter of the run.
     fine
-        If true, tetrahedra are drawn without facets, as needed for a still picture.
+        If true, tetrahedra are drawn without facets, as in a still picture.
     annotated
-        If true, the legend of the layers and the chart of the force are drawn into the plotter.
+        If true, the legend of the layers and the chart of the force are drawn in the plotter.
 
     Attributes
     ----------
     bone, fields, moment
-        Parts of the scene. None if the run does not have the part.
+        Parts of the scene; None for a part that the run does not have.
     series
-        The fields of the run over time, or None.
+        Fields of the run over time, or None.
     colours
-        Red, green and blue of every switchable layer and face, 0 to 1.
+        Red, green and blue (0 to 1) of each layer and face that can be hidden.
     face_colours
-        Colours of the faces only.
+        Colours of the faces.
     times_s
-        Moments that can be shown [s].
+        Times that can be shown [s].
     span_s
-        First and last moment [s].
+        First and last time [s].
     start_s
-        Moment that is shown at first [s].
+        Time that is shown at the start [s].
     tissue_mm
         Points of the simulated tissue [mm], shape (n, 3).
     size_mm
@@ -352,12 +351,12 @@ class RunScene:
         points = [np.asarray(face.points) for face in faces.values()]
         if self.bone is not None:
             points.append(self.bone.points_mm)
-        # A field may reach far beyond the bone in whose place it is chosen.
+        # A field may extend far beyond the bone that it replaces.
         if self.series is not None and (self.bone is None or choice.field is not None):
             points.append(np.asarray(self.series.frames[0].points))
         sizes = [float(np.linalg.norm(np.ptp(each, axis=0))) for each in points]
         self.size_mm = max([*sizes, 0.0 if self.series is None else self.series.size_mm])
-        # enough of many points to find their extent
+        # a subset of many points is enough to find their extent
         some = (each[:: max(len(each) // MOST_POINTS, 1)] for each in points)
         self.tissue_mm: Array = np.vstack([np.zeros((0, 3)), *some])
 
@@ -378,9 +377,9 @@ class RunScene:
             self.start_s = choice.time_s
 
     def extent_mm(self, *, near_tip: bool = False) -> Array:
-        """Return the points to keep in view [mm], shape (n, 3).
+        """Return the points that must stay in view [mm], shape (n, 3).
 
-        On request they include the points of the tool near its tip.
+        With `near_tip`, the points of the tool near its tip are included.
         """
         points = [self.tissue_mm]
         if self.moment is not None:
@@ -396,7 +395,7 @@ class RunScene:
         yield from self._face_actors.values()
 
     def at(self, time_s: float) -> None:
-        """Show a moment."""
+        """Show a time."""
         if self.moment is not None and self._trace is not None:
             self.moment.at(time_s)
             if self.bone is not None:
@@ -405,14 +404,14 @@ class RunScene:
             self.fields.at(time_s)
 
     def show(self, field: str | None) -> None:
-        """Show a field, or the bone for None."""
+        """Show a field; for None, show the bone."""
         if self.fields is not None:
             self.fields.show(field)
         if self.bone is not None:
             self.bone.show(field is None)
 
     def hide(self, hidden: frozenset[str]) -> None:
-        """Leave out some layers and faces."""
+        """Hide some layers and faces."""
         for each in (self.bone, self.fields):
             if each is not None:
                 each.hide(hidden)
@@ -421,7 +420,7 @@ class RunScene:
 
 
 def times_of(saved: SavedRun, series: SavedFields | None) -> Array:
-    """Return the moments that can be shown [s]."""
+    """Return the times that can be shown [s]."""
     if saved.trace is not None and len(saved.trace.rows):
         return saved.trace["time_s"]
     return np.zeros(0) if series is None else series.times_s

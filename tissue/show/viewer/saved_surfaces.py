@@ -1,4 +1,4 @@
-"""Surfaces of a saved run: the bone at any moment, and the faces that a tool touches."""
+"""Surfaces of a saved run: bone at any time, and faces that a tool touches."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -38,11 +38,11 @@ __all__ = ["BoneOverTime", "Plane", "bone_of", "cut_plane", "saved_fields", "too
 
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Normal and a point [mm]. The part on the normal's side is left out."""
+"""Normal and point [mm] of a plane. The part on the side of the normal is left out."""
 INSIDE_MM = 1e-4
-"""Distance of a cut from the tool's deepest point [mm].
+"""Distance between a cutting plane and the deepest point of the tool [mm].
 
-It prevents that the plane passes through a face of the mesh.
+With this distance, the plane does not lie in a face of the mesh.
 """
 
 
@@ -56,7 +56,9 @@ def saved_fields(saved: SavedRun) -> SavedFields | None:
 
 
 def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
-    """Return the plane through the tool's deepest point that opens the mesh towards the viewer."""
+    """Return the plane through the deepest point of the tool that opens the mesh towards the
+    viewer.
+    """
     x, y, z = map(float, fields.frames[0].center)
     if saved.trace is not None and len(saved.trace.rows):
         y = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
@@ -69,32 +71,32 @@ def tool_force(trace: Table) -> Array:
 
 
 COARSE_MM = 0.4
-"""Spacing at which the bone of an incomplete run is built and cut again [mm].
+"""Voxel spacing with which the bone of an incomplete run is made and cut again [mm].
 
-The voxels of such a run were not saved. They are built while the user waits.
+The voxels of such a run were not saved, so they are made again while the user waits.
 """
 
 
 class BoneOverTime:
-    """Bone over time, carved or unchanged.
+    """Bone at any time of a run, carved or unchanged.
 
     Parameters
     ----------
     volume
         Bone before the first cut.
     end
-        Bone left in every voxel at the end, 255 = full, shape of the volume.
+        Bone left in each voxel at the end (255 = full), with the shape of the volume.
     replay
-        Replay of the carving. Without it, the bone at the end is shown at every moment.
+        Replay of the carving. Without it, the bone at the end is shown at any time.
     axis
         World axis closest to the tool's axis, 0 to 2.
 
     Attributes
     ----------
     layer_names, layers
-        Names of all layers, and indices of the layers of the bone.
+        Names of all layers, and indices of the layers that the bone contains.
     deepest_mm
-        Largest removed depth of the whole run [mm].
+        Largest removed depth in the whole run [mm].
     """
 
     def __init__(
@@ -125,7 +127,7 @@ class BoneOverTime:
                 self.deepest_mm = float(cut.point_data["removed_depth_mm"].max())
 
     def at(self, tick: int) -> bool:
-        """Move the bone to the end of a tick; return whether the bone may have changed."""
+        """Set the bone to its state at the end of a tick; return whether it may have changed."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
         self._tick = tick
@@ -133,11 +135,11 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] that no cut changes, of some of the layers."""
+        """Return the surface of some layers that no cut changes [mm]."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the carved part at the moment, of some of the layers."""
+        """Return the surface of some layers that cuts change, at the current tick [mm]."""
         carved = self._of(shown)
         left = self._left[carved.part]
         layer = self._volume.layer[carved.part]
@@ -158,7 +160,7 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """Return the bone of a run over time, in coarse voxels for an incomplete run, or None."""
+    """Return the bone of a run over time, or None; for an incomplete run in coarse voxels."""
     if saved.complete:
         file = saved.path / "bone.vti"
         if not file.is_file():
@@ -170,7 +172,8 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
         if not poses.is_file():
             return _over_time(volume, saved.trace, scene, end=end)
         cut, origin_m, spacing_m = read_poses(poses)
-        # Not as the image states them, rounded: the bits of the carving depend on them.
+        # The rounded values of the image are not used, because the exact carving depends on their
+        # last bits.
         exact = replace(volume, origin_m=origin_m, spacing_m=spacing_m)
         # the image states its origin in digits that are far finer than a thousandth of a voxel
         if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
@@ -199,7 +202,7 @@ def _over_time(
 ) -> BoneOverTime:
     """Return the bone carved along poses, by default the poses of the trace.
 
-    The poses of the trace are accurate to 20 µm.
+    The positions in the trace are accurate to 20 µm.
     """
     from tissue.simulation.builders.cutting import cutter_of
 
@@ -215,7 +218,7 @@ def _over_time(
 
     from tissue.models.bone.carver import CarvingReplay
 
-    # the accelerator of the run may not be in this machine
+    # this machine may not have the accelerator of the run
     device = compute if compute in map(str, wp.get_devices()) else "cpu"
     removal = scene.voxels.removal
     replay = CarvingReplay(volume, cutter_of(scene.tool), poses, removal=removal, device=device)
@@ -226,7 +229,7 @@ def _over_time(
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
-    """Return the initial bone of a scene in coarse voxels, or None if it comes from a file."""
+    """Return the initial bone of a scene in coarse voxels; None for bone from a file."""
     if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)

@@ -1,6 +1,4 @@
-"""The window of `tissue view` on an imported bone: a click puts the site, a key saves it into
-the scene.
-"""
+"""Window of `tissue view` for an imported bone: a click sets the site, and a key saves it."""
 
 import sys
 from pathlib import Path
@@ -21,23 +19,27 @@ SIZE = (1400, 950)
 SITE = "#0072B2"
 UNSAVED = "#D55E00"
 SAMPLES = 60_000
-"""Points of the surface from which a normal is estimated: about one a square millimetre."""
+"""Number of points of the surface from which normals are estimated: about one per square
+millimetre.
+"""
 EYE = np.array([0.35, -1.0, 0.35])
-"""Direction to the eye where there is no site: from the front of the patient, a little from the
-left and above.
+"""Direction to the eye if there is no site: the view is from the front of the patient, slightly
+from the left and above.
 """
 ASIDE = 0.6
-"""Lateral offset of the eye from the site's normal, as a share of it, to show the arrow."""
+"""Ratio of the lateral offset of the eye to its distance along the normal, so that the arrow is
+visible.
+"""
 MARK = 0.012
 ARROW = 0.16
-"""Radius of the mark and length of the arrow, in parts of the bone's size."""
+"""Radius of the mark and length of the arrow, relative to the size of the bone."""
 ZOOM = 0.9
-"""Leaves the text above free."""
+"""Zoom factor that leaves space for the text above the bone."""
 HELP = "click: put the site there    Return: save it into scene.toml    q: close"
 
 
 def is_imported(folder: Path) -> bool:
-    """Return whether a folder holds an imported bone and no run."""
+    """Return whether a folder contains an imported bone and no run."""
     return (
         all((folder / name).is_file() for name in ("scene.toml", "bone.ply"))
         and not (folder / "summary.json").exists()
@@ -52,14 +54,14 @@ class SiteWindow:
     folder
         Folder written by `tissue import`.
     off_screen
-        If true, the view is drawn for a file and without help.
+        If true, the view is drawn for a file, without help text.
 
     Attributes
     ----------
     plotter
         PyVista's plotter.
     centre_mm, normal
-        Shown site in the frame of the image (LPS), shape (3,). None without a site.
+        Shown site in the frame of the image (LPS), shape (3,); None if there is no site.
     text
         Text about the site.
     """
@@ -99,7 +101,7 @@ class SiteWindow:
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
-        """Move the site to the bone at a pixel; return whether there is bone.
+        """Move the site to the bone under a pixel; return whether there is bone.
 
         The pixel is counted from the lower left.
         """
@@ -112,7 +114,7 @@ class SiteWindow:
         return True
 
     def save(self) -> None:
-        """Write the site into the scene."""
+        """Write the site into the scene file."""
         if self.centre_mm is None or self.normal is None:
             return
         try:
@@ -124,13 +126,13 @@ class SiteWindow:
         self.plotter.render()
 
     def open(self) -> None:
-        """Open the window; return when it is closed."""
+        """Open the window; return after it was closed."""
         free_keys(self.plotter)
         on_click(self.plotter, self.click)
         self.plotter.show()
 
     def _draw(self, about: str, colour: str) -> None:
-        """Show mark, arrow and numbers."""
+        """Show the mark, the arrow and the text about the site."""
         import pyvista
 
         if self.centre_mm is None or self.normal is None:
@@ -148,13 +150,12 @@ class SiteWindow:
         self._words.input = self.text
 
     def _aim(self) -> None:
-        """Look at the bone so that the site is seen, the head up."""
+        """Point the camera so that the site is visible and the head is up."""
         towards = EYE
         middle = 1e3 * self._surface.vertices_m.mean(axis=0)
         if self.normal is not None:
             aside = np.cross(self.normal, [0.0, 0.0, 1.0])
-            # the normal points to the head or the feet: there is no direction at right angles to
-            # both
+            # the normal points to the head or the feet, so no direction is perpendicular to both
             aside = aside if np.linalg.norm(aside) > 0.1 else np.array([1.0, 0.0, 0.0])
             towards = self.normal + ASIDE * aside / np.linalg.norm(aside)
         towards = towards / np.linalg.norm(towards)
@@ -172,7 +173,7 @@ class SiteWindow:
 
 
 def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
-    """Open the window, or draw it off screen into a PNG file; return a sentence on the view."""
+    """Open the window, or draw it into a PNG file; return a sentence on the view."""
     window = SiteWindow(folder, off_screen=screenshot is not None)
     if screenshot is not None:
         window.plotter.screenshot(str(screenshot))

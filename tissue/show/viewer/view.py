@@ -1,6 +1,4 @@
-"""A saved run in a window, as a screenshot or as a movie: bone or fields, the tool on its path,
-and its force.
-"""
+"""View of a saved run in a window, as a screenshot or as a movie."""
 
 import json
 import os
@@ -40,9 +38,9 @@ __all__ = ["view"]
 
 
 LONGEST_MOVIE_S = 3600.0
-"""Maximum time for drawing a movie [s]."""
+"""Longest time for drawing a movie [s]."""
 LARGEST_SCALE = 1e9
-"""Largest factor on a displacement: from nanometres to a metre."""
+"""Largest factor of a displacement: nanometres are drawn as metres."""
 
 
 def view(
@@ -55,25 +53,26 @@ def view(
     progress: Progress = silent,
     opened: Callable[[str], object] | None = None,
 ) -> str:
-    """Show a run, or draw it into a file.
+    """Show a run, or draw it to a file.
 
     Parameters
     ----------
     path
         Folder of a finished or stopped run, written by `tissue run`, or folder of a bone, written
-        by `tissue import`. The site of an imported bone is set by a click and saved into its scene.
+        by `tissue import`. On an imported bone, a click sets the site, which can be saved into the
+        scene.
     choice
-        First view of the run.
+        Initial view of the run.
     screenshot
         PNG file to write instead of opening a window.
     movie
         MP4 or GIF file to write instead of opening a window.
     overwrite
-        Replace the file of the screenshot or movie.
+        Whether to replace an existing file of the screenshot or movie.
     progress
-        Called with the finished share of a file.
+        Function that is called with the finished share of a file.
     opened
-        If given, the run is shown in a browser in place of a window, until the page has been closed
+        If given, the run is shown in a browser instead of a window, until the page has been closed
         for some seconds. The function is called with the address of the page.
 
     Returns
@@ -83,8 +82,8 @@ def view(
     Raises
     ------
     InputError
-        If the folder holds no run or nothing to show, the layer, field or moment does not exist,
-        there is no display for a window, or the picture cannot be drawn.
+        If the folder contains no run or nothing to show; if a layer, the field or the time does not
+        exist; if there is no display for a window; or if the picture cannot be drawn.
     """
     folder = Path(path)
     choice = choice or Choice()
@@ -116,7 +115,7 @@ def view(
 def _check_arguments(
     folder: Path, choice: Choice, files: dict[str, Path], *, web: bool, overwrite: bool
 ) -> None:
-    """Check options and output files before reading the run."""
+    """Check options and output files before the run is read."""
     refused = {
         ("time_s", "with a movie, which shows all moments"): "movie" in files
         and choice.time_s is not None,
@@ -151,7 +150,7 @@ def _require_display(instead: str) -> None:
 
 
 def _view_site(folder: Path, screenshot: Path | None) -> str:
-    """Show an imported bone, or draw it into a file."""
+    """Show an imported bone, or draw it to a file."""
     if screenshot is None:
         _require_display("--screenshot FILE")
         return show_site(folder)
@@ -166,9 +165,9 @@ def _draw_apart(
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> None:
-    """Draw a file in a separate process. The file is complete, or unchanged on failure.
+    """Draw a file in a separate process; if this fails, an existing file stays unchanged.
 
-    The command is a module and its arguments, without the file, which comes last.
+    The command is a module and its arguments. The file is added as last argument.
     """
     with (
         whole_file(file) as temporary,
@@ -184,7 +183,7 @@ def _draw_apart(
 
 
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
-    """Draw a view of a run into a file."""
+    """Draw a view of a run to a file."""
     doing = f"drawing the {kind}"
     report(doing, 0.0)
     _draw_apart(
@@ -200,7 +199,7 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
 
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
-    """Refuse a choice that the run does not offer."""
+    """Refuse a choice that is not possible for the run."""
     times = times_of(saved, series)
     fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
@@ -226,7 +225,7 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
 
 
 def _about(saved: SavedRun) -> str:
-    """Return a sentence about the run: its largest loads, or where it was stopped."""
+    """Return a sentence about the run: the largest loads, or when the run was stopped."""
     if saved.complete:
         force, torque = (saved.summary[name]["peak"] for name in ("force_N", "torque_Nm"))
         return (
@@ -261,7 +260,7 @@ def show(
     screenshot: Path | None = None,
     movie: Path | None = None,
 ) -> None:
-    """Open the window, or draw it off screen into files.
+    """Open the window, or draw the view to files.
 
     Parameters
     ----------
@@ -270,11 +269,11 @@ def show(
     title
         Title above the view.
     choice
-        First view of the run.
+        Initial view of the run.
     screenshot
-        PNG file.
+        PNG file to write.
     movie
-        MP4 or GIF file. The finished share is printed.
+        MP4 or GIF file to write. The finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
     if screenshot is not None and choice.clean:
@@ -291,28 +290,28 @@ def show(
 PAGE = "tissue.show.viewer.web.view_page"
 OPENS_S = 120.0
 CLOSES_S = 10.0
-"""Maximum time until a page is served, and until it is closed [s].
+"""Longest time until a page is served, and until it is closed [s].
 
-A large run is read and drawn before its page is served.
+The first time is long because a large run is read and drawn before its page is served.
 """
 
 
 def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
-    """Serve the page of a run until it has been closed for some seconds, or Ctrl-C.
+    """Serve the page of a run until it has been closed for some seconds, or until Ctrl-C.
 
     Parameters
     ----------
     folder
         Folder of the run.
     choice
-        First view of the run.
+        Initial view of the run.
     opened
-        Called with the address, which holds a random token.
+        Function that is called with the address, which contains a random token.
 
     Raises
     ------
     InputError
-        If nothing can be drawn or served here.
+        If this machine can neither draw nor serve the page.
     """
     why = "this machine has no OpenGL library"
     for environment in drawing_environments():

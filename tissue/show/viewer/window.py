@@ -1,4 +1,4 @@
-"""The window of `tissue view`, and the same view off screen for stills and movies."""
+"""Window of `tissue view`, also used off screen for stills and movies."""
 
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
@@ -41,14 +41,14 @@ if TYPE_CHECKING:
 __all__ = ["Window", "check_movie", "write_clean", "write_movie"]
 
 PLACE_PX = (40, 380)
-"""Lower left end of a scale bar [pixel]."""
+"""Position of the left end of a scale bar, from the lower left [pixels]."""
 LONGEST = 0.15
-"""Longest scale bar, as a share of the window's width."""
+"""Largest length of a scale bar, relative to the width of the window."""
 BORDER = 0.02
-"""Free border of a clean picture before it is cropped, as a share of its edges."""
+"""Free border of a clean picture before it is cropped, relative to its edges."""
 FINE = 2
 AROUND_PX = 8
-"""Pixels of a clean picture per window pixel, and margin around the content [pixel]."""
+"""Pixels of a clean picture per pixel of the window, and margin around the content [pixels]."""
 
 
 def add_scale_bar(plotter: Plotter) -> None:
@@ -74,7 +74,7 @@ def add_scale_bar(plotter: Plotter) -> None:
 
 
 def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
-    """Remove text, widgets, scales and most actors, and let the points fill the window.
+    """Remove text, widgets, scales and most actors; let the given points fill the window.
 
     The actors in `kept` stay.
     """
@@ -88,7 +88,7 @@ def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) ->
 
 
 def write_clean(plotter: Plotter, file: Path) -> None:
-    """Write the view as PNG on a transparent ground, cropped to its content."""
+    """Write the view as PNG with a transparent background, cropped to its content."""
     from PIL import Image
 
     drawn = np.asarray(
@@ -105,20 +105,22 @@ def write_clean(plotter: Plotter, file: Path) -> None:
 
 
 FRAMES_PER_S = 20
-"""Both kinds can hold it: a GIF counts in hundredths of a second."""
+"""Frame rate of movies [1/s], which is possible in both formats; a GIF counts in 1/100 s."""
 SHORTEST_S = 4.0
 LONGEST_S = 12.0
-"""A movie that would be shorter or longer plays slower or faster than it really was [s]."""
+"""Shortest and longest duration of a movie [s]; shorter and longer runs are played slower or
+faster.
+"""
 KINDS = (".mp4", ".gif")
 
 
 def check_movie(path: Path) -> None:
-    """Refuse a file that no movie can be written to.
+    """Refuse a file to which no movie can be written.
 
     Raises
     ------
     InputError
-        If its ending is not .mp4 or .gif, or .mp4 cannot be written here.
+        If the suffix is not .mp4 or .gif, or this machine cannot write .mp4.
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
@@ -142,7 +144,7 @@ def check_movie(path: Path) -> None:
 
 
 def movie_times_s(first_s: float, last_s: float) -> Array:
-    """Return the times of a movie's frames [s].
+    """Return the times of the run at which the frames of a movie are drawn [s].
 
     The movie lasts as long as the run, but at least 4 and at most 12 s.
     """
@@ -151,14 +153,14 @@ def movie_times_s(first_s: float, last_s: float) -> Array:
 
 
 def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
-    """Write a movie and replace an existing file once the new file is complete.
+    """Write a movie; an existing file is replaced when the new file is complete.
 
     Parameters
     ----------
     path
-        File with the ending .mp4, or .gif with half the width and height.
+        File with suffix .mp4, or .gif with half of the width and height.
     pictures
-        Red, green and blue of every picture, shape (height, width, 3). Height and width are even.
+        Red, green and blue of each picture, shape (height, width, 3). Height and width are even.
     """
     with whole_file(path) as temporary:
         (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)
@@ -198,13 +200,13 @@ def _write_mp4(path: Path, pictures: Iterable[Bytes]) -> None:
 
 SIZE = (1400, 950)
 SLIDERS = CHART_SHARE + 0.04
-"""Height of the sliders in the window."""
+"""Height of the sliders, relative to the window."""
 LARGEST = 0.3
-"""Share of the mesh's size that the largest displacement can be drawn as."""
+"""Largest drawn displacement that the slider allows, relative to the size of the mesh."""
 
 
 class Window:
-    """Window with all parts of a run.
+    """Window that shows a run, with all controls.
 
     Parameters
     ----------
@@ -215,14 +217,14 @@ class Window:
     choice
         First view of the run.
     off_screen
-        If true, the view is drawn for a file, without buttons, lists and help.
+        If true, the view is drawn for a file, without buttons, lists and help text.
 
     Attributes
     ----------
     plotter
         PyVista's plotter.
     fields, point, names, playback, widgets, bone, layers
-        Parts of the window. None if the run, or a picture, does not have the part.
+        Parts of the window; None for a part that the run or a still picture does not have.
     """
 
     def __init__(self, saved: SavedRun, title: str, choice: Choice, *, off_screen: bool) -> None:
@@ -264,7 +266,7 @@ class Window:
         self.plotter.render()
 
     def next(self) -> None:
-        """Show the next field, after the last one the bone."""
+        """Show the next field; after the last field, show the bone."""
         if self.fields is None or self._shown.series is None:
             return
         choices = [*self._shown.series.names, *([None] if self.bone is not None else [])]
@@ -274,7 +276,7 @@ class Window:
     def pictures(self) -> Iterator[Bytes]:
         """Yield the pictures of a movie over the whole run.
 
-        The finished share, 0 to 1, is printed once per picture, one line each.
+        After each picture, the finished share (0 to 1) is printed on a line.
         """
         assert self.widgets is not None
         times_s = movie_times_s(*self.playback.span_s)
@@ -284,14 +286,14 @@ class Window:
             print(index / len(times_s), flush=True)
 
     def open(self) -> None:
-        """Open the window, and return when it was closed."""
+        """Open the window; return after it was closed."""
         free_keys(self.plotter)
         if self.widgets is not None:
             self.widgets.start()
         self.plotter.show()
 
     def _add_time(self) -> None:
-        """Show the first moment, and add the slider of a run that lasts."""
+        """Show the first time, and add a slider if the run has several times."""
         shown = self._shown
         shown.at(shown.start_s)
         if len(shown.times_s) > 1:
@@ -302,8 +304,9 @@ class Window:
             self.widgets = PlaybackWidgets(self.plotter, self.playback, shown.at, slider=slider)
 
     def _add_controls(self) -> None:
-        """Add the controls of a window: list of fields, point values, clip plane, scale of the
-        displacement.
+        """Add the controls of a window.
+
+        They are the list of fields, point values, clip plane, and factor of the displacement.
         """
         fields = self.fields
         series = self._shown.series

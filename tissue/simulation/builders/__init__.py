@@ -1,1 +1,1 @@
-"""Builders that turn the names in a scene into objects."""
+"""Builders that make objects from the names and values in a scene."""

@@ -1,4 +1,4 @@
-"""Arguments of callers and files of constants, checked like the keys of a scene."""
+"""Validation of a caller's arguments and files of constants, like the keys of a scene."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -39,23 +39,23 @@ Table = TypeVar("Table", bound=Part)
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 """Layers of the built-in anatomies.
 
-A file may hold constants of a layer that a scene does not have.
+A file may contain constants of a layer that the scene does not have.
 """
 
 
 def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str]) -> None:
-    """Note which constants of its file a scene uses, and which it does not use.
+    """Note which constants of the given file a scene uses, and which it does not use.
 
     Raises
     ------
     InputError
-        If no constant has an effect, the scene itself states one of them, or a layer is unknown.
+        If no constant has an effect, a constant is also given in the scene, or a layer is unknown.
     """
     notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
 
 def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:
-    """Refuse an option that a table of options lacks, as Python does for a listed signature."""
+    """Refuse an unknown option with a `TypeError`, as Python does for an unknown argument."""
     known = table.__annotations__
     for name in options:
         if name not in known:
@@ -66,14 +66,14 @@ def require_known(options: Mapping[str, object], table: type, *, of: str) -> Non
 
 
 def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = "") -> Table:
-    """Return a scene's table of a caller's arguments; None counts as not stated.
+    """Return a scene table made from a caller's arguments; None counts as not given.
 
-    The prefix precedes the name of a value that cannot be used.
+    In error messages, `prefix` is put before the name of an argument.
 
     Raises
     ------
     InputError
-        If a value is out of its range, or there is no such key.
+        If a value is out of range, or a key is unknown.
     """
     given = {name: value for name, value in values.items() if value is not None}
     for name in given:
@@ -95,9 +95,9 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
 def given_note(
     given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str
 ) -> dict[str, str]:
-    """Return the note ``materials`` on the given constants that `by` uses.
+    """Return the note ``materials``, which lists the given constants that `by` uses.
 
-    The note is empty where all constants are cited.
+    There is no note if no constants were given; all constants are then the built-in ones.
 
     Raises
     ------
@@ -153,9 +153,9 @@ def soft_constants(
     material: str,
     stated: Mapping[str, float | None],
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Return constants of an organ's material by name, and the note on their file.
+    """Return the constants of an organ's material, keyed by name, and a note on their file.
 
-    The names are the keys of `stated`; a stated value takes precedence.
+    The names are the keys of `stated`. A value in `stated` takes precedence over the file.
 
     Raises
     ------
@@ -177,16 +177,18 @@ def surface_of(
 ) -> Surface:
     """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
 
-    With `is_part` all its pieces are kept, and it may end at the edge of a scan.
+    With `is_part` all pieces of the surface are kept, and the surface may be open at the edge of a
+    scan.
 
     Raises
     ------
     InputError
-        If it is no surface, its size points to another unit, or it encloses no solid.
+        If `given` is not a surface, its size suggests another unit than millimetres, or it encloses
+        no solid.
     """
     source = name
     words = dict.fromkeys(FILE_WORDS, name)
-    # A structure has the unit of its anatomy, and no scale of its own.
+    # A structure has the unit of the anatomy, and no scale of its own.
     words["anatomy.scale_mm"] = name if is_part else "scale_mm"
     if isinstance(given, str | PathLike):
         source = Path(given).name
@@ -207,7 +209,7 @@ def surface_of(
 
 
 def _triangles(name: str, given: Any) -> tuple[Array, Ints]:
-    """Return vertices and triangles of a surface in memory."""
+    """Return vertices and triangles of a surface that is given in memory."""
     if hasattr(given, "is_all_triangles"):  # pyvista
         whole = given.triangulate()
         return np.asarray(whole.points, dtype=np.float64), np.asarray(

@@ -1,4 +1,4 @@
-"""Build the bone or tooth that a cutter meets, in voxels made at once or where a tool reaches."""
+"""Build the bone or tooth for a cutter, in voxels that are made at the start or near the tool."""
 
 from collections.abc import Callable, Iterator
 from math import pi, radians
@@ -51,28 +51,29 @@ __all__ = [
 
 
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
-"""SI units and conversion factors of the units in a scene's tool."""
+"""SI units and conversion factors, keyed by the units in the tool table of a scene."""
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Largest distance between poses at which the bone is made ready [m]; chosen.
+"""Largest distance between two poses around which bone is prepared [m]; chosen.
 
-Poses are inserted between two given ones that are further apart.
+Poses are inserted between two given poses that are farther apart.
 """
 SAME = 1e-9
-"""Largest difference between poses that count as equal [m]."""
+"""Largest difference between two poses that count as equal [m]."""
 SCATTER = 0.7
-"""Largest relative error of the force of N elements in bone, times N ** 0.75.
+"""Largest relative error of the force of N cutting elements, multiplied by N ** 0.75.
 
-The comparison with quadrature gave 0.57, for balls of 3 to 8 mm in slots 0.1 to 0.3 mm deep,
-upright and tilted by up to 60 degrees. With the margin the error is 0.9 % where 1 % is requested.
+The comparison with numerical quadrature gave 0.57. It covers balls of 3 to 8 mm diameter in slots
+0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees. The value 0.7 contains a margin: the
+error is 0.9 % if 1 % is requested.
 """
 MARGIN_VOXELS = 4
-"""Voxels around a tool that its carving and its force read."""
+"""Margin around a tool within which carving and force computation read voxels [voxels]."""
 MOST_ELEMENTS = 1_000_000
-"""Largest number of elements of a cutter.
+"""Largest number of cutting elements of a cutter.
 
-They take about 1 GB, and a tenth of a second for each pose on one core.
+This number takes about 1 GB, and 0.1 s for each pose on one core.
 """
 
 
@@ -85,13 +86,13 @@ def milled(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Return the parts of a scene in which a cutter meets voxels.
+    """Return the parts of a scene in which a cutter removes bone or tooth in voxels.
 
     Raises
     ------
     InputError
-        If a file cannot be used, the voxels would not fit memory, the tool never touches, or it
-        neither turns nor is held by a hand.
+        If a file cannot be used, the voxels would not fit in memory, the tool never touches the
+        bone, or the tool neither rotates nor is held by a hand.
     """
     assert isinstance(scene.tool, Tool)
     cutter = cutter_of(scene.tool)
@@ -99,7 +100,8 @@ def milled(
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
-    # A recorded tool may have started in contact. Its start is reported, see `w_first_notice`.
+    # A recorded tool may have started in contact. A note reports such a start; see
+    # `w_first_notice`.
     if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
     report("compiling kernels (the first time on a machine)", 0.0)
@@ -160,7 +162,7 @@ def milled(
 
 
 def milled_voxels(scene: Scene) -> VoxelVolume:
-    """Return the voxels of a milling scene before the first cut; raises as `milled`."""
+    """Return the voxels of a milling scene before the first cut; raise the errors of `milled`."""
     assert isinstance(scene.tool, Tool)
     return volume_of(
         scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent
@@ -168,9 +170,9 @@ def milled_voxels(scene: Scene) -> VoxelVolume:
 
 
 def cutter_of(tool: Tool) -> Cutter:
-    """Return the cutter that a scene's tool describes, in SI.
+    """Return the cutter that the tool table of a scene describes, in SI units.
 
-    A spin above 0 is clockwise as seen from the shank.
+    A positive spin is clockwise, seen from the shank.
     """
     sizes = {}
     entry = CUTTERS[tool.kind]
@@ -184,8 +186,8 @@ def cutter_of(tool: Tool) -> Cutter:
 
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
-    """Refuse a stated feed at which a tooth's chip would be thicker than the tool's radius."""
-    # Only a path states its feed before the run. Other runs report the event.
+    """Refuse a feed at which the chip of a tooth would be thicker than the radius of the tool."""
+    # Only for a path is the feed known before the run. Other runs report an event.
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
     chip_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s
@@ -243,7 +245,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
 
 
 def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str) -> "ProbedBone":
-    """Return rigid bone that a hand feels with a tool that does not turn."""
+    """Return rigid bone for a hand that touches it with a tool that does not rotate."""
     from tissue.haptics.hand_motion import HandMotion
     from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
     from tissue.haptics.proxy.proxy import ToolShell
@@ -265,25 +267,26 @@ def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str
 
 
 class VoxelBone:
-    """Voxels with their materials, which several tools may cut in turn.
+    """Voxels and their cutting coefficients; several tools may cut them one after another.
 
     Parameters
     ----------
     voxels
-        A volume, whose bricks are all made now, or bricks that are made where a tool first reaches.
+        A volume, all bricks (blocks of 8 x 8 x 8 voxels) of which are made at once; or a store that
+        makes bricks only where a tool comes near.
     coefficients
-        Cutting coefficients of each layer, in their order.
+        Cutting coefficients of each layer, in the order of the layers.
     compute
         Warp device name.
 
     Attributes
     ----------
     store
-        The bricks.
+        Store of the bricks.
     coefficients
         Cutting coefficients of each layer.
     left_at
-        Final pose of the last tool returned by `under`: tip [m] and rotation.
+        Pose at which the last cut ended: tip [m] and rotation.
     """
 
     def __init__(
@@ -314,16 +317,18 @@ class VoxelBone:
         *,
         compute: str = "cpu",
     ) -> "VoxelBone":
-        """Return bone with the cited coefficients of its layers, changed by a scene's table."""
+        """Return bone with the coefficients of its layers, except those that a scene table
+        replaces.
+        """
         grid = voxels if isinstance(voxels, VoxelVolume) else voxels.store.grid
         changes = cutting.model_dump(exclude={"material"})
         coefficients = constants.coefficients(grid.layer_names, changes, bone=cutting.material)
         return cls(voxels, coefficients, compute=compute)
 
     def reach(self, boxes: Boxes) -> bool:
-        """Make the bricks that boxes touch, given their corners [m].
+        """Make the bricks that the given boxes touch (corners in m).
 
-        Returns whether models have to record their launches again.
+        The method returns whether models must record their kernel launches again.
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
@@ -341,17 +346,17 @@ class VoxelBone:
 
     @property
     def whole(self) -> tuple[VoxelVolume, Bytes]:
-        """Volume before any cut and the bone that is left of it (255 = full).
+        """Volume before any cut, and the bone left in each voxel (255 = full).
 
-        It is available only when all voxels of the bone are made.
+        The property is available only if all voxels of the bone are made.
         """
         assert self.store.volume is not None
         return self.store.volume, self.store.fraction()
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut, before any cut and now.
+        """Yield the parts that tools have cut: the volume before any cut, and the bone left in it.
 
-        It is available only for bone that is made where tools reach.
+        The method is available only for bone that is made near the tool.
         """
         assert self.on_demand is not None
         return self.on_demand.cut_parts()
@@ -365,7 +370,9 @@ class VoxelBone:
     def under(
         self, cutter: Cutter, boxes: Boxes, start: Pose, *, shell_spacing_m: float | None = None
     ) -> tuple[BoneModel, bool]:
-        """Return the bone under a cutter in boxes, and whether it continues from its last pose."""
+        """Return the bone under a cutter within boxes, and whether the cut continues from the last
+        pose.
+        """
         grown = self.reach(boxes)
         last = self._last
         if (
@@ -387,10 +394,10 @@ class VoxelBone:
     def around(
         self, cutter: Cutter, tip_m: Array, axis: Array, *, reach_m: float
     ) -> tuple[BoneModel, Callable[[Array], None]]:
-        """Return the bone under a cutter, and a function that makes more of it as the tool moves.
+        """Return the bone under a cutter, and a function that makes more bone as the tool moves.
 
-        At first the bone is made as far as `reach_m` around the cutter. The function is called with
-        the tip [m] before a tick.
+        At first, bone is made within `reach_m` around the cutter. Call the function with the tip
+        [m] before each tick.
         """
         made_at = tip_m.copy()
 
@@ -408,9 +415,9 @@ class VoxelBone:
         model = self.model(cutter)
 
         def keep_ready(tip_m: Array) -> None:
-            """Make more bone once half of the reach is used up; such a tick takes longer."""
+            """Make more bone when the tool has moved by half of the reach; this takes longer."""
             moved = tip_m - made_at
-            # Half of the reach: the tool never meets bone that is not made.
+            # At half of the reach, the tool cannot yet be in bone that is not made.
             if moved.dot(moved) > (0.5 * reach_m) ** 2:
                 made_at[:] = tip_m
                 if self.reach(boxes(tip_m)):
@@ -426,7 +433,9 @@ class VoxelBone:
         shell_spacing_m: float | None = None,
         cores: int | None = None,
     ) -> BoneModel:
-        """Return the bone under a cutter. Removal by an earlier tool is booked as older cuts."""
+        """Return the bone under a cutter; material that an earlier tool removed counts as older
+        cuts.
+        """
         store = self.store
         if self._was_cut:
             wp.copy(store.middle, store.swept)
@@ -444,7 +453,7 @@ class VoxelBone:
 
 
 def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array]:
-    """Insert poses on straight lines where poses are further apart than `most_m` [m]."""
+    """Insert poses on straight lines between poses that are farther apart than `most_m` [m]."""
     steps = np.linalg.norm(np.diff(tips_m, axis=0), axis=1)
     if not (steps > most_m).any():
         return tips_m, axes
@@ -453,21 +462,23 @@ def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array
     wanted = np.arange(int(at[-1]) + 1, dtype=np.float64)
     tips = np.column_stack([np.interp(wanted, at, column) for column in tips_m.T])
     turned = np.column_stack([np.interp(wanted, at, column) for column in axes.T])
-    # 1e-12: the mean of two opposite axes vanishes.
+    # The mean of two opposite axes is zero, and 1e-12 avoids the division by zero.
     return tips, turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
 
 
 def tool_boxes(
     cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0
 ) -> Boxes:
-    """Return boxes that a cutter reads and carves: corners [m], shape (n, 3) both.
+    """Return the boxes within which a cutter reads and carves voxels.
 
-    They cover the poses and the straight lines between them.
+    The result is the lowest and the highest corner of each box [m], each of shape (n, 3).
+
+    The boxes cover the poses and the straight lines between them.
 
     Parameters
     ----------
     tips_m, axes
-        Tips [m] and directions from tip to shank, shape (n, 3) both.
+        Tips [m] and directions from tip to shank, each of shape (n, 3).
     spacing_m
         Edge of a voxel [m].
     around_m
@@ -482,23 +493,23 @@ def tool_boxes(
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
-    """Return the element distance at which a cutter's force meets a tolerance [m].
+    """Return the distance between cutting elements [m] at which the force meets a tolerance.
 
     Parameters
     ----------
     depth_m
         Depth of the cut [m].
     tolerance
-        Relative error of the force.
+        Accepted relative error of the force.
 
     Raises
     ------
     InputError
-        If the cutter would have more than `MOST_ELEMENTS` elements.
+        If the cutter would have more than `MOST_ELEMENTS` cutting elements.
     """
-    # Solved for N: the error is SCATTER / N ** 0.75.
+    # The equation error = SCATTER / N ** 0.75, solved for N.
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
-    # a ball's cap engages with half of its area
+    # half of the area of a ball's cap is engaged
     engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)
     spacing_m = float(np.sqrt(engaged_m2 / wanted))
     count = cutter.cutting_area_m2 / spacing_m**2

@@ -1,4 +1,4 @@
-"""Cheap estimate of the force along a scene's script, and the force scale chosen from it."""
+"""Fast estimate of the force on a scene's scripted motion, and the force scale chosen from it."""
 
 from functools import lru_cache
 from math import floor, isfinite, log, log10, sqrt
@@ -47,54 +47,59 @@ POSES = 250
 FINE_POSES = 3000
 """Numbers of poses of the scripted motion at which the force is evaluated.
 
-The first is for a cutter. The second is for a needle, which breaks through within tenths of a
-millimetre. With four times as many poses, the largest force of the built-in scenes changes by less
-than 0.2 %, but by 21 % in `milling`, whose peak at a corner is short.
+The first number is for a cutter. The second one is for a needle, which breaks through within tenths
+of a millimetre. With four times as many poses, the largest force of the built-in scenes changes by
+less than 0.2 %. Only in `milling`, which has a short peak at a corner, it changes by 21 %.
 """
 ACROSS = 8.0
-"""Voxels across a cutter.
+"""Number of voxels across the diameter of a cutter.
 
-Up to 32 voxels the largest force of the built-in scenes changes by less than 4 %.
+With up to 32 voxels, the largest force of the built-in scenes changes by less than 4 %.
 """
 ELEMENTS = 1500
-"""Number of elements of a cutter.
+"""Number of cutting elements of a cutter.
 
-From 400 to 6000, the largest force of the built-in scenes changes by at most 1 %.
+Between 400 and 6000 elements, the largest force of the built-in scenes changes by at most 1 %.
 """
 SLOT_VOXELS = 10
 SLOT_M_S = 2e-3
-"""Voxels across a cutter, and its feed [m/s], for the estimate of its usual force.
+"""Number of voxels across a cutter and feed [m/s], for the estimate of the usual force of a cutter.
 
-It only chooses a force scale of two digits. The feed is typical of milling by hand; assumed.
+This force is used only to choose a force scale with two digits. The feed is typical of milling by
+hand; assumed.
 """
 MOST = 0.35
-"""Upper bound of the script's largest scaled force, as a ratio to the device's force limit.
+"""Largest scaled force on the scripted motion, as a ratio to the force limit of the device.
 
-It is half of the share that is played without compression, so a hand may press twice as hard.
+The device plays up to twice this force without compression, so a hand may press twice as hard.
 """
 LEAST = 4.0
-"""Lower bound of the script's largest scaled force, over the device's friction; assumed.
+"""Smallest ratio of the largest scaled force on the scripted motion to the friction of the device;
+assumed.
 
-It applies where the device's limit allows it.
+The bound `MOST` takes precedence.
 """
 STIFFER = 1.3
-"""Ratio of two stiffnesses whose expected sensitivity d' is stated, as of the study's specimens."""
+"""Ratio of the stiffnesses of two specimens for which d' is given, as in the study.
+"""
 HELD_BY = "expert"
-"""Hand for which a scale is chosen, so that one scale serves all hands."""
+"""Hand for which a scale is chosen; the same scale is then used for all hands."""
 
 
 class Met(NamedTuple):
-    """Force on a scene's script, and the stiffness of the tissue that is pressed there.
+    """Force on a scene's scripted motion, and stiffness of the tissue that is pressed.
 
     Attributes
     ----------
     force_N
         Largest force.
     stiffness_N_m
-        Slope of the force over the depth of the tool at the script's depth; 0 for a tissue that is
-        cut or pierced. Of tissue graded along the script, it is the geometric mean of both ends.
+        Slope of the force over the depth of the tool, at the depth of the scripted motion. It is 0
+        for a tissue that is cut or pierced. For a tissue that is graded along the scripted motion,
+        it is the geometric mean of the slopes at both ends.
     depth_m
-        Force over slope there. With Hertz's law it is two thirds of the script's depth.
+        Force divided by slope, at the same depth. With Hertz's law it is two thirds of the depth of
+        the scripted motion.
     """
 
     force_N: float
@@ -103,26 +108,28 @@ class Met(NamedTuple):
 
 
 class Series(NamedTuple):
-    """Coupling and hand in series, and the low-force term of a person's threshold at the device.
+    """Coupling and hand in series, and the low-force term of a person's threshold for forces.
 
-    A hand aims to press a tissue of stiffness K by a depth D. Coupling (k) and hand (k_h) yield by
-    s = 1/k + 1/k_h. With the force scale c, the force at the device and its change with K are::
+    A hand aims to press a tissue of stiffness K to a depth D. The compliance of coupling (stiffness
+    k) and hand (k_h) in series is s = 1/k + 1/k_h. With the force scale c, the force F at the
+    device and its change dF for a change dK of the stiffness are::
 
         F = c K D / (1 + c K s),    dF / F = dK / K / (1 + c K s)
 
-    A person notices changes of kappa (F + F0), where F0 contains the device's friction, which hides
-    forces as well. The sensitivity is therefore proportional to F / (F + F0) / (1 + c K s). It is
-    largest at c K = (F0 / s / (D + F0 s))^(1/2): a smaller force is hidden, and a larger one moves
-    the hand instead.
+    A person notices force changes of at least kappa (F + F0). The low-force term F0 contains the
+    friction of the device, because friction also hides forces. The sensitivity is therefore
+    proportional to F / (F + F0) / (1 + c K s). It is largest at c K = (F0 / s / (D + F0 s))^(1/2).
+    At a smaller scale, friction and threshold hide the force. At a larger scale, the force moves
+    the hand back.
 
     Attributes
     ----------
     yields_m_N
-        s, displacement of coupling and hand for each newton [m/N].
+        Compliance s of coupling and hand [m/N].
     threshold_N
-        F0 [N].
+        Low-force term F0 [N].
     weber
-        kappa.
+        Weber fraction kappa.
     """
 
     yields_m_N: float
@@ -131,7 +138,7 @@ class Series(NamedTuple):
 
     @classmethod
     def of(cls, limits: DeviceParameters, constants: Materials) -> "Series":
-        """Return the series of a device in the hand for which scales are chosen."""
+        """Return the series for a device in the hand `HELD_BY`."""
         limit = limits.stiffness_limit_N_m
         stiffness = limit if isfinite(limit) else USUAL_N_M
         hand = hand_parameters(HELD_BY, constants).stiffness_N_m
@@ -143,7 +150,7 @@ class Series(NamedTuple):
         )
 
     def best_scale(self, met: Met) -> float:
-        """Return the scale of the largest sensitivity; 1 for a tissue without a slope."""
+        """Return the scale with the largest sensitivity; 1 for a tissue whose stiffness is 0."""
         if not met.stiffness_N_m > 0.0:
             return 1.0
         hidden_m = self.threshold_N * self.yields_m_N
@@ -160,14 +167,15 @@ class Series(NamedTuple):
 
 
 class ForceScale(NamedTuple):
-    """Newtons at the device for each newton at the tool, and how they were chosen.
+    """Force scale (newtons at the device for each newton at the tool), and the reason for its
+    choice.
 
     Attributes
     ----------
     factor
-        The scale.
+        Force scale.
     why
-        Reason of the choice, as the end of a sentence.
+        Reason for the choice, as the end of a sentence.
     d_prime
         Expected sensitivity for a tissue that is stiffer by `STIFFER`; None if it is not known.
     """
@@ -178,11 +186,12 @@ class ForceScale(NamedTuple):
 
 
 def chosen_scale(scene: Scene) -> ForceScale:
-    """Return the force scale of a scene.
+    """Return the given force scale of a scene, or choose it.
 
-    The scale is that of the largest sensitivity (`Series`). It is bounded so that the script's
-    largest force is above the device's friction, and well below its limit. The scale has two
-    digits. It is 1 without a device, or where no force is known before the run.
+    The chosen scale is the one with the largest sensitivity (see `Series`). It is limited so that
+    the largest force on the scripted motion is above the friction of the device and well below the
+    force limit of the device. The scale has two digits. It is 1 without a device, or if no force is
+    known before the run.
 
     Raises
     ------
@@ -211,32 +220,33 @@ def chosen_scale(scene: Scene) -> ForceScale:
 
 
 def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
-    """Return the two-digit scale of the largest sensitivity between a device's friction and limit.
+    """Return the scale with the largest sensitivity, between friction and force limit of a device.
 
-    Force, slope and depth are those at the device without a force scale.
+    The scale has two digits. In `met`, force, slope and depth are values at the device without a
+    force scale.
     """
     low = LEAST * limits.friction_N / met.force_N
     high = MOST * limits.force_limit_N / met.force_N
     scale = min(max(series.best_scale(met), low), high)
     digits = 1 - floor(log10(scale))
-    # Rounded to nine digits first, so that 0.3 stays 0.3.
+    # The value is first rounded to nine digits, so that 0.3 stays 0.3.
     return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
 def force_met(scene: Scene) -> Met:
-    """Return the force on the scripted motion, with the scene's own constants.
+    """Return the force on the scripted motion of a scene, with the constants of the scene.
 
-    It is 0 where it is not known.
+    The force is 0 if it is not known.
     """
     return _met(
-        # Keys that do not change the force of the script.
+        # These keys do not change the force on the scripted motion.
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         (scene.constants.key, *_file_stamps(scene)),
     )
 
 
 def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
-    """Return name, time of change [ns] and size [bytes] of each file of the tissue and the path."""
+    """Return name, time of change [ns] and size [bytes] of each anatomy, motion and tool file."""
     named = [
         value
         for part in (scene.anatomy, scene.motion, scene.tool)
@@ -249,7 +259,7 @@ def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
 
 @lru_cache(maxsize=64)
 def _met(table: str, _inputs: tuple[object, ...]) -> Met:
-    """Return the force on the scripted motion of a scene, from its text."""
+    """Return the force on the scripted motion of a scene that is given as text."""
     scene = Scene.read_back(table)
     entry = ANATOMIES[scene.anatomy.kind]
     if entry.build is not None:
@@ -268,9 +278,9 @@ def _met(table: str, _inputs: tuple[object, ...]) -> Met:
 
 
 def cut(scene: Scene) -> Met:
-    """Return a cutter's largest force along the script in coarse voxels.
+    """Return the largest force of a cutter on the scripted motion, in coarse voxels.
 
-    For a tool that is pushed, it is the thrust.
+    For a tool that is pushed by a thrust, it is the thrust.
     """
     assert isinstance(scene.tool, Tool)
     if isinstance(scene.motion, ThrustMotion):
@@ -290,16 +300,17 @@ def cut(scene: Scene) -> Met:
 
 
 def _depth_m(scene: Scene) -> float:
-    """Return the script's depth below the origin [m]."""
+    """Return the depth of the scripted motion below the origin [m]."""
     return max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
 
 
 def pressed(scene: Scene) -> Met:
-    """Return the force of a probe on a half space at the script's depth below the origin.
+    """Return the force of a probe on a half space, at the depth of the scripted motion.
 
-    It uses Hertz's law for a ball and Boussinesq's for the flat end of a cylinder. The modulus is
-    the one of the stiffest tissue on the script, without a nodule. A law of the organ is left out:
-    the exponential law of `liver-press` has 1.3 times the force. A probe of another shape gives 0.
+    The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
+    a cylinder. The modulus is that of the stiffest tissue on the scripted motion, without a nodule.
+    A hyperelastic law of the organ is ignored; the exponential law of `liver-press` has 1.3 times
+    the force. For a probe of another shape the result is 0.
     """
     organ = scene.organ
     tool = scene.tool
@@ -310,7 +321,7 @@ def pressed(scene: Scene) -> Met:
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
     radius = 0.5e-3 * tool.size_mm
     depth = _depth_m(scene)
-    # Slope over the modulus of the half space [m].
+    # Slope divided by the modulus of the half space [m].
     slope = 2.0 * radius
     if tool.kind == "sphere-probe":
         slope = 2.0 * sqrt(radius * depth)
@@ -345,7 +356,7 @@ def incised(scene: Scene) -> Met:
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
-    """Return a tissue's largest force at poses of a motion evenly spaced in time [N]."""
+    """Return the largest force of a tissue [N] at poses of a motion at equal time intervals."""
     tool = ToolMotion()
     response = Response.empty(len(tissue.layer_names))
     most = 0.0
@@ -360,9 +371,9 @@ def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
 
 
 def slot_force_N(bone: VoxelBone, tool: Cutter) -> float:
-    """Compute the force of a cutter in a typical slot in a bone's first layer [N].
+    """Compute the force of a cutter in a typical slot in the first layer of a bone [N].
 
-    The slot is a quarter of the cutter's diameter deep, at a feed of 2 mm/s.
+    The depth of the slot is a quarter of the cutter's diameter, and the feed is 2 mm/s.
     """
     width_m = 2.0 * tool.profile.radius_m
     spacing_m = width_m / SLOT_VOXELS

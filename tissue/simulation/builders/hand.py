@@ -1,4 +1,4 @@
-"""Motion of a tool coupled to a device, and of a scene whose device a simulated hand moves."""
+"""Motion of a tool that is coupled to a device, and of a tool that a scene's hand moves."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -42,18 +42,18 @@ __all__ = ["device_motion", "hand_motion"]
 STRAY_M = 2e-3
 """Distance around the scripted path within which an organ is prepared for a hand [m].
 
-A hand trembles and misses its targets; assumed.
+A hand trembles and misses its targets. The value is assumed.
 """
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
-    """Return the scene's motion made by its hand on its device, and notes on the choices made.
+    """Return the motion that a scene's hand makes with the device, and a note on the choices.
 
     Raises
     ------
     InputError
-        If the coupling is unstable and that is not allowed, or the motion leaves the device's
-        workspace.
+        If the coupling is unstable and `allow_unstable` is not set, or the motion leaves the
+        workspace of the device.
     """
     settings = loop_settings(scene)
     person = settings.person
@@ -64,7 +64,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
 
     def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
-        """Return the device in the scene's hand, which makes the scripted motion."""
+        """Return the device in the hand of the scene, which makes the scripted motion."""
         path, push = _aims(scene, scripted, tool, settings, stiffness_N_m)
         turn = _turn(scripted) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
@@ -96,21 +96,21 @@ def _stray_m(scene: Scene) -> float:
     if scene.held.coupling.roam_mm is not None:
         return 1e-3 * scene.held.coupling.roam_mm
     return (
-        # Voxels have their own margin, and a wall needs no preparation.
+        # Voxels have a margin of their own, and a wall needs no preparation.
         0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
     )
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
-    """Refuse a motion that leaves the device's workspace.
+    """Refuse a motion that leaves the workspace of the device.
 
-    The sides of the workspace box may be assigned to any axes of the motion.
+    The device may be turned, so any side of the workspace box may lie along any axis of the motion.
     """
     workspace = limits.workspace_m
     extent = np.sort(np.ptp(scripted.sweep_m(), axis=0))
     scale = scene.held.coupling.motion_scale
     if (extent > scale * workspace).any():
-        # Rounded up to two decimals; 1e-9 keeps a value that fits exactly.
+        # The scale is rounded up to two decimals. 1e-9 prevents that an exact value is rounded up.
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
@@ -131,7 +131,7 @@ def _aims(
     settings: LoopSettings,
     stiffness_N_m: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
-    """Return the path that the hand aims at, and the additional push of the hand (or None)."""
+    """Return the path of the hand's target, and the additional force of the hand (or None)."""
     corners = scripted.sweep_m()
     limits = settings.limits
     person = settings.person
@@ -152,9 +152,9 @@ def _aims(
 
 
 def _turn(scripted: Motion) -> Callable[[float], Array]:
-    """Return turns of a recorded motion from its first orientation.
+    """Return a function that gives the rotation of a recorded motion since its start.
 
-    They are unit quaternions over time [s].
+    The function takes a time [s] and returns a unit quaternion.
     """
     turns = scripted.rotations()
     quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])
@@ -162,15 +162,15 @@ def _turn(scripted: Motion) -> Callable[[float], Array]:
 
 
 def _timed(scripted: Motion, *, recorded: bool) -> tuple[Array, Array]:
-    """Return times [s] and points [m] of a motion.
+    """Return the times [s] and points [m] of a motion.
 
-    A recorded motion has one point per tick; a path is followed at its feed.
+    A recorded motion has one point per tick. The times of a path follow from its feed.
     """
     corners_m = scripted.sweep_m()
     if recorded:
         return TICK_S * np.arange(len(corners_m), dtype=np.float64), corners_m
     along = arc_length(corners_m)
-    # Repeated corners have the same time, which an interpolation cannot use.
+    # Repeated corners have equal times, which an interpolation cannot use.
     keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
     return times[keep], corners_m[keep]
@@ -185,18 +185,20 @@ def device_motion(
     rng: np.random.Generator,
     allow_unstable: bool,
 ) -> tuple[HandMotion, list[str]]:
-    """Return the motion of a tool on a device, and notes on the choices made.
+    """Return the motion of a tool that is coupled to a device, and notes on the choices.
 
-    Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and
-    torques by f / m: work at the device is f / m times the work at the tool. The coupling's
-    stiffness is the stiffness at the device, which is judged, whatever the scales.
+    Forces are scaled by f, and motions by m: the tool moves m times as far as the device. A
+    stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so that the
+    work at the device is f / m times the work at the tool. The stiffness of the coupling is given
+    at the device, whatever the scales. The stability check uses this value.
 
     Parameters
     ----------
     settings, script
         Settings of the loop between device and tool, and the motion that the hand follows.
     device
-        Makes the device from the tool coupled to it and the coupling's stiffness [N/m].
+        Function that makes the device. Its arguments are the tool that is coupled to the device,
+        and the stiffness of the coupling [N/m].
     force_scale
         Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
     rng
@@ -207,13 +209,13 @@ def device_motion(
     Raises
     ------
     InputError
-        If the coupling is unstable and that is not allowed.
+        If the coupling is unstable and `allow_unstable` is not set.
     """
     chosen = settings.coupling
     scale = chosen.motion_scale
     judged, turning = judged_loops(settings, allow_unstable=allow_unstable)
-    # For the energy balance: from a sample to the force that answers it, without the delay of a
-    # balance that is found a tick later.
+    # The energy balance needs the delay from a sample to the force that answers it. It does not
+    # include the delay of a balance of the tool that is found a tick later.
     delay_s = settings.limits.transport_delay_s + 1e-3 * chosen.delay_ms
     loop = replace(judged.loop, delay_s=delay_s)
     factor, how = force_scale
@@ -252,15 +254,15 @@ def device_motion(
 
 
 def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
-    """Return the law that plays a loop's contact force in every tick.
+    """Return the rendering law that computes the contact force in every tick.
 
-    The laws run in every tick, whatever the device's sample rate.
+    A rendering law runs in every tick, whatever the sample rate of the device.
     """
     return renderer(settings.held.renderer, replace(loop, tick_s=TICK_S))
 
 
 def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldTurn) -> HeldTool:
-    """Return the law of a tool coupled to a device by a spring."""
+    """Return the model of a tool that a spring couples to a device."""
     if settings.contact == "cuts":
         return CuttingTool(spring_N_m, start_m, turn)
     return (ProbingTool if settings.contact == "touches" else PressingTool)(
@@ -269,9 +271,10 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
 
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
-    """Return the processing of a force before the device.
+    """Return the processing of a force before it is sent to the device.
 
-    It covers perception, and the vibration of a cutter's teeth and event cues at the tool.
+    The processing includes the perceptual map, the vibration of a cutter's teeth, and cues at
+    events.
     """
     limits = settings.limits
     limit_N = limits.force_limit_N

@@ -15,17 +15,18 @@ __all__ = ["heated_bone"]
 
 CELLS = 16
 CELL_MM = 0.125, 0.5
-"""Number of temperature cells of bone over the tool's diameter, and the limits of their edge [mm].
+"""Number of temperature cells across the tool's diameter, and limits of the edge of a cell [mm].
 
-They are never smaller than the voxels. In cortical bone under a 4 mm drill, the largest rise at
-0.5 mm from the wall is 4.78, 3.42 and 3.33 K with 8, 16 and 32 cells.
+The cells are never smaller than the voxels. In cortical bone under a 4 mm drill, the largest
+temperature rise at 0.5 mm from the wall of the hole is 4.78, 3.42 and 3.33 K with 8, 16 and 32
+cells.
 """
 
 
 def heated_bone(
     scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
 ) -> HeatedBone:
-    """Return milled bone with its temperature."""
+    """Return milled bone whose temperature is computed."""
     report("building the grid of the temperature", 0.0)
     cutter = milling.cutter
     share = 2e3 * cutter.profile.radius_m / CELLS

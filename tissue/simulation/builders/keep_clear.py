@@ -24,9 +24,9 @@ from tissue.simulation.builders.parts import swept_box
 __all__ = ["keep_clear"]
 
 MARGIN_M = 10e-3
-"""Margin beyond the scripted motion, since a hand may leave it [m]; assumed."""
+"""Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
 POINTS_ACROSS = 12.0
-"""Number of points of the tool's surface over its radius, for pictures; chosen."""
+"""Number of points of the tool's surface per radius, for pictures; chosen."""
 
 
 def keep_clear(
@@ -44,14 +44,14 @@ def keep_clear(
     Parameters
     ----------
     shapes
-        Structures that the anatomy knows, in the frame of the scene, by name.
+        Structures of the anatomy in the frame of the scene, keyed by name.
     placement
-        Pose of the scene in the frame of the anatomy's file; None where both frames are the same.
+        Pose of the scene in the frame of the anatomy's file; None if both frames are the same.
 
     Raises
     ------
     InputError
-        If the anatomy has no such structure, or a file cannot be used.
+        If the anatomy does not have a named structure, or a file cannot be used.
     """
     points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
     low, high = swept_box(points, motion, MARGIN_M)

@@ -1,4 +1,4 @@
-"""Loops of a device for its positions and its turns: their settings, judged before the run."""
+"""Loops of a device for translation and rotation: settings, and stability check before the run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -54,25 +54,26 @@ __all__ = [
 Contact = Literal["cuts", "touches", "presses", "springs"]
 """Kind of contact of a tool.
 
-A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue that provides its
+A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue that reports its
 stiffness (`Response.stiffness_N_m`), such as the test wall.
 """
 SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
 
-It is used where no stiffness is given. Half of the critical stiffness without a hand would be a
-seventh to a ninth of it. At either stiffness a device that is released on a wall leaves it
-within some hundredths of a second, see tests/stability/test_wall_laws.py.
+The ratio is used if no stiffness is given. Half of the critical stiffness without a hand would be
+only a seventh to a ninth of this stiffness. With either of both stiffnesses, a device that is
+released on a wall leaves the wall within some hundredths of a second; see
+tests/stability/test_wall_laws.py.
 """
 REST_SHARE = 0.3
 """Share of the device's largest force at which a predictor is linearised.
 
-It is well below the 70 % from which the range of the device compresses forces.
+This share is well below the 70 % above which forces are compressed to the range of the device.
 """
 USUAL_N_M = 1000.0
-"""Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
+"""Stiffness at which a predictor is linearised, typical of a desktop device [N/m].
 
-It is used for a device without a stiffness limit.
+The value is used for a device without a stiffness limit.
 """
 
 
@@ -83,19 +84,20 @@ class LoopSettings:
     Attributes
     ----------
     held, output
-        A scene's tables of the device, with hand, coupling and renderer, and of the output.
+        Scene tables of the device (with hand, coupling and renderer) and of the output.
     name, limits
-        Name of the device in messages, and its parameters.
+        Name of the device in messages, and parameters of the device.
     constants
         Constants of the hand.
     contact
         Kind of contact of the tool.
     teeth_Hz
-        Rate at which a cutter's edges pass, 0 for none.
+        Rate at which the cutting edges pass [Hz]; 0 for a tool without edges.
     scene_name
         Name of the scene for which a predictor was trained.
     own_predictor
-        Makes a new predictor in place of the device's; None for the device's.
+        Function that makes a new predictor, used instead of the predictor that the device table
+        names; None to use that predictor.
     """
 
     held: Device
@@ -110,7 +112,7 @@ class LoopSettings:
 
     @property
     def coupling(self) -> Coupling:
-        """Stiffness, scales, latency and rate of the model."""
+        """Scene table of the coupling: stiffness, scales, latency and rate of the model."""
         return self.held.coupling
 
     @cached_property
@@ -130,15 +132,15 @@ class LoopSettings:
         )
 
     def predictor(self) -> Predictor | None:
-        """Return a new predictor of the force; None where the present force is played."""
+        """Return a new predictor of the force; None if forces are not predicted."""
         if self.own_predictor is not None:
             return self.own_predictor()
         return None if self.held.prediction == "none" else self._maker()
 
     def perception(self, rng: np.random.Generator) -> "Perception | None":
-        """Return the person for whom the force is scaled, with a generator of sensory noise.
+        """Return the perceptual map of the force, with a generator of sensory noise.
 
-        None is returned where the force is not scaled.
+        The result is None if the force is not changed for a person.
         """
         if self.held.perception == "none":
             return None
@@ -154,17 +156,19 @@ class LoopSettings:
 
     @property
     def sample_s(self) -> float:
-        """Time between two samples of the device [s]: a tick, or longer for a slow device."""
+        """Time between two samples of the device [s]: one tick, or longer for a slow device."""
         return 1.0 / self.limits.rate_Hz
 
     @property
     def is_slow(self) -> bool:
         """True if the device gives fewer samples than there are ticks."""
-        # 1e-6: a rate of 1 kHz is no slow device because of rounding.
+        # 1e-6 allows for rounding: a device at 1 kHz is not slow.
         return self.sample_s > TICK_S * (1.0 + 1e-6)
 
     def vibration(self, step_s: float) -> Vibration | None:
-        """Return the vibration of a cutter's teeth for a step [s]; None for no vibration."""
+        """Return the vibration of a cutter's teeth for a time step [s]; None if no vibration is
+        played.
+        """
         share = self.output.vibration_share
         if share == 0.0 or self.teeth_Hz == 0.0:
             return None
@@ -172,12 +176,12 @@ class LoopSettings:
 
 
 def sampled(limits: DeviceParameters) -> DeviceParameters:
-    """Return a device as the loop samples it: a faster one is read once a tick."""
+    """Return the parameters of a device as the loop samples it, at most once per tick."""
     return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
 
 
 def loop_settings(scene: Scene) -> LoopSettings:
-    """Return the settings that a scene states for its device, its hand and their coupling."""
+    """Return the settings of a scene for device, hand and coupling."""
     held = scene.held
     tool = scene.tool
     limits = sampled(device_parameters(held.kind, scene.constants))
@@ -194,20 +198,20 @@ def loop_settings(scene: Scene) -> LoopSettings:
 
 @dataclass(frozen=True)
 class JudgedLoop:
-    """Loop with its total delay, and the verdict on its stability.
+    """Loop with its total delay, and the result of the stability check.
 
     Attributes
     ----------
     loop
-        Loop with the given or chosen stiffness. Turns use N m/rad and so on.
+        Loop with the given or chosen stiffness. For rotation, the units are N m/rad and so on.
     verdict
-        Stability verdict for the loop in the hand.
+        Result of the stability check for the loop in the hand.
     unit
         Unit of the stiffness.
     alone
-        Critical stiffness of a device without a hand.
+        Critical stiffness of the loop without a hand.
     saves
-        Mechanisms other than a hand that stop its ringing, as text.
+        Mechanisms other than a hand that stop an oscillation of the device, as text.
     """
 
     loop: WallLoop
@@ -231,14 +235,14 @@ class JudgedLoop:
 def judged_loops(
     settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """Return the loop of a device's positions and, if it plays torque, the loop of its turns.
+    """Return the checked loop of translation and, if the device plays torque, that of rotation.
 
-    The verdict on the turns includes that a contact at a lever couples both loops.
+    The check of rotation includes the coupling of both loops by a contact at a lever arm.
 
     Raises
     ------
     InputError
-        If one is unstable and that is not allowed.
+        If a loop is unstable and `allow_unstable` is not set.
     """
     person = settings.person
     position = judged_loop(settings, step_s=TICK_S)
@@ -264,7 +268,7 @@ def judged_loops(
 
 
 def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> Verdict:
-    """Return the verdict on a loop whose force slope is multiplied by ``steepest``."""
+    """Return the stability of a loop whose force slope is multiplied by ``steepest``."""
     verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), hands)
     critical = verdict.critical_N_m / steepest
     nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
@@ -272,35 +276,35 @@ def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> V
 
 
 def _usable_share(position: Verdict) -> float:
-    """Return the share of the critical stiffness of turns that the loop of positions leaves usable.
+    """Return the usable share of the critical rotational stiffness, given the loop of translation.
 
-    A contact at a lever couples both loops. If each has its critical stiffness, they may be
-    unstable together. A loop at `SHARE` of its critical stiffness leaves the other one whole.
-    Between these points, the sum of both shares is limited to 1 + `SHARE`. The smallest sum at
-    which a loop grew is 1.76 (a cutter that bone blocks 55 mm from its tip, on a sigma-7, see
-    tests/stability/test_judged_loops.py).
+    A contact at a lever arm couples both loops. If each loop has its critical stiffness, the
+    coupled loops may be unstable. If one loop has at most `SHARE` of its critical stiffness, the
+    other loop may use its full critical stiffness. Otherwise, the sum of both shares is limited to
+    1 + `SHARE`. The smallest sum of shares at which an oscillation grew is 1.76. In this case, bone
+    blocks a cutter 55 mm from its tip, on a sigma-7; see tests/stability/test_judged_loops.py.
     """
     return min(max(SHARE + position.margin, SHARE), 1.0)
 
 
 def _steepest(settings: LoopSettings) -> float:
-    """Return the largest slope of the commanded force over the contact force."""
+    """Return the largest slope of the commanded force as a function of the contact force."""
     perception = settings.perception(np.random.default_rng(0))
     return 1.0 if perception is None else perception.steepest
 
 
 def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
-    """Return the loop used to judge a coupling, with its total delay.
+    """Return the loop for the stability check of a coupling, with its total delay.
 
-    A tool that cuts or only touches bone, or presses a tissue that provides its stiffness, answers
-    in the tick of the sample. For any other tissue the stiffness is estimated from the last motion.
-    If the tool slides along the surface, that is the stiffness along it, and the balance is found a
-    tick later. For a guarded predictor, the predictor or its fallback is used, whichever has the
-    lower critical stiffness. The played vibration of a cutter's teeth counts in proportion to the
-    force.
+    For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
+    force answers the sample in the same tick. For any other tissue, the tool estimates the
+    stiffness from the last motion. While the tool slides along the surface, this estimate is the
+    stiffness along the surface, and the balance of the tool is found a tick later. For a guarded
+    predictor, the loop contains the predictor or its fallback, whichever has the lower critical
+    stiffness. The played vibration of a cutter's teeth counts in proportion to the force.
 
-    A slow device holds each force until its next sample, so its loop is judged at the device's
-    rate.
+    A slow device holds each force until its next sample, so its loop is checked at the sample rate
+    of the device.
 
     Raises
     ------
@@ -347,7 +351,7 @@ def lead_ticks(settings: LoopSettings) -> float:
 def motor_path(settings: LoopSettings) -> WallLoop:
     """Return the path of a force to the motor.
 
-    It consists of low-pass, latency, transport, hold and amplifier.
+    The path consists of low-pass, latency, transport, zero-order hold and amplifier.
     """
     path = replace(device_path(settings.limits), filter_s=1e-3 * settings.output.low_pass_ms)
     return _delayed(settings, path, 0.0)
@@ -356,17 +360,17 @@ def motor_path(settings: LoopSettings) -> WallLoop:
 def device_path(limits: DeviceParameters) -> WallLoop:
     """Return the path of a force through the device to its motor, in ticks.
 
-    It consists of transport, hold and amplifier. A slow device holds each force longer than a tick;
-    half of that additional time is the mean delay.
+    The path consists of transport, zero-order hold and amplifier. A slow device holds each force
+    longer than a tick. Half of the additional hold time is added as delay.
     """
     loop = sampled(limits).loop(1.0)
     return replace(loop, tick_s=TICK_S, delay_s=loop.delay_s + 0.5 * (loop.tick_s - TICK_S))
 
 
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
-    """Return linear forecasts of the predictor and of its fallback.
+    """Return linearised models of the predictor and of its fallback.
 
-    They are linearised about a contact at rest, under a share of the device's force.
+    Both are linearised at a contact at rest, under a share of the device's largest force.
     """
     predictor = settings.predictor()
     chosen = settings.coupling
@@ -376,8 +380,9 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     if settings.is_slow:
         raise _too_slow(settings, "a prediction", "prediction = none")
     limit = limits.stiffness_limit_N_m
-    # The responses scale with the stiffness of the probe (`Forecast.stiffness_N_m`). Without the
-    # stiffness of the scene, all stiffnesses share one forecast and one critical stiffness.
+    # The responses of the forecast are proportional to its stiffness (`Forecast.stiffness_N_m`).
+    # This stiffness does not depend on the scene, so all couplings share one forecast and one
+    # critical stiffness.
     stiffness = limit if isfinite(limit) else USUAL_N_M
     return [
         forecast_of(
@@ -395,10 +400,10 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 
 
 def _turning_loop(settings: LoopSettings) -> WallLoop:
-    """Return the loop used to judge the coupling of turns.
+    """Return the loop for the stability check of the rotational coupling.
 
-    A tool that presses estimates the stiffness of the tissue in rotation, so that its balance may
-    be found a tick later.
+    A pressing tool estimates the rotational stiffness of the tissue, so its balance may be found a
+    tick later.
     """
     limits = settings.limits
     chosen = settings.coupling
@@ -419,29 +424,31 @@ def _chosen(
     limit: float,
     steepest: float = 1.0,
 ) -> WallLoop:
-    """Return the loop with the given stiffness, or with half of the critical one in that hand.
+    """Return the loop with the given stiffness, or with half of the critical stiffness in the hand.
 
-    The hand has no reflex. A chosen stiffness is at most the limit.
+    The critical stiffness is computed for a hand without reflex. A chosen stiffness is at most
+    `limit`.
     """
     if given is None:
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
-        # A critical stiffness of 0 leaves the limit, which is then refused with the reason.
+        # If the critical stiffness is 0, the limit is used. The check then refuses it and reports
+        # the reason.
         given = min(SHARE * critical / steepest, limit) or limit
     return loop.with_stiffness(given)
 
 
 def _delayed(settings: LoopSettings, loop: WallLoop, extra_s: float) -> WallLoop:
-    """Return the loop with the coupling's latency and an additional delay [s]."""
+    """Return the loop with the latency of the coupling and an additional delay [s]."""
     return replace(loop, delay_s=loop.delay_s + 1e-3 * settings.coupling.delay_ms + extra_s)
 
 
 def _model_samples(settings: LoopSettings) -> int:
-    """Return the samples of the device during one answer of the model."""
+    """Return the number of device samples during which one response of the model is used."""
     return max(ceil(settings.coupling.model_ms * TICK_S / settings.sample_s - 1e-9), 1)
 
 
 def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
-    """Return the error for a part of the loop that needs a sample in every tick."""
+    """Return the error for a device that is too slow for a part of the loop."""
     return InputError(
         f"{settings.name} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
         f"needs {1.0 / TICK_S:g}. "
@@ -452,7 +459,7 @@ def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
 def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> InputError:
     """Return the error for an unstable coupling."""
     allow = "set allow_unstable (--allow-unstable)"
-    if verdict.critical_N_m == 0.0 and not settings.scene_name:  # of a caller's loop
+    if verdict.critical_N_m == 0.0 and not settings.scene_name:  # a loop that a caller made
         return InputError(
             "delay_ms",
             "allow a stable stiffness",
@@ -477,5 +484,5 @@ def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: st
 
 
 def person_of(hand: str) -> str:
-    """Return text for a person of an expertise group."""
+    """Return the name of an expertise group with its article."""
     return f"a{'n' * (hand[0] in 'aeiou')} {hand}"

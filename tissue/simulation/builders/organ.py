@@ -56,7 +56,7 @@ __all__ = [
 
 PART_NODULE = "nodule"
 NODULE_KPA = 50.0
-"""Young's modulus of a nodule where a scene states none [kPa]."""
+"""Young's modulus of a nodule if the scene does not give one [kPa]."""
 KEYS = {
     **dict.fromkeys(FILE_WORDS, "anatomy.file"),
     "nodule.radius_m": "anatomy.nodule_diameter_mm",
@@ -69,26 +69,28 @@ KEYS = {
     "unit_mm": "anatomy.scale_mm",
     "support": "anatomy.held",
 }
-"""Keys of a scene, by the names that mesh functions use for them."""
+"""Keys of a scene, keyed by the names that mesh functions use in error messages."""
 OF_ORGAN = {
     **{name: f"organ.{name}" for name in ("parts", "poisson_ratio", "friction")},
     "modulus_kPa": "organ.young_kPa",
 }
-"""Keys of a scene, by the fields of `SoftMaterial`."""
+"""Keys of a scene, keyed by the fields of `SoftMaterial`."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock.
 
-Their error in a cantilever is 32 % at 0.3 and 72 % at 0.49 (Aycock 2020).
+The error of linear tetrahedra in a cantilever is 32 % at 0.3 and 72 % at 0.49 (Aycock 2020).
 """
 
 
 REGION = 2.0
-"""Radius of the region in which a law acts, over the radius of the tool.
+"""Ratio of the radius of the region in which a hyperelastic law is solved to the radius of the
+tool.
 
-The force at rest 0.8 of the radius deep is 2.0 % off Newton's method with a Yeoh law that doubles
-the linear force, and 5.2 % with 1.5 (`tests/verification/test_organ_laws.py`). In `liver-press`
-(neo-Hookean) the force is 0.5 % off with 1.5 and 1.3 % with 1.0, against the law in the whole liver
-(RMS over ticks): `python tests/bench/bench_law_region.py`.
+With a Yeoh law that doubles the linear force, the error of the force at rest is 2.0 %, and 5.2 %
+with a ratio of 1.5. The error is measured against Newton's method at a depth of 0.8 of the radius
+(`tests/verification/test_organ_laws.py`). In `liver-press` with a neo-Hookean law, the error is 0.5
+% with a ratio of 1.5 and 1.3 % with 1.0 (RMS over ticks), against the law in the whole liver:
+`python tests/bench/bench_law_region.py`.
 """
 NOT_WITH = ("gravity", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support."""
@@ -96,18 +98,18 @@ NOT_WITH = ("gravity", "fibre_direction")
 
 @dataclass(frozen=True, eq=False)
 class HeldMesh:
-    """Organ at its site, with the tool coming down from +z to the origin.
+    """Organ at its site; the tool comes down from +z to the origin.
 
     Attributes
     ----------
     mesh
         Tetrahedra.
     held
-        Nodes that do not move, in rising order.
+        Indices of nodes that do not move, in increasing order.
     notes
-        Notes on findings and assumptions, by subject.
+        Notes on findings and assumptions, keyed by subject.
     placement
-        Pose of the scene's frame in the frame of the organ's file; None without a file.
+        Pose of the scene in the frame of the organ's file; None for an organ without a file.
     """
 
     mesh: TetMesh
@@ -119,18 +121,19 @@ class HeldMesh:
 def held_mesh(
     anatomy: SoftAnatomy, *, path_m: Array, touch_edge_m: float, report: Progress
 ) -> HeldMesh:
-    """Mesh a scene's organ, procedural or from a file, and refine it along the tool's path.
+    """Mesh the organ of a scene, and refine the mesh along the path of the tool.
 
     Parameters
     ----------
     anatomy
-        The scene's organ; its edges grow by `edge_growth` times the distance from the path.
+        Organ of the scene, procedural or from a file. The edge length increases by `edge_growth`
+        times the distance from the path.
     path_m
         Corners of the path of the tool's tip [m], shape (k, 3).
     touch_edge_m
-        Longest edge on it [m].
+        Longest edge on the path [m].
     report
-        Called with the current stage.
+        Function that is called with the name of the current work.
 
     Raises
     ------
@@ -171,7 +174,9 @@ def held_mesh(
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[Array, str]:
-    """Return the elasticity of the cells, see `SoftMaterial.elasticity`, and a note on it."""
+    """Return the elasticity of the cells (see `SoftMaterial.elasticity`), and a note on the
+    elasticity.
+    """
     material, notes = material_of(anatomy, organ, constants)
     with names_of_caller(OF_ORGAN):
         return material.elasticity(mesh), notes["modulus"]
@@ -180,12 +185,15 @@ def elasticity_of(
 def material_of(
     anatomy: SoftAnatomy, organ: Organ, constants: Materials
 ) -> tuple[SoftMaterial, dict[str, str]]:
-    """Return the material of a scene's organ, by its keys or cited, and notes by subject.
+    """Return the material of a scene's organ, and notes keyed by subject.
+
+    For constants that the scene does not give, the built-in values are used.
 
     Raises
     ------
     InputError
-        If the organ's compliance is lazy and it is viscous, or no relaxation is cited for it.
+        If a viscous organ has a lazy compliance, or there are no relaxation constants for its
+        material.
     """
     cited = constants.constants("soft", organ.material)
     young_kPa = organ.young_kPa or cited["modulus_kPa"].value
@@ -222,7 +230,7 @@ def material_of(
             raise InputError(
                 "organ.path", "not be lazy for a viscous organ", "lazy", "use condensed"
             )
-        # Terms of the series are numbered in the file of constants.
+        # The file of constants numbers the terms of the series.
         numbers = [k for k in range(1, 10) if f"prony_g{k}" in cited]
         if not numbers:
             raise InputError(
@@ -290,7 +298,7 @@ def _modulus_note(
 def _nodule(anatomy: WithNodule) -> Nodule | None:
     if anatomy.nodule_diameter_mm == 0.0:
         return None
-    # With fewer edges across, the mesh is no ball.
+    # With fewer edges across a nodule, the mesh is not a ball.
     if anatomy.nodule_diameter_mm < 2.0 * anatomy.edge_mm:
         raise InputError(
             "anatomy.nodule_diameter_mm",
@@ -306,11 +314,11 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
 
 
 def _away(points_m: Array, path_m: Array) -> Array:
-    """Return the distances of points from the path of the tip [m], shape (n,)."""
+    """Return the distance of each point from the path of the tip [m], shape (n,)."""
     nearest = np.full(len(points_m), np.inf)
     for start, end in pairwise(path_m):
         along = end - start
-        # 1e-30: a path may rest at a corner.
+        # 1e-30 avoids a division by zero if the path rests at a corner.
         share = np.clip((points_m - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
         nearest = np.minimum(
             nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1)
@@ -321,7 +329,7 @@ def _away(points_m: Array, path_m: Array) -> Array:
 def _from_file(
     anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress
 ) -> HeldMesh:
-    """Read the mesh of a file and move and rotate it to its site."""
+    """Read a mesh from a file, and move and rotate it to its site."""
     found = read_tets(
         anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report
     )
@@ -339,7 +347,7 @@ def _from_file(
     surface = (
         mesh.nodes_m[mesh.surface_nodes] if found.surface is None else found.surface.vertices_m
     )
-    # Without a given site, the tool comes down on the highest point.
+    # If no site is given, the tool comes down on the highest point.
     if anatomy.centre_mm is None:
         origin = surface[np.argmax(surface @ turn[:, 2])]
     else:
@@ -367,7 +375,7 @@ def _from_file(
 
 
 def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
-    """Return the nodes that the scene's support holds, and a note on them."""
+    """Return the nodes that the support of the scene holds, and a note on the support."""
     if anatomy.held == "part":
         if anatomy.held_part is None:
             raise InputError(
@@ -387,14 +395,14 @@ def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
 
 
 def hindrance(organ: Organ) -> str | None:
-    """Return the first key of an organ that no hyperelastic law supports; None without one."""
+    """Return the first key of an organ that hyperelastic laws do not support, or None."""
     if organ.path != "condensed":
         return "path"
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ with the rate of its exponential law, stated or cited for its material."""
+    """Return an organ with the rate of its exponential law, from the scene or built in."""
     if organ.law != "exponential" or organ.exponential_rate is not None:
         return organ
     cited = constants.constants("soft", organ.material).get("exponential_rate")
@@ -402,23 +410,23 @@ def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
 
 
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
-    """Return the law of the first cell, and factors of its moduli in each cell, shape (m,).
+    """Return the law of the first cell, and for each cell the factor of its moduli, shape (m,).
 
-    None is returned for the linear law.
+    The result is None for the linear law.
 
     Parameters
     ----------
     organ
         Organ parameters of the scene.
     lame_Pa
-        Lame constants of small strains [Pa], shape (m, 2), in one proportion, as `elasticity_of`
-        gives them.
+        Lame constants at small strains [Pa], shape (m, 2), as returned by `elasticity_of`. Their
+        ratio is the same in all cells.
 
     Raises
     ------
     InputError
-        If the scene requests something that the law does not support, or does not state a parameter
-        that the law needs.
+        If the scene has a key that the law does not support, or lacks a parameter that the law
+        needs.
     """
     if organ.law == "linear":
         return None
@@ -441,7 +449,7 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
 def organ_law(scene: Scene, lame_Pa: Array) -> "OrganLaw | None":
     """Return the law of a scene's organ; None for the linear law.
 
-    `lame_Pa` holds Lame constants of the cells of the organ's mesh [Pa], shape (m, 2).
+    `lame_Pa` contains the Lame constants of the cells of the mesh [Pa], shape (m, 2).
 
     Raises
     ------

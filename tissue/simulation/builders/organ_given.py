@@ -1,6 +1,6 @@
 """Material and supports of a soft organ.
 
-Scenes and `tissue.Organ` describe an organ with the same `SoftMaterial` and supports.
+Scenes and `tissue.Organ` both use this `SoftMaterial` and these supports.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,9 @@ __all__ = ["Hold", "SoftMaterial", "hold_of"]
 
 
 COINCIDE = 1e-6
-"""Distance within which a node coincides with a named point, over the mesh's size."""
+"""Largest distance at which a node coincides with a given point, relative to the size of the
+mesh.
+"""
 CAPSULE = "give its thickness in um and its modulus in kPa, such as (50, 8200)"
 SIDES = {
     "bottom": (0.0, 0.0, -1.0),
@@ -43,44 +45,45 @@ SIDES = {
     "-z": (0.0, 0.0, -1.0),
     "+z": (0.0, 0.0, 1.0),
 }
-"""Outward directions of the sides of the surface that may be held, by name."""
+"""Outward directions of the sides of the surface that may be held, keyed by name."""
 Hold = Callable[[TetMesh], Nodes]
 """Function that returns the held nodes of a mesh."""
 
 
 @dataclass(frozen=True)
 class SoftMaterial:
-    """Material of an organ, and options of its solution.
+    """Material of an organ, and options for the solution of its equations.
 
     Attributes
     ----------
     modulus_kPa
-        Young's modulus of every part that `parts` does not name [kPa].
+        Young's modulus of each part that is not in `parts` [kPa].
     poisson_ratio
         Poisson's ratio.
     parts
-        Young's moduli of parts by their names or numbers [kPa].
+        Young's moduli of parts [kPa], keyed by name or number.
     order
         Order of the tetrahedra.
     friction
-        Coulomb's coefficient between tool and organ.
+        Coulomb friction coefficient between tool and organ.
     capsule, capsule_poisson_ratio
-        Thickness [um] and Young's modulus [kPa] of a membrane on the surface; None for no membrane.
-        Without its own Poisson's ratio it has the organ's.
+        Thickness [um] and Young's modulus [kPa] of a membrane on the surface, None for no membrane;
+        and Poisson's ratio of the membrane, default that of the organ.
     density_kg_m3
-        Density [kg/m3]; where it is given, gravity acts on the organ.
+        Density [kg/m3]. If it is given, gravity acts on the organ.
     relaxation
-        Pairs of a share of the modulus that relaxes and its relaxation time [s].
+        Pairs of a share of the modulus that relaxes, and the relaxation time of this share [s].
     graded_kPa, grading_exponent
-        Young's modulus at the largest x [kPa], and the power of the distance by which it is graded
-        from `modulus_kPa` at the smallest x; None for no grading.
+        Young's modulus at the largest x [kPa], None for no grading; and exponent of the distance
+        from the smallest x, where the modulus is `modulus_kPa`.
     fibre_direction, fibre_modulus_ratio
-        Direction of fibres, None for none, and Young's modulus along them over the one across.
+        Direction of fibres, None for no fibres; and ratio of Young's modulus along the fibres to
+        that across the fibres.
 
     Raises
     ------
     InputError
-        If a value is out of its range.
+        If a value is out of range.
     """
 
     modulus_kPa: float
@@ -122,17 +125,17 @@ class SoftMaterial:
             require_positive("density_kg_m3", self.density_kg_m3, "soft tissue has about 1060")
 
     def moduli_kPa(self, part_names: Sequence[str]) -> dict[str, float]:
-        """Return Young's modulus of each part of a mesh by its name [kPa].
+        """Return Young's modulus of each part of a mesh [kPa], keyed by name.
 
         Raises
         ------
         InputError
-            If the mesh has no part of that name, or a part is named twice.
+            If the mesh does not have a named part, or a part is named twice.
         """
         return dict.fromkeys(part_names, self.modulus_kPa) | self._stated_kPa(part_names)
 
     def _stated_kPa(self, part_names: Sequence[str]) -> dict[str, float]:
-        """Return the moduli of `parts` by their names in a mesh [kPa]."""
+        """Return the moduli in `parts` [kPa], keyed by the names of the parts in a mesh."""
         found: dict[str, float] = {}
         for name, modulus in self.parts.items():
             known = next((each for each in (str(name), f"part {name}") if each in part_names), None)
@@ -155,12 +158,13 @@ class SoftMaterial:
     def elasticity(self, mesh: TetMesh) -> Array:
         """Return the elasticity of the cells [Pa].
 
-        It holds Lame constants, shape (m, 2), or with fibres stiffness matrices, shape (m, 6, 6).
+        The result contains Lame constants, shape (m, 2). With fibres, it contains stiffness
+        matrices, shape (m, 6, 6).
 
         Raises
         ------
         InputError
-            If fibres would leave the tissue unstable.
+            If the constants of the fibres make the material unstable.
         """
         young = np.full(len(mesh.cells), self.modulus_kPa)
         if self.graded_kPa is not None:
@@ -175,7 +179,7 @@ class SoftMaterial:
         return young[:, None, None] * turned
 
     def _fibrous_Pa(self) -> Array:
-        """Return the stiffness of tissue with fibres along axis 3 [Pa], shape (6, 6).
+        """Return the stiffness matrix of tissue with fibres along axis 3 [Pa], shape (6, 6).
 
         Young's modulus across the fibres is 1 kPa.
         """
@@ -193,8 +197,8 @@ class SoftMaterial:
         return transversely_isotropic(
             young_fibre_Pa=1e3 * along,
             young_across_Pa=1e3,
-            # No shear modulus is stated: the mean modulus along and across, as for isotropic
-            # tissue.
+            # No shear modulus is given. It is computed from the mean of the moduli along and
+            # across, as for isotropic tissue.
             shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
             poisson_fibre=ratio,
             poisson_across=volume_preserving_ratio(poisson_ratio=ratio, modulus_ratio=along),
@@ -203,7 +207,7 @@ class SoftMaterial:
     def organ(
         self, mesh: TetMesh, held: Nodes, *, law: "OrganLaw | None" = None, compute: str = "cpu"
     ) -> "SoftOrgan":
-        """Return the organ at rest on a mesh whose nodes `held` do not move."""
+        """Return the undeformed organ on a mesh whose nodes `held` do not move."""
         from tissue.materials.prony import Prony
         from tissue.models.organ.soft_organ import Membrane, SoftOrgan
 
@@ -241,23 +245,24 @@ def hold_of(
     mesh: TetMesh,
     points_mm: Array | None = None,
 ) -> tuple[Hold, str]:
-    """Return a function that finds the held nodes of a mesh, and a note on them.
+    """Return a function that finds the held nodes of a mesh, and a note on the support.
 
     Parameters
     ----------
     held
-        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``: faces within 60 degrees of
-        that direction), the name of a part, or points: a mask, shape (n,), or their numbers.
+        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``), the name of a part, or
+        points. A side contains faces whose normals are within 60 degrees of its direction. Points
+        are given as a mask, shape (n,), or as indices.
     held_below_mm
-        Height below which the surface is held instead [mm].
+        Height below which the surface is held [mm]; used instead of `held`.
     mesh, points_mm
-        The mesh, and the points that masks and numbers refer to [mm], shape (n, 3); None for the
-        mesh's nodes.
+        Mesh; and points to which a mask or indices refer [mm], shape (n, 3), None for the nodes of
+        the mesh.
 
     Raises
     ------
     InputError
-        If there is no such side or part, or points do not exist.
+        If a side, a part or a point does not exist.
     """
     if held_below_mm is not None:
         point = (0.0, 0.0, 1e-3 * float(held_below_mm))
@@ -282,8 +287,8 @@ def hold_of(
     triangles = faces_of(mesh, nodes)
 
     def hold(other: TetMesh) -> Nodes:
-        """Return the nodes of a finer mesh that lie on the named points or between them."""
-        # The caller's own mesh needs no search.
+        """Return the nodes of a finer mesh that lie on the given points or between them."""
+        # In the caller's own mesh, the nodes are known without a search.
         if other is mesh:
             return nodes
         from scipy.spatial import cKDTree
@@ -301,7 +306,7 @@ def hold_of(
 
 
 def _named(held: NDArray[Any], mesh: TetMesh, points_mm: Array) -> Nodes:
-    """Return the mesh nodes selected by a mask or by numbers of the caller's points."""
+    """Return the mesh nodes selected by a mask or by indices of the caller's points."""
     from scipy.spatial import cKDTree
 
     count = len(points_mm)

@@ -1,4 +1,4 @@
-"""Soft organ that a caller describes: from tetrahedra, a surface with inclusions, or labels."""
+"""Soft organ from a caller's tetrahedra, surface with inclusions, or labels."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,26 +29,28 @@ if TYPE_CHECKING:
 __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
 
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
-"""Keys of a law that a caller states as a table."""
+"""Keys of a hyperelastic law that a caller gives as a mapping."""
 ENVELOPE = 0.1
-"""Largest overlap of inclusions beyond their surroundings, over the edge length.
+"""Largest allowed overlap of inclusions, and distance beyond the organ, relative to the edge
+length.
 
 The mesher moves a surface by up to this distance.
 """
 FINE_EDGES = 1.0
-"""Distance from a point, in edges, within which edges do not grow.
+"""Distance from a point, in edge lengths, within which edges do not become longer.
 
-It is the radius of a tool of four edges.
+The value is chosen.
 """
 TOUCHED_EDGES = 3.0
-"""Radius around a point, in edges, that a tool of four edges is expected to touch.
+"""Radius around a point, in edge lengths, within which a tool is expected to touch the surface.
 
-The tool has a radius of two edges. A press beyond needs more time, see `SoftOrgan.expect`.
+The expected tool has a diameter of four edges. A press that touches a larger region takes more
+time; see `SoftOrgan.expect`.
 """
 
 
 class OrganOptions(TypedDict, total=False):
-    """Options that every organ takes; see `tissue.Organ.from_tetrahedra`."""
+    """Options of all functions that make an organ; see `tissue.Organ.from_tetrahedra`."""
 
     parts: Mapping[str | int, float] | None
     held: str | ArrayLike
@@ -68,18 +70,18 @@ class MadeOrgan:
     Attributes
     ----------
     mesh, material
-        Tetrahedra [m], and their material.
+        Tetrahedra [m], and the material of the organ.
     hold
         Function that returns the held nodes of a mesh.
     notes
-        Notes on findings and assumptions, by subject.
+        Notes on findings and assumptions, keyed by subject.
     surface
         Surface that the mesh represents; None for given tetrahedra.
     near
-        Region that will be pressed: points [m], shape (k, 3), and the distance around them [m].
-        None where unknown.
+        Region that will be pressed: points [m], shape (k, 3), and the distance around these points
+        [m]. None if the region is not known.
     law
-        Scene table of the law of large strains; None for the linear law.
+        Scene table of the hyperelastic law; None for the linear law.
     """
 
     mesh: TetMesh
@@ -97,7 +99,7 @@ class MadeOrgan:
 
     @cached_property
     def soft(self) -> "SoftOrgan":
-        """Organ at rest, ready to be solved."""
+        """Undeformed organ with assembled equations, ready to be solved."""
         law = None
         if self.law is not None:
             from tissue.models.organ.soft_organ import OrganLaw
@@ -112,7 +114,7 @@ class MadeOrgan:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Size, mesh and moduli as text."""
+        """Text on the size, the mesh and the moduli."""
         mesh = self.mesh
         material = self.material
         moduli = material.moduli_kPa(mesh.part_names).items()
@@ -130,9 +132,10 @@ class MadeOrgan:
         return facts
 
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
-        """Return the organ with shorter edges near some points, or on the whole surface.
+        """Return the organ with a finer mesh near some points, or on the whole surface.
 
-        The points `near_mm` have shape (k, 3). Each is replaced by the nearest surface point.
+        The points `near_mm` have shape (k, 3). Each point is moved to the nearest point of the
+        surface.
 
         Raises
         ------
@@ -156,7 +159,7 @@ class MadeOrgan:
             near = nearest_on_triangles(mesh.nodes_m, mesh.surface, near)
 
         def wanted(points: Array) -> Array:
-            """Return the longest edges wanted at points [m]."""
+            """Return the longest wanted edge at each point [m]."""
             if near is None:
                 away = np.abs(triangle_distance(mesh.nodes_m, mesh.surface, points))
                 return edge_m + EDGE_GROWTH * away
@@ -175,7 +178,7 @@ class MadeOrgan:
 
 @dataclass(frozen=True, eq=False)
 class StatedOrgan:
-    """Material and supports of an organ as a caller states them; see `OrganOptions`."""
+    """Material and supports of an organ, as given by a caller; see `OrganOptions`."""
 
     material: SoftMaterial
     held: str | ArrayLike = "bottom"
@@ -184,14 +187,14 @@ class StatedOrgan:
 
     @classmethod
     def of(cls, modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> "StatedOrgan":
-        """Return a caller's moduli and options; None counts as not stated.
+        """Return the material and supports from a caller's arguments; None counts as not given.
 
         Raises
         ------
         InputError
-            If a value is out of its range.
+            If a value is out of range.
         TypeError
-            If no organ takes an option.
+            If an option is unknown.
         """
         require_known(options, OrganOptions, of="Organ")
         given: dict[str, Any] = {
@@ -212,14 +215,14 @@ class StatedOrgan:
 
 
 def _law_table(law: object) -> LawTable | None:
-    """Return the scene table of a law that a caller states by its name or as a table.
+    """Return the scene table of a hyperelastic law, which a caller gives as a name or a mapping.
 
-    It is None for the linear law.
+    The result is None for the linear law.
 
     Raises
     ------
     InputError
-        If there is no such law, or a constant is missing, unknown or out of its range.
+        If the law is unknown, or a constant is missing, unknown or out of range.
     """
     given = dict(law) if isinstance(law, Mapping) else {"name": law}
     unknown = [key for key in given if key not in LAW_KEYS]
@@ -249,23 +252,23 @@ def made_of(
     points_mm: Array | None = None,
     surface: Surface | None = None,
 ) -> MadeOrgan:
-    """Return an organ of a mesh.
+    """Return an organ that consists of a mesh.
 
     Parameters
     ----------
     mesh, notes
-        Tetrahedra [m], and notes on them; a note on the supports is added.
+        Tetrahedra [m], and notes on the mesh. A note on the supports is added.
     stated
         Material and supports.
     points_mm
-        Points that ``held`` refers to [mm]; None for the mesh's nodes.
+        Points to which ``held`` refers [mm]; None for the nodes of the mesh.
     surface
         Surface that the mesh represents.
 
     Raises
     ------
     InputError
-        If the mesh lacks a part, or the support is not found.
+        If the mesh does not have a named part, or the support is not found.
     """
     stated.material.moduli_kPa(mesh.part_names)
     below = stated.held_below_mm
@@ -290,8 +293,8 @@ def of_surface(
     Raises
     ------
     InputError
-        If a surface is not closed or not in millimetres, or an inclusion sticks out, overlaps
-        another one or has no modulus.
+        If a surface is not closed or not in millimetres, or an inclusion extends beyond the organ,
+        overlaps another inclusion or has no modulus.
     """
     from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 
@@ -303,7 +306,7 @@ def of_surface(
             f"none for {without[0]}",
             "add the modulus in kPa",
         )
-    # refuse invalid materials before meshing, which takes minutes
+    # Refuse invalid materials before meshing, which takes minutes.
     stated.material.moduli_kPa(("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
@@ -337,7 +340,7 @@ def of_labels(
     Raises
     ------
     InputError
-        If there is no such label, a part does not lie at the organ, or a value is out of its range.
+        If a label does not exist, a part does not touch the organ, or a value is out of range.
     """
     from meshes.organs.from_labels import labelled_organ
 
@@ -352,7 +355,7 @@ def of_labels(
 
 
 def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: float) -> None:
-    """Refuse inclusions that overlap each other or stick out of the organ by over `off_m` [m]."""
+    """Refuse inclusions that overlap, or extend beyond the organ, by more than `off_m` [m]."""
     for name, each in inclusions.items():
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)

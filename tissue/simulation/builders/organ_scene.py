@@ -1,4 +1,4 @@
-"""Tissue that a probe presses, a needle pierces or a blade cuts: soft organs and a stiff wall."""
+"""Tissue that a probe presses, a needle pierces or a blade cuts: soft organs, and the test wall."""
 
 from functools import partial
 from math import inf
@@ -33,22 +33,25 @@ __all__ = ["blade_of", "incised", "pierced", "pierced_tissue", "pressed", "probe
 POSES_TRIED = 200
 """Number of poses along a motion at which contact with the organ is searched for; chosen.
 
-The search adds a margin around the triangles found, `tissue.models.organ.soft_organ.MARGIN_EDGES`.
+The search adds the margin `tissue.models.organ.soft_organ.MARGIN_EDGES` around the triangles that
+it finds.
 """
 KEPT = 0.01
-"""Largest distance of an omitted path corner from the remaining path, in edges of the mesh.
+"""Largest distance between an omitted corner of the path and the simplified path [edge lengths].
 
-A log has one corner each tick.
+Corners are omitted because a log has one corner per tick.
 """
 HAND_M = 0.01
-"""Largest distance of a hand's entry from the planned track at which it is drawn there [m].
+"""Largest distance of a hand's entry from the planned track for which fields are drawn [m].
 
-It is an eighth of the track's block.
+The fields are drawn as if the needle were on the planned track.
+
+It is an eighth of the size of the block of tissue around the track.
 """
 
 
 _meshes: Kept[HeldMesh] = Kept(2)
-"""Meshes of procedural organs, by their parameters and the tool's path."""
+"""Meshes of procedural organs, keyed by the parameters and the path of the tool."""
 
 
 def pierced(
@@ -60,12 +63,12 @@ def pierced(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Return the parts of a scene in which a needle meets layers of tissue.
+    """Return the parts of a scene in which a needle pierces layers of tissue.
 
     Raises
     ------
     InputError
-        If the vessel's wall does not lie below the capsule.
+        If the wall of the vessel is not below the capsule.
     """
     from tissue.models.needle.fields import NeedleFields, Track
     from tissue.models.needle.model import NeedleModel
@@ -143,7 +146,8 @@ def pressed(
     Raises
     ------
     InputError
-        If the organ cannot be meshed or held, the probe never touches it, or starts inside.
+        If the organ cannot be meshed or held, or the probe never touches the organ or starts inside
+        it.
     """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath
@@ -153,15 +157,15 @@ def pressed(
     assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
     material, notes = material_of(anatomy, organ, scene.constants)
     report("meshing the organ", 0.0)
-    # A quarter of the tool: the force of a ball is then 0.14 % off that of eighths
-    # (docs/verification.md).
+    # The edges are a quarter of the tool's diameter. The force of a ball then differs by 0.14 %
+    # from the force with an eighth (docs/verification.md).
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     edge_m = 1e-3 * edge_mm
     kept = kept_corners(motion.sweep_m(), 1e-3 * KEPT * edge_mm)
     path = motion.sweep_m()[kept]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=edge_m, report=report)
     if isinstance(anatomy, LiverFile):
-        # A file may change between two runs, so that its mesh is not kept.
+        # The mesh of a file is not kept, because the file may change between two runs.
         found = meshed()
     else:
         found = _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
@@ -209,14 +213,16 @@ def wall(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Return the parts of a scene in which a ball is pushed against a wall."""
+    """Return the parts of a scene in which a ball is pushed against the test wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
     radius_m = 0.5e-3 * scene.tool.size_mm
     return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
 
 
 def pierced_tissue(scene: Scene) -> "NeedleTissue":
-    """Return the tissue of a scene's needle; a registered needle states its own values."""
+    """Return the tissue that a scene's needle pierces; a registered needle supplies its own
+    tissue.
+    """
     from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
     anatomy = scene.anatomy
@@ -260,7 +266,7 @@ def _shell(tool: Probe) -> ShellProbe:
     Raises
     ------
     InputError
-        If its file is missing, or holds no closed surface.
+        If the file is missing, or contains no closed surface.
     """
     file = Path(tool.file_name)
     if not is_file(file):
@@ -280,7 +286,7 @@ def _shell(tool: Probe) -> ShellProbe:
 
 
 def probe_of(tool: Probe) -> ProbeShape:
-    """Return the shape that a scene's tool describes."""
+    """Return the shape that the tool table of a scene describes."""
     make = PROBES[tool.kind].make
     radius = 0.5e-3 * tool.size_mm
     if make is not None:
@@ -289,16 +295,17 @@ def probe_of(tool: Probe) -> ProbeShape:
     if tool.kind == "sphere-probe":
         return SphereProbe(radius)
     if tool.kind == "cylinder-probe":
-        # A turned edge: a tenth of the radius, at most 0.5 mm. A sharp edge has no limit of its
-        # pressure.
+        # The radius of the rounded edge is a tenth of the tool's radius, at most 0.5 mm. At a sharp
+        # edge the pressure would be infinite.
         return CylinderProbe(radius, min(0.1 * radius, 5e-4))
     return _shell(tool)
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:
-    """Refuse a tool whose tip starts inside the organ.
+    """Refuse a motion that starts with the tip of the tool inside the organ.
 
-    The contact refuses a probe that only overlaps the organ.
+    A probe whose tip is outside but which overlaps the organ is refused later, by the contact
+    model.
     """
     tip = motion.sweep_m()[0]
     corners = mesh.nodes_m[mesh.cells]

@@ -1,4 +1,4 @@
-"""Parts of a run, the motion of its tool with checks of its path, and real devices."""
+"""Parts of a run, the motion of the tool with checks of its path, and real devices."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -53,17 +53,17 @@ __all__ = [
 ]
 
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
-"""Argument names of the functions that read files of anatomy or tools."""
+"""Names of arguments of functions that read files of anatomy or tools."""
 RECORDED = "recorded"
-"""Device that plays a motion recorded in a file."""
+"""Name of the device that replays a motion from a file."""
 Corners = tuple[Array, Array]
 """Lowest and highest corner of a box [m]."""
 POSES_TRIED = 300
 """Number of poses along a motion at which contact is searched for; chosen."""
 MUCH_MORE = 2.0
-"""Ratio of the volumes inside the bone above which the other quaternion order is suggested.
+"""Ratio of the tool's volumes inside bone above which the other quaternion order is suggested.
 
-Assumed: a tool that starts in contact lies in some bone with either order.
+A tool that starts in contact overlaps some bone with both orders. The value is assumed.
 """
 
 
@@ -74,17 +74,17 @@ class Parts:
     Attributes
     ----------
     motion, tissue
-        Motion of the tool, and the tissue that it meets.
+        Motion of the tool, and model of the tissue.
     cutter, volume
-        The cutter and the voxels that it cuts; None where the tool does not cut.
+        Cutter, and voxels before the cut; None if the tool does not cut.
     placement
-        Pose of the scene's frame in the frame of the anatomy's file; None without a file.
+        Pose of the scene in the frame of the anatomy's file; None for an anatomy without a file.
     notes
-        Notes on assumptions and findings, by subject.
+        Notes on assumptions and findings, keyed by subject.
     events
-        Events reported from the start of the run: time [s] and a sentence each.
+        Events that are reported at the start of the run, each with a time [s] and a sentence.
     keep_clear
-        Measures the tool's distance from structures that it must not touch; None where the scene
+        Measurement of the tool's distance from structures that it must not touch; None if the scene
         names no structure.
     """
 
@@ -99,21 +99,24 @@ class Parts:
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Displacement and stress over time; None where the tissue or the scene has none."""
+        """Displacement and stress over time; None if the tissue or the scene has no such fields."""
         return self.tissue.fields if isinstance(self.tissue, HasFields) else None
 
 
 TissueBuilder = Callable[..., Parts]
 """Function that makes the parts of a run from a scene with one kind of anatomy.
 
-It is called as ``build(scene, motion, *, step_s, compute, cores, report)``: with the motion of the
-tool, the length of a tick [s], the device that computes, processor cores, and progress."""
+It is called as ``build(scene, motion, *, step_s, compute, cores, report)``. The arguments are the
+motion of the tool, the duration of a tick [s], the Warp device, the number of processor cores, and
+a function that reports progress.
+"""
 
 
 def plays_record(scene: Scene) -> bool:
-    """Return whether a device plays recorded poses from a file that exists.
+    """Return whether the device of a scene replays recorded poses, and the file of the poses
+    exists.
 
-    A saved run can be viewed without the file; its scene then has the motion of the scene.
+    A saved run can be viewed without this file. The motion in the scene is then used.
     """
     return (
         scene.device is not None
@@ -123,9 +126,9 @@ def plays_record(scene: Scene) -> bool:
 
 
 def recorded_file(scene: Scene) -> str:
-    """Return the file of the poses that move the tool; empty for other motions.
+    """Return the file with recorded poses of the tool; empty for other motions.
 
-    The file comes from a replay or a recorded device.
+    The file belongs to a replay motion or to a recorded device.
     """
     if plays_record(scene):
         return scene.held.hardware.address
@@ -133,9 +136,10 @@ def recorded_file(scene: Scene) -> str:
 
 
 def motion_of(scene: Scene, *, step_s: float) -> Motion:
-    """Return the motion of a scene, or of the record with a recorded device.
+    """Return the motion of a scene; with a recorded device, return the recorded motion.
 
-    The tool then starts where it was recorded, and the tissue is prepared along the record.
+    With a recorded device, the tool starts at the first recorded pose, and the tissue is prepared
+    along the recorded motion.
     """
     if plays_record(scene):
         with names_of_caller({"motion.file": "hardware.address"}):
@@ -161,18 +165,18 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
 
 
 def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
-    """Return a box around everything that the cutting surface can reach, with a margin [m]."""
-    # Eighths of the radius miss at most 0.09 mm of the reach in the built-in scenes, far less than
-    # the margin of the voxels.
+    """Return a box around all positions of the cutting surface, with a margin [m]."""
+    # With points an eighth of the radius apart, at most 0.09 mm of the reach is missed in the
+    # built-in scenes. This is much less than the margin of the voxels.
     return swept_box(cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m, motion, margin)
 
 
 def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
-    """Return a box around the reach of the tool's points, shape (n, 3), with a margin [m]."""
+    """Return a box around all positions of the tool's points, shape (n, 3), with a margin [m]."""
     tips = motion.sweep_m()
     rotations = motion.rotations()
-    # The orientation of every 500th part stands for its part: a recorded motion has one in every
-    # tick.
+    # A recorded motion has an orientation in every tick. It is divided into about 500 parts, and
+    # the first orientation of a part is used for the whole part.
     starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
     turned = [shell @ turn.T for turn in rotations[starts]]
     low = np.minimum.reduceat(tips, starts) + [points.min(axis=0) for points in turned]
@@ -183,8 +187,8 @@ def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
 def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
     """Return poses along a motion at which contact is searched for.
 
-    They are tips [m], shape (p, 3), and turns, shape (p, 3, 3): `count` poses with equal distances
-    and the chosen corners of the motion.
+    The result is tips [m], shape (p, 3), and rotations, shape (p, 3, 3). It contains `count` poses
+    with equal distances, and the chosen corners of the motion.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()
@@ -195,21 +199,24 @@ def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array
 
 
 def box_text(corners: Corners) -> str:
-    """Return text for the corners of a box [mm]."""
+    """Return a text with the corners of a box [mm]."""
     low, high = (in_brackets(1e3 * corner, ".4g") for corner in corners)
     return f"between {low} and {high} mm"
 
 
 def _fraction_at(volume: VoxelVolume, points_m: Array) -> Bytes:
-    """Return the filling of the voxels around points [m]; points outside are left out."""
+    """Return the content of the voxels around points [m]; points outside the volume are omitted."""
     at = np.floor((points_m - volume.origin_m) / volume.spacing_m).astype(int)
     at = at[((at >= 0) & (at < np.array(volume.shape))).all(axis=1)]
     return volume.fraction[at[:, 0], at[:, 1], at[:, 2]]
 
 
 def _fine_shell(volume: VoxelVolume, cutter: Cutter) -> Array:
-    """Return points of the cutting surface that miss no voxel [m], shape (n, 3)."""
-    # Finer than a voxel finds nothing more. 24 points over the radius bound the work.
+    """Return points of the cutting surface that are close enough to hit each voxel [m], shape (n,
+    3).
+    """
+    # A distance below the size of a voxel finds no more contact. 24 points per radius limit the
+    # work.
     return cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
 
 
@@ -218,7 +225,7 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     shell = _fine_shell(volume, cutter)
     every = slice(None, None, len(motion.sweep_m()) // POSES_TRIED + 1)
     tips, turns = poses_along(motion, every, POSES_TRIED)
-    # Motions end in the bone: from the end, contact is found soon.
+    # Motions end in the bone, so a search from the end finds contact soon.
     for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
         if _fraction_at(volume, tip + shell @ turn.T).any():
             return
@@ -251,7 +258,7 @@ def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None
 
 
 def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
-    """Refuse bone that is cut off by the edge of its scan within the tool's reach."""
+    """Refuse bone that the edge of a scan cuts off within the reach of the tool."""
     how = "with a hole"
     remedy = "close it in a mesh editor"
     if is_image:
@@ -272,9 +279,9 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
 
 
 def _on_one_side(points: Array, region: Corners) -> bool:
-    """Return whether a box lies completely on one side of a cap.
+    """Return whether a box lies completely on one side of a cap (plane where a scan cuts off bone).
 
-    The box of a cap itself is too wide where the cut is oblique.
+    The bounding box of the cap is not used, because it is too wide for an oblique cut.
     """
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
@@ -284,17 +291,18 @@ def _on_one_side(points: Array, region: Corners) -> bool:
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the start pose suggests that w is the first column; else None.
+    """Return a sentence if the start pose suggests that w is the first quaternion column, or None.
 
-    The tool then starts inside the bone, and would hardly do so with the other order. A quaternion
-    has unit length in either order, so only the position of the tool shows the order.
+    This is the case if the tool starts inside the bone, and would hardly overlap the bone with the
+    other order. A quaternion has unit length in both orders, so the order can only be recognised
+    from the position of the tool.
 
     Parameters
     ----------
     volume, cutter, motion
-        The bone, the tool, and the recorded motion.
+        Bone, tool and recorded motion.
     file
-        File of the recorded poses, whose kind gives the axis of the recorded tool.
+        File of the recorded poses. The axis of the recorded tool depends on the kind of file.
     """
     turn = SHAFT_TO_X if Path(file).suffix.lower() in RECORDINGS else Rotation.identity()
     rotation = Rotation.from_matrix(motion.rotations()[0])
@@ -313,7 +321,7 @@ def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: st
 
 
 def _inside_mm3(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: Rotation) -> float:
-    """Return the bone inside the cutter at a pose [mm3], by the centres of the voxels."""
+    """Return the volume of bone inside the cutter at a pose [mm3], from voxel centres."""
     spacing_m = volume.spacing_m
     far_m = np.hypot(cutter.profile.radius_m, np.abs(cutter.profile.height_range_m).max())
     middle = (tip_m - volume.origin_m) / spacing_m
@@ -336,14 +344,14 @@ def opens_device(scene: Scene) -> bool:
 
 
 def opened_device(scene: Scene) -> Device | None:
-    """Open a new device, by its adapter or as registered with `tissue.register.device`.
+    """Open the real device of a scene, built in or registered with `tissue.register.device`.
 
-    Returns None for a simulated device.
+    The result is None for a simulated device.
 
     Raises
     ------
     InputError
-        If the object made has no `read` or `command` method.
+        If the object that was made has no `read` or `command` method.
     """
     if not opens_device(scene):
         return None
@@ -352,12 +360,12 @@ def opened_device(scene: Scene) -> Device | None:
 
 
 def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | None:
-    """Return a new real device whose first pose is placed at ``start_m``; None if it is simulated.
+    """Return a new real device whose first pose corresponds to ``start_m``, or None.
 
     Raises
     ------
     InputError
-        If the object made has no `read` or `command` method.
+        If the object that was made has no `read` or `command` method.
     """
     entry = DEVICES[kind]
     if entry.has_adapter:
@@ -373,7 +381,7 @@ def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | No
 
 
 def require_device(device: object, kind: str = "") -> None:
-    """Refuse a device that cannot be read and commanded; `kind` is its name in a scene."""
+    """Refuse a device without `read` or `command`; `kind` is the name of the device in a scene."""
     missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
     if missing:
         known = f" for {kind}" if kind else ""
@@ -388,20 +396,20 @@ def require_device(device: object, kind: str = "") -> None:
 def require_stated_rate(
     device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str
 ) -> None:
-    """Refuse a device slower than the constants used to judge its loop.
+    """Refuse a device that is slower than assumed in the stability check.
 
-    A device states its rate [samples per second] in ``limits`` or ``parameters``. A device without
-    either is assumed to have the constants' rate.
+    A device may give its rate [samples per second] in ``limits`` or ``parameters``. A device
+    without these attributes is assumed to have the rate of `limits`.
 
     Raises
     ------
     InputError
-        If the device is slower than its constants.
+        If the device is slower than the rate of `limits`.
     """
     held = device.device if isinstance(device, SafeDevice) else device
     for name in ("limits", "parameters"):
         stated = getattr(held, name, None)
-        # 1e-6: rounding. A device faster than the ticks is fast enough.
+        # 1e-6 allows for rounding. A device that is faster than the ticks is fast enough.
         if isinstance(stated, DeviceParameters) and stated.rate_Hz < min(
             limits.rate_Hz, 1.0 / TICK_S
         ) * (1.0 - 1e-6):

@@ -1,4 +1,4 @@
-"""Predictors and perceptions by name."""
+"""Predictors and perceptual maps by name."""
 
 from collections.abc import Callable
 from functools import cache
@@ -31,16 +31,18 @@ __all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "
 
 
 FALLBACKS = ("hold", "linear", "kalman")
-"""Predictors without an operator.
+"""Names of predictors without a Koopman operator.
 
-Training chooses the fallback of a predictor with an operator among them.
+Training chooses one of these as fallback of a predictor with an operator.
 """
 ADAPTIVE = "koopman-online"
-"""Predictor that starts from the general operator where the scene has no trained operator."""
+"""Name of the predictor that starts from a general operator if the scene has no trained
+operator.
+"""
 CAUTION = 0.1
-"""Quantile of the threshold's distribution that bounds the deadband.
+"""Quantile of the distribution of thresholds that limits the deadband.
 
-Nine in ten observers have a larger threshold.
+Nine in ten people have a larger threshold.
 """
 
 
@@ -49,23 +51,26 @@ def maker_of(
 ) -> Callable[[], Predictor]:
     """Return a function that makes new predictors for a scene's device.
 
-    A trained predictor is read from its file once, by the first call.
+    The first call of this function reads the file of a trained predictor. Later calls use the same
+    data.
 
     Parameters
     ----------
     kind
-        One of `PREDICTORS`.
+        Name of a predictor in `PREDICTORS`.
     scene_name
-        Name of the scene, for which the file must be trained.
+        Name of the scene. The file must have been trained for this scene.
     file
-        File written by `tissue train`; empty for the file shipped for the scene.
+        File that `tissue train` wrote; empty for the file that is shipped for the scene.
     force_limit_N
-        Largest force of the device. No prediction differs from the present force by more than this.
+        Largest force of the device. The difference between a prediction and the current force is
+        limited to this value.
 
     Raises
     ------
     InputError
-        By the first call, if the file is missing, damaged, or of another version or scene.
+        In the first call of the function, if the file is missing or damaged, or belongs to another
+        version or scene.
     """
 
     @cache
@@ -79,12 +84,12 @@ def maker_of(
 
 
 def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: float) -> Predictor:
-    """Return a guarded predictor by its name in `PREDICTORS`, with its trained parameters.
+    """Return a predictor under its guard, from its name in `PREDICTORS` and trained parameters.
 
     Raises
     ------
     InputError
-        If there is no predictor of that kind, or it needs training and `trained` is None.
+        If the predictor is unknown, or needs training and `trained` is None.
     """
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
@@ -104,7 +109,7 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
         slopes = "none" if trained.loses("koopman-look-ahead", "koopman") else "learnt"
         best = "koopman" if kind == "koopman" or slopes == "none" else "koopman-look-ahead"
         if trained.loses(best, "hold"):
-            # Validation found no gain by the operator.
+            # The operator brought no improvement on the validation data.
             return fallback
     if kind == ADAPTIVE:
         path: DelayPath = AdaptivePath(general_operator() if trained is None else trained.operator)
@@ -123,22 +128,22 @@ def perception(
     tick_s: float,
     friction_N: float = inf,
 ) -> Perception | None:
-    """Return a perception by its name in `PERCEPTIONS`; None for ``none``.
+    """Return a perceptual map from its name in `PERCEPTIONS`; None for ``none``.
 
     Parameters
     ----------
     choice
-        The name.
+        Name of the perceptual map, with its argument.
     rng
-        Random generator of the observer's sensory noise.
+        Random generator of the sensory noise of the person.
     force_limit_N
         Largest force of the device [N].
     tick_s
         Time between two steps [s].
     friction_N
-        Coulomb friction of the device [N]. The deadband is no wider than this, so at every instant
-        friction dissipates the energy that the held force supplies. Use infinity to bound the
-        deadband by the threshold alone.
+        Coulomb friction of the device [N]. The deadband is limited to this value, so friction
+        always dissipates the energy that a held force supplies. With infinity, only the threshold
+        limits the deadband.
 
     Raises
     ------
@@ -165,7 +170,7 @@ def perception_for(
     tick_s: float,
     friction_N: float = inf,
 ) -> PerceivedForce:
-    """Return the perception of an observer on a device; see `perception`."""
+    """Return the perceptual map for an observer at a device; see `perception`."""
     device = ForceRange(limit_N=force_limit_N)
     knee_N = device.knee_share * device.limit_N
     reference = reference_observer()

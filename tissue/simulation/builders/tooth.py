@@ -17,17 +17,19 @@ from tissue.simulation.builders.voxels import anatomy_of, labelled_tooth, names_
 __all__ = ["tooth_around"]
 
 HEAT_CELL = 0.25
-"""Edge of a tooth's temperature cells within the bur's reach, relative to that of the stress cells.
+"""Ratio of the edge of temperature cells to the edge of stress cells, within the reach of the bur.
 
-By default the temperature cells are 0.125 mm. The rise of the pulp in the molar scene is 0.614,
-0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
+By default the temperature cells have an edge of 0.125 mm. The temperature rise of the pulp in the
+molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
 """
 
 
 def tooth_around(
     scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
 ) -> TissueModel:
-    """Return the tooth around the milled voxels, with its stress where the scene requests it."""
+    """Return the tooth around the milled voxels, with stress and heat if the scene requests
+    them.
+    """
     anatomy = scene.anatomy
     if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
         return ToothModel(milling, device=compute)
@@ -36,7 +38,7 @@ def tooth_around(
     field = None
     if scene.stress is not None:
         report("assembling the tooth's stiffness", 0.0)
-        # Two voxels across a cell: one particle at each of its eight cubes.
+        # Two voxels across a cell: one sample point in each octant of the cell.
         whole = _whole_tooth(scene, spacing_m=0.5 * cell_m, report=report)
         field = stress_process.StressProcess(
             whole,
@@ -67,7 +69,7 @@ def tooth_around(
 
 
 def _whole_tooth(scene: Scene, *, spacing_m: float, report: Progress) -> VoxelVolume:
-    """Return the whole tooth that a scene describes, in coarser voxels and undrilled."""
+    """Return the whole tooth of a scene before drilling, in coarser voxels."""
     parameters = scene.bone
     with names_of_anatomy(parameters):
         if isinstance(parameters, MolarLabels):

@@ -1,4 +1,4 @@
-"""Voxels of a scene's bone that a tool can reach, procedural or from files."""
+"""Voxels of the bone of a scene that a tool can reach, procedural or from files."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -53,29 +53,29 @@ __all__ = ["is_procedural", "solid_of", "structures", "volume_of"]
 DENSE_BYTES_PER_VOXEL = 18
 """Peak memory per voxel of the region [bytes], measured on the glenoid.
 
-It is reached while bricks are made and results written.
+The peak occurs while bricks (blocks of voxels) are made and results are written.
 """
 BRICK = 8
 """Edge of a brick [voxels].
 
-The region is cut at whole bricks of the world's lattice, so a voxel lies at the same position in
-any region. Where a tool only grazes voxels, float32 coordinates from another origin can still
-change the result in single ticks.
+A region consists of whole bricks of a fixed lattice, so a voxel has the same position in every
+region. Where a tool only grazes voxels, results in single ticks can still depend on the region,
+because float32 coordinates are relative to its origin.
 """
 
 
 MOST_KEPT = 1e7
-"""Number of voxels above which a volume is made anew for each run rather than kept: 60 MB."""
+"""Largest number of voxels of a volume that is kept for the next run (60 MB)."""
 _volumes: Kept[VoxelVolume] = Kept(2)
-"""Volumes of procedural bone, by its parameters, the region and the guide hole."""
+"""Volumes of procedural bone, keyed by parameters, region and guide hole."""
 NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
-"""Keys of an anatomy that do not affect its shape."""
+"""Keys of an anatomy that do not change its shape."""
 
 
 def volume_of(
     scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress
 ) -> VoxelVolume:
-    """Return voxels of the bone that the tool can reach, with the guide hole drilled."""
+    """Return the voxels of bone that the tool can reach, with the guide hole."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
@@ -123,22 +123,22 @@ def is_procedural(parameters: CutAnatomy) -> bool:
 
 
 def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
-    """Return structures of a scene's anatomy to keep a tool clear of, by name.
+    """Return structures of an anatomy that a tool can be kept clear of, keyed by name.
 
-    An anatomy from files has no such structures.
+    An anatomy from files has no named structures.
     """
     return anatomy_of(scene.bone, {}).structures if is_procedural(scene.bone) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
-    """Return the anatomy that a scene cuts, and its guide hole, as functions of position.
+    """Return the bone of a scene and its guide hole as functions of position.
 
     The guide hole is drilled before the run.
 
     Raises
     ------
     InputError
-        If the anatomy comes from a file, where no such function is known.
+        If the anatomy comes from a file, for which no function of position is known.
     """
     parameters = scene.bone
     if not is_procedural(parameters):
@@ -157,11 +157,11 @@ PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
     VertebraAnatomy: lumbar_vertebra,
     BlockAnatomy: cortical_block,
 }
-"""Functions that make an anatomy from the keys of its table."""
+"""Functions that make a procedural anatomy from its scene table."""
 
 
 def anatomy_of(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
-    """Return the procedural bone, or the one in a file placed at its site."""
+    """Return the procedural bone, or the bone of a file, placed at its site."""
     if isinstance(parameters, MolarSurfaces):
         anatomy = layered_surfaces(
             parameters.layer_files,
@@ -178,9 +178,9 @@ def anatomy_of(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
 
 
 def names_of_anatomy(parameters: CutAnatomy) -> AbstractContextManager[None]:
-    """Make a refusal name the scene's key.
+    """Replace argument names in error messages of geometry functions by keys of the scene.
 
-    Geometry functions know their arguments, not the key in which a scene gives them.
+    Geometry functions know the names of their arguments, but not the keys of a scene.
     """
     keys = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
     names = dict.fromkeys(FILE_WORDS, "anatomy.file") | keys
@@ -195,9 +195,9 @@ def names_of_anatomy(parameters: CutAnatomy) -> AbstractContextManager[None]:
 
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
-    """Return the hole that guides the peg; None without one.
+    """Return the hole that guides the peg of a tool; None if the scene has no hole.
 
-    It runs along the tool's first axis, from above the face to its depth.
+    The hole lies along the first direction of the tool's axis, from above the face to its depth.
     """
     diameter, depth = (1e-3 * size for size in scene.bone.guide_hole_mm)
     if diameter == 0.0 or depth == 0.0:
@@ -205,25 +205,25 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     axis = motion.rotations()[0][:, 2]
     tip = motion.sweep_m()[0]
     on_face = tip - axis * float(tip @ axis)
-    # 50 mm above the face, so that the hole is open whatever the surface.
+    # The hole starts 50 mm above the face, so it is open for any surface.
     return sdf.cylinder(0.5 * diameter, tuple(on_face - depth * axis), tuple(on_face + 0.05 * axis))
 
 
 def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
-    """Return a box of whole bricks [m] around the bone in a region.
+    """Return a box of whole bricks [m] around the bone within a region.
 
-    It includes the air next to the bone.
+    The box includes some air next to the bone.
     """
     brick = BRICK * spacing
     around = AROUND_VOXELS * spacing
     low = np.maximum(region[0], bone[0] - around)
     high = np.minimum(region[1], bone[1] + around)
-    # 1e-6: a box of whole bricks must not grow by rounding.
+    # 1e-6 prevents that rounding enlarges a box of whole bricks.
     return brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
 
 
 def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
-    """Refuse a grid that does not fit in the memory that is free now."""
+    """Refuse a grid that does not fit in the free memory."""
     import psutil
 
     def needed(size: float) -> float:
@@ -231,7 +231,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
         return float(np.prod(high - low)) / size**3 * DENSE_BYTES_PER_VOXEL
 
     free = psutil.virtual_memory().available
-    # A tenth is left to the rest of the run; the suggestion leaves a fifth.
+    # A tenth of the memory is left for the rest of the run. The suggested spacing leaves a fifth.
     if needed(spacing) > 0.9 * free:
         fits = np.ceil(spacing * 1e5) / 1e5
         while needed(fits) > 0.8 * free:
@@ -245,7 +245,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
 
 
 def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
-    """Return the bone in a surface or image, placed at its site."""
+    """Return the bone of a surface or image, placed at its site."""
     from meshes.images.bone_image import image_cuts, image_triangles
     from meshes.images.reading import read_image
     from meshes.surfaces.glenoid import surface_anatomy
@@ -276,13 +276,13 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         surface,
         site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
-        # 1800 kg/m3 is cortical bone: kinds without the key are cortical on their surface.
+        # 1800 kg/m3 is cortical bone. Anatomies without the key have cortical bone at the surface.
         cortical_density_kg_m3=getattr(parameters, "density_kg_m3", 1800.0),
     )
 
 
 def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
-    """Return a bone whose interior is known from CT density or a surface around its core."""
+    """Return a bone whose interior comes from CT densities or from a surface around the core."""
     from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy, stated_law
     from meshes.images.reading import read_image
     from meshes.surfaces.surface import read_surface
@@ -307,7 +307,7 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
 
 def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
-    """Return the bone of an image volume as it is, with the top of its block at z = 0."""
+    """Return the bone of an image volume that is not moved to a site; its top is at z = 0."""
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image
 
@@ -332,7 +332,7 @@ def labelled_tooth(
     notes: dict[str, str],
     report: Progress,
 ) -> VoxelVolume:
-    """Read a tooth from a label volume, or the part of it in a box of the site's frame [m]."""
+    """Read a tooth from a label volume, or the part within a box in the frame of the site [m]."""
     remarks: list[str] = []
     file = Path(parameters.file)
     stamp = file.stat() if is_file(file) else None
@@ -356,7 +356,7 @@ def labelled_tooth(
 def _site(parameters: Placed, surface: "Surface") -> "Site":
     """Return the site on a bone surface.
 
-    The scene gives it; a glenoid without a given normal is searched for.
+    The scene gives the site. If it gives no normal for a glenoid, the glenoid is searched.
     """
     from meshes.surfaces.landmarks import find_glenoid
     from meshes.surfaces.site import place_site
@@ -399,9 +399,9 @@ def _threshold(parameters: ImageAnatomy) -> float:
 def _read_tooth(
     file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
 ) -> label_volume.LabelledTooth:
-    """Read the tooth of a label volume and keep it for the next call.
+    """Read the tooth of a label volume, and keep the result for the next call.
 
-    The tool and the stress model read the same tooth.
+    The result is kept because the tool and the stress model need the same tooth.
     """
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image
@@ -414,9 +414,9 @@ def _read_tooth(
 
 
 def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
-    """Return text for the extent of a whole tooth's caries in the frame of its site.
+    """Return a text with the extent of the caries of a whole tooth, in the frame of the site.
 
-    It helps to aim a motion at the caries. None is returned for a tooth without caries.
+    The text helps to place a motion at the caries. The result is None for a tooth without caries.
     """
     placed = tooth.placed
     at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))

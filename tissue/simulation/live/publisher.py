@@ -1,6 +1,6 @@
-"""Publication of a live run on topics of ROS 2 and for 3D Slicer, in processes of their own.
+"""Publication of a live run on topics of ROS 2 and for 3D Slicer, in separate processes.
 
-A process begins with its run, is checked by the ticks and ends with the run.
+Such a process begins and ends with the run; the ticks check that it is still running.
 """
 
 import socket
@@ -37,18 +37,18 @@ __all__ = [
 
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
 PORT = 18944
-"""Port that programs of OpenIGTLink use by default, 3D Slicer among them."""
+"""Default port of OpenIGTLink, for example in 3D Slicer."""
 LOCAL = "127.0.0.1"
 EVENTS = 64
 EVENT_BYTES = 256
-"""Number of events kept until they are sent, and longest event [bytes].
+"""Number of events that are kept until they are sent, and largest size of an event [bytes].
 
-The memory is shared and so has a fixed size. A run reports few events in a second.
+The memory is shared between processes, so its size is fixed. A run reports few events per second.
 """
 
 
 class PublishingProcess(WindowProcess):
-    """Process that receives a run and publishes it on topics of ROS 2 by the names of CRTK."""
+    """Process that receives a run and publishes it on topics of ROS 2, with the names of CRTK."""
 
     process = "ros2"
     place = "must publish the run for ROS 2"
@@ -56,14 +56,14 @@ class PublishingProcess(WindowProcess):
     shows_tissue = False
 
     def note(self) -> str:
-        """Return text on what was published, as half a sentence."""
+        """Return a text about the published data, as part of a sentence."""
         return f"published {int(self.frames)} times as {self.address}"
 
 
 class Publisher(RunObserver):
     """Observer that publishes a live run on topics of ROS 2.
 
-    The ticks never wait for its process, and continue if it ends.
+    The ticks never wait for the publishing process, and continue if that process ends.
 
     Parameters
     ----------
@@ -73,13 +73,13 @@ class Publisher(RunObserver):
     Attributes
     ----------
     note
-        Text on what was published, once the run has ended.
+        Text about the published data, available after the run.
     """
 
     what = "publishing for ROS 2"
-    """Name of the process in the event of its end."""
+    """Name of the process in the event that reports its end."""
     ends_run = False
-    """True if the run ends with its process."""
+    """True if the run ends when the process ends."""
 
     def __init__(self, scene: Scene) -> None:
         self.note = ""
@@ -88,11 +88,13 @@ class Publisher(RunObserver):
         self._failed: list[tuple[float, str]] = []
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish."""
+        """Start to publish."""
         self._process = PublishingProcess(self._scene, parts, columns)
 
     def clock_of(self, times: Array) -> Clock:
-        """Return the clock that the process receives with a tick; ROS 2 shows none."""
+        """Return the clock values that the process receives with a tick; for ROS 2 they are not
+        used.
+        """
         return 0.0, 0.0, 0.0, 0.0
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
@@ -123,7 +125,7 @@ def require_ros2() -> None:
     Raises
     ------
     InputError
-        If a package is missing; the message names it and how to install it.
+        If a package is missing. The message shows how to install it.
     """
     missing = [name for name in ROS2_PACKAGES if find_spec(name) is None]
     if missing:
@@ -140,16 +142,17 @@ def require_ros2() -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class SlicerLink:
-    """Link of a live run with 3D Slicer.
+    """Settings of the link between a live run and 3D Slicer.
 
     Attributes
     ----------
     port
-        Port of this machine at which the run is published; 0 for a free one.
+        Port of this machine at which the run is published; 0 for any free port.
     drives
         Whether the transform ``tissue-target`` of a client moves the tool.
     opened
-        Called with address and port once a client can connect, before the first tick.
+        Function that is called with address and port when a client can connect, before the first
+        tick.
     """
 
     port: int = PORT
@@ -158,13 +161,13 @@ class SlicerLink:
 
 
 def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
-    """Refuse an unusable port, or a second mover of the tool, before anything is built.
+    """Refuse an unusable port, or a second source of tool motion, before the scene is built.
 
     Raises
     ------
     InputError
-        If the port does not exist or another program uses it, or a page or a real device moves the
-        tool that the link is to move.
+        If the port does not exist or another program uses it, or if the link should move the tool
+        and a page or a real device also moves it.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
@@ -187,9 +190,9 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
 
 
 class SlicerProcess(WindowProcess):
-    """Process that publishes a run and receives the requested pose of the tool.
+    """Process that publishes a run for 3D Slicer and receives tool poses from a client.
 
-    The ticks send rows and events to it.
+    The ticks send rows and events to this process.
 
     Parameters
     ----------
@@ -239,20 +242,21 @@ class SlicerProcess(WindowProcess):
         )
 
     def target(self) -> tuple[Triple, Quaternion] | None:
-        """Return the tool position [m] and turn that a client requests; None if it is not new.
+        """Return the tool position [m] and rotation that a client requests; None if there is no new
+        request.
 
-        The turn is relative to the first orientation of the tool.
+        The rotation is relative to the first orientation of the tool.
         """
         if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
             return None
         turn, values = read
-        # The counter rises before and after each write, see `SharedArrays.read`.
+        # The counter increases before and after each write; see `SharedArrays.read`.
         self._taken = 2 * turn
         x, y, z, a, b, c, d = values.tolist()
         return (1e-3 * x, 1e-3 * y, 1e-3 * z), (a, b, c, d)
 
     def report(self, what: str) -> None:
-        """Send a sentence."""
+        """Send a sentence to the client."""
         text = np.frombuffer(what.encode()[:EVENT_BYTES], dtype=np.uint8)
         slot = self._events[int(self._events_count[0]) % EVENTS]
         slot[: len(text)] = text
@@ -260,7 +264,7 @@ class SlicerProcess(WindowProcess):
         self._events_count[0] += 1
 
     def note(self) -> str:
-        """Return text on the messages sent and the clients so far, as half a sentence."""
+        """Return a text about sent messages and clients, as part of a sentence."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
         words = [
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
@@ -273,9 +277,9 @@ class SlicerProcess(WindowProcess):
 
 
 class SlicerPublisher(Publisher):
-    """Observer that publishes a live run for 3D Slicer, whose client may move the tool.
+    """Observer that publishes a live run for 3D Slicer; a client may move the tool.
 
-    The last columns of the timing are the delay of a tick and the skipped time [µs].
+    The last two columns of the timing are the lateness of a tick and the skipped time [µs].
 
     Parameters
     ----------
@@ -284,8 +288,8 @@ class SlicerPublisher(Publisher):
     link
         Port, and whether a client drives the tool.
     mouse
-        Device that a client's transform moves; the run then ends with the link. None if nothing is
-        moved.
+        Device that the transform of a client moves; the run then ends with the link. None if no
+        client moves the tool.
     """
 
     what = "the link to 3D Slicer"
@@ -299,7 +303,7 @@ class SlicerPublisher(Publisher):
         self._skipped_us = 0.0
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish and report the address."""
+        """Start to publish, and report the address."""
         self._start = parts.motion.sweep_m()[0]
         self._process = SlicerProcess(self._scene, parts, columns, self._link)
         if self._link.opened is not None:
@@ -314,7 +318,7 @@ class SlicerPublisher(Publisher):
             push(self._mouse, wanted[0], self._start, self._scene.motion_scale, turn=wanted[1])
 
     def clock_of(self, times: Array) -> Clock:
-        """Return cost and lateness of a tick [µs], missed deadlines and skipped time [ms]."""
+        """Return duration and lateness of a tick [µs], missed deadlines and skipped time [ms]."""
         tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
         self._missed += tick_us + late_us > DEADLINE_US
         self._skipped_us += skipped_us

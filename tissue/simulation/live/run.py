@@ -1,4 +1,4 @@
-"""Run in real time, with the mouse as device where a window can open."""
+"""Run in real time, with the mouse as device if a window can be opened."""
 
 import os
 import signal
@@ -41,24 +41,27 @@ from tissue.system.offscreen import await_display, display_problem
 __all__ = ["LiveObserver", "LiveSettings", "live"]
 
 LONGEST_S = 600.0
-"""Duration of a run by the mouse if none is given [s]; its trace is held in memory.
+"""Default duration of a run that the mouse moves [s]; the trace of such a run is kept in memory.
 
-600,000 rows of 60 columns take 0.3 GB.
+The trace of 600,000 rows and 60 columns takes 0.3 GB.
 """
 ROAM_MM = 8.0
 ROAM_ON_WALL_MM = 40.0
-"""Largest distance of the tool from the scripted path under the pointer [mm].
+"""Largest distance of the tool from the scripted path when the pointer moves it [mm].
 
-The second value is for a wall, which has no edge. The voxels and the compliance that are prepared
-for a run grow with the first; it is chosen.
+The second value is for the test wall, which has no edge. With the first value, the number of voxels
+and the size of the compliance increase; it is chosen.
 """
 LOOK_S = 0.01
-"""Time between two checks while the run waits [s]: no one feels it, and it takes no processor."""
+"""Time between two checks while the run waits [s]: too short to feel, and long enough to use no
+processor time.
+"""
 STALLED_S = 3.0
 HELD_S = 60.0
-"""Time without a picture after which the run waits for its window, and longest wait [s].
+"""Time without a picture after which the run waits for its window, and longest waiting time [s].
 
-A window draws 30 pictures a second; 3 s are no delay of a busy machine. Both are chosen.
+A window draws 30 pictures per second. A busy machine does not delay a picture by 3 s. Both values
+are chosen.
 """
 
 
@@ -69,18 +72,18 @@ class LiveSettings:
     Attributes
     ----------
     duration_s
-        Duration of a run by the mouse [s]; None: until the window is closed, 600 s at most. A
-        scripted run lasts as long as its scene states.
+        Duration of a run that the mouse moves [s]. None: until the window is closed, at most 600 s.
+        The scene sets the duration of a scripted run.
     opened
-        Shows the run in a browser instead of a window, and is called once with the address of its
-        page. The ticks wait until the page is open. The page can reset the run: the same scene is
-        then simulated from its start once more, and only the rows of the run before stay, until the
-        rows of the next run replace them.
+        If given, a page in a browser shows the run instead of a window. The function is called once
+        with the address of the page. The ticks wait until the page is open. The user of the page
+        can reset the run: the same scene is then simulated again from its start. The rows of the
+        previous run are kept until those of the next run replace them.
     slicer
-        Publishes the run for 3D Slicer, see `docs/guide/slicer.md`; no window opens if it also
-        drives the tool.
+        Settings for publication to 3D Slicer, see `docs/guide/slicer.md`. No window opens if a
+        client of 3D Slicer moves the tool.
     ros2
-        Publishes the run on topics of ROS 2, see `docs/guide/ros2.md`.
+        Whether to publish the run on topics of ROS 2; see `docs/guide/ros2.md`.
     """
 
     duration_s: float | None = None
@@ -94,7 +97,9 @@ class LiveSettings:
         return self.slicer is not None and self.slicer.drives
 
     def mover(self, scene: Scene) -> tuple[bool, str]:
-        """Return whether a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
+        """Return whether a pointer or 3D Slicer moves the tool, and a sentence about the source of
+        motion.
+        """
         if self.by_slicer:
             return True, (
                 "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "
@@ -120,9 +125,9 @@ class LiveSettings:
         Raises
         ------
         InputError
-            If a display does not answer, a page cannot be served or is asked for with a real
-            device, the port for 3D Slicer is taken, something else moves the tool, ROS 2 is not
-            installed, or the installed package lacks a process of the live run.
+            If the display does not respond, a page cannot be served or is requested with a real
+            device, the port for 3D Slicer is in use, 3D Slicer and another source would move the
+            tool, ROS 2 is not installed, or the installed package lacks a process of the live run.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)
@@ -148,15 +153,15 @@ class LiveSettings:
 
 
 def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSettings]) -> Run:
-    """Simulate a scene in real time, with the mouse as device or, without a display, scripted.
+    """Simulate a scene in real time, with the mouse as device; without a display, run the script.
 
-    A registered device with a factory for the real one is used without a window. Otherwise the tool
-    is coupled to the mouse as to the scene's device, by the same spring, and the forces that the
-    device would play are in the trace and shown; in a scene without a device a mouse acts as a
-    touch. A tick misses its deadline if it is not done within 1 ms of its due time. See `WallClock`
-    for ticks that fall behind. The ticks have a raised priority as far as the system grants it; see
-    the note ``priority``. Ctrl-C or closing the window ends the run, which is then a run like any
-    other.
+    If the scene names a real device that can be opened, that device is used without a window.
+    Otherwise the mouse replaces the device of the scene, and the same spring couples the tool to
+    it. The trace and the window contain the forces that the device would play. In a scene without a
+    device, the mouse replaces a device of kind ``touch``. A tick misses its deadline if it is not
+    complete within 1 ms of its due time. See `WallClock` for late ticks. The priority of the ticks
+    is raised as far as the system allows; see the note ``priority``. Ctrl-C or closing the window
+    ends the run. The result is a run like any other.
 
     Parameters
     ----------
@@ -165,8 +170,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     how
         Settings of the live run.
     settings
-        As for `tissue.simulation.simulate.simulate`. A mouse cannot be unstable, because it feels
-        nothing. If a window opens, ``cores`` leaves one core for it by default.
+        As for `tissue.simulation.simulate.simulate`. With a mouse, the loop cannot be unstable,
+        because a mouse plays no force. If a window opens, the default of ``cores`` leaves one core
+        for the window.
 
     Raises
     ------
@@ -185,9 +191,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
             device = device.model_copy(update={"coupling": coupling})
         changes = {"device": device, "duration_s": how.duration_s or LONGEST_S}
         scene = scene.model_copy(update=changes)
-        # One core is left to the window.
+        # One core is left for the window.
         settings["cores"] = settings.get("cores") or max((os.cpu_count() or 2) - 1, 1)
-        # A mouse plays no force, so that the loop cannot become unstable.
+        # A mouse plays no force, so the loop cannot become unstable.
         settings["allow_unstable"] = True
     page = None if how.opened is None else Page(how.opened)
     try:
@@ -229,23 +235,24 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
 
 
 class LiveObserver(RunObserver):
-    """Observer that paces a live run, shows it in its window, and ends it on request.
+    """Observer that runs the ticks on time, shows the run in a window, and ends it on request.
 
     Parameters
     ----------
     scene
         Scene of the run.
     mouse
-        Device that the window's pointer moves; None for no window.
+        Device that the pointer of the window moves; None for no window.
     clock
         Clock that paces the run.
     page
-        Page that shows the run in place of a window on the display, and outlives the run.
+        Page that shows the run instead of a window on the display. The page stays open after the
+        run.
 
     Attributes
     ----------
     reset
-        Whether the user requested to run the scene again from its start.
+        True if the user requested that the scene runs again from its start.
     """
 
     timing_columns = ("late_us", "skipped_us")
@@ -270,7 +277,7 @@ class LiveObserver(RunObserver):
         self._start = np.zeros(3)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Open the window; from now on Ctrl-C ends the run after its tick."""
+        """Open the window; from now on, Ctrl-C ends the run after the current tick."""
         if self._mouse is not None:
             self._start = parts.motion.sweep_m()[0]
             show = WindowProcess if self._page is None else self._page.show
@@ -281,7 +288,7 @@ class LiveObserver(RunObserver):
     def before_tick(self, index: int) -> None:
         """Wait until a tick is due, then apply the position that the pointer requests.
 
-        It also waits while the run is paused and while its window hangs.
+        The method also waits while the run is paused, and while the window does not respond.
         """
         if self._window is not None:
             if self._window.paused:
@@ -295,7 +302,7 @@ class LiveObserver(RunObserver):
                 push(self._mouse, pointed, self._start, self._scene.motion_scale)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Record a tick's lateness and show the tick; return whether the run continues."""
+        """Record the lateness of a tick and show the tick; return whether the run continues."""
         late = 1e6 * self._clock.late_s
         skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
@@ -322,7 +329,10 @@ class LiveObserver(RunObserver):
         return not (ends or self.reset)
 
     def _waited_s(self, window: WindowProcess, goes_on: Callable[[float], bool]) -> float:
-        """Wait as long as a condition on the time waited holds; return that time [s]."""
+        """Wait while a condition is true, and return the waiting time [s].
+
+        The argument of the condition is the time waited so far.
+        """
         began = perf_counter()
         waited_s = 0.0
         while goes_on(waited_s) and not (self._stopped or window.closed):
@@ -337,12 +347,15 @@ class LiveObserver(RunObserver):
     def _pause(self, window: WindowProcess, index: int) -> None:
         """Wait until the user ends the pause."""
         waited_s = self._waited_s(window, lambda _: window.paused and not window.reset)
-        # Before the first tick it is the wait until somebody opens the page: no pause of the run.
+        # Before the first tick, the run waits until the user opens the page. This does not count as
+        # a pause.
         if index > 0:
             self._events.append((index * TICK_S, f"the run was paused for {waited_s:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
-        """Wait while the window draws nothing, since nobody could see or move the tool."""
+        """Wait while the window draws no pictures, because the user can neither see nor move the
+        tool.
+        """
         now = perf_counter()
         if window.frames != self._frames:
             self._frames = window.frames
@@ -359,7 +372,7 @@ class LiveObserver(RunObserver):
         self._events.append((index * TICK_S, what))
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Close the window, restore Ctrl-C and return the events, as `Motion.happened`."""
+        """Close the window, restore Ctrl-C and return the events; see `Motion.happened`."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None

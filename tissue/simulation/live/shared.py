@@ -1,7 +1,7 @@
-"""Arrays of a tissue shared by two processes, and the surfaces that a reading process draws.
+"""Arrays of a tissue that two processes share, and the surfaces that the second process draws.
 
-The arrays lie in a file that stays in memory where the system supports it. The ticks update them at
-a cost of some microseconds a tick.
+The arrays are in a file that stays in memory if the system supports this. In each tick, the update
+takes some microseconds.
 """
 
 import json
@@ -41,55 +41,56 @@ __all__ = [
 
 AnyArray = NDArray[Any]
 Layout = dict[str, tuple[str, tuple[int, ...]]]
-"""Type and shape of each array, by its name."""
+"""Type and shape of each array, keyed by the name of the array."""
 MEMORY = Path("/dev/shm")
-"""Folder on Linux whose files never reach a disk.
+"""Folder on Linux whose files are kept in memory only.
 
 On other systems the folder for temporary files is used.
 """
 TRIES = 20
 """Number of attempts to read an array.
 
-A write takes some microseconds. If it never ends, its process has died.
+A write takes some microseconds. If it never ends, the writing process has ended.
 """
 ALIGNED = 64
-"""Alignment of every array [bytes]: one cache line."""
+"""Alignment of each array [bytes]: one cache line."""
 TURN_TICKS = 200
-"""Ticks in which every brick of a bone is copied once.
+"""Number of ticks in which each brick (block of voxels) of a bone is copied once.
 
-The carved bone is shown five times a second, and a tick copies only a 200th of it.
+The picture of the bone is thus updated five times per second, and each tick copies only 1/200 of
+the bricks.
 """
 MOVED_TICKS = 33
-"""Ticks between two pictures of an organ's surface: a window draws 30 a second."""
+"""Ticks between two pictures of an organ's surface; a window draws 30 pictures per second."""
 MOST_SHOWN = 600_000
-"""Number of voxels above which the window shows larger blocks.
+"""Largest number of blocks of voxels that the window shows; for more blocks, larger ones are used.
 
-The blocks then have four by four by four voxels instead of two by two by two. The surface of
-600,000 blocks takes 29 ms, a picture of 30 a second.
+The larger blocks have four by four by four voxels instead of two by two by two. The surface of
+600,000 blocks takes 29 ms, less than the 33 ms between two pictures.
 """
 Start = Mapping[str, NDArray[np.generic]]
 FADES_MM = 20.0
-"""Distance over which the displacement fades beyond the nodes whose displacement is known.
+"""Distance over which the shown displacement decreases beyond the nodes with known displacement.
 
-It is chosen for the picture. No force depends on it.
+The value is chosen for the picture. No force depends on it.
 """
 
 
 class SharedArrays:
-    """Named arrays in one mapped file, used as NumPy arrays by two processes.
+    """Named arrays in one memory-mapped file, which two processes use as NumPy arrays.
 
-    Reading and writing them needs no system call.
+    Access to the arrays needs no system call.
 
-    Values that must be read as a whole use `write` and `read`: the reader tries again while a write
-    is running. Each array has one writer.
+    `write` and `read` are for values that must be read as a whole: the reader tries again while a
+    write is in progress. Each array has one writer.
 
     Parameters
     ----------
     folder
-        Folder of the file. The side that makes the file gives ``layout``; the other side finds it
-        there.
+        Folder of the file. The process that makes the file gives ``layout``; the other process
+        reads the layout from this folder.
     layout
-        The arrays to make, all zero.
+        Arrays to make; their initial values are zero.
     """
 
     def __init__(self, folder: Path, layout: Layout | None = None) -> None:
@@ -118,14 +119,13 @@ class SharedArrays:
         return name in self._arrays
 
     def __getitem__(self, name: str) -> AnyArray:
-        """Return the array itself."""
+        """Return the shared array itself, not a copy."""
         return self._arrays[name]
 
     def write(self, name: str, values: AnyArray) -> None:
         """Write an array as a whole.
 
-        The array named with the suffix ``_turn`` is its counter, which is odd while a write is
-        running.
+        The array with the suffix ``_turn`` is a counter, which is odd while a write is in progress.
         """
         turn = self._arrays[f"{name}_turn"]
         turn[0] += 1
@@ -133,9 +133,9 @@ class SharedArrays:
         turn[0] += 1
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
-        """Return the number of an array's writes and a whole copy of the array.
+        """Return the number of writes so far, and a copy of the whole array.
 
-        None is returned if a writer was busy or died.
+        The result is None if the writer was busy or has ended during a write.
         """
         turn = self._arrays[f"{name}_turn"]
         values = self._arrays[name]
@@ -151,7 +151,7 @@ class SharedArrays:
 class SharedTissue:
     """Shared arrays of a tissue.
 
-    A tissue that its scene and the trace describe, such as a wall, has no shared arrays.
+    A tissue that can be drawn from scene and trace alone, such as a wall, has no shared arrays.
 
     Attributes
     ----------
@@ -169,20 +169,20 @@ class SharedTissue:
         self.start = {}
 
     def publish(self, arrays: "SharedArrays", index: int) -> None:
-        """Update a part of the arrays at the end of each tick."""
+        """Update a part of the arrays at the end of a tick."""
 
 
 class BoneShared(SharedTissue):
-    """Bricks of a bone, copied one slice per tick.
+    """Bricks (blocks of 8 x 8 x 8 voxels) of a bone, of which each tick copies one slice.
 
-    Every brick is at most `TURN_TICKS` ticks old.
+    The copy of a brick is at most `TURN_TICKS` ticks old.
 
     Parameters
     ----------
     milling
         The bone.
     volume
-        Its voxels before the first cut.
+        Voxels of the bone before the first cut.
     """
 
     def __init__(self, milling: "BoneModel", volume: VoxelVolume) -> None:
@@ -196,7 +196,7 @@ class BoneShared(SharedTissue):
         )
         self._slice = -(-count // TURN_TICKS)
         self._count = count
-        # A block of two by two by two voxels holds 8.
+        # A block of two by two by two voxels contains 8 voxels.
         block = 2 if np.prod(volume.shape, dtype=float) <= 8 * MOST_SHOWN else 4
         grid = store.brick_of.shape
         layer = np.zeros([n * BRICK // block for n in grid], dtype=np.uint8)
@@ -213,7 +213,7 @@ class BoneShared(SharedTissue):
         }
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
-        """Copy the next slice; at tick 0 copy all slices."""
+        """Copy the next slice; at tick 0, copy all slices."""
         first = 0
         last = self._count
         if index > 0:
@@ -229,7 +229,7 @@ class BoneShared(SharedTissue):
 
 
 class OrganShared(SharedTissue):
-    """Displacement of the touchable surface of a soft organ.
+    """Displacement of the surface of a soft organ that can be touched.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ class OrganShared(SharedTissue):
 
 
 def shared_tissue(parts: "Parts") -> SharedTissue:
-    """Return the shared arrays of a run's tissue."""
+    """Return the shared arrays of the tissue of a run."""
     from tissue.models.bone.model import BoneModel  # as above
 
     tissue: Any = parts.tissue
@@ -270,13 +270,13 @@ def shared_tissue(parts: "Parts") -> SharedTissue:
 
 
 def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSurface | None":
-    """Return the surface of a shared tissue; None for a tissue that its scene describes."""
+    """Return the surface of a shared tissue; None for a tissue without shared arrays."""
     kind = BoneSurface if "remaining" in arrays else OrganSurface if "moved" in arrays else None
     return None if kind is None else kind(start, arrays)
 
 
 class BoneSurface:
-    """Surface of a bone in blocks of voxels, from the bricks that the ticks carve.
+    """Surface of a bone in blocks of voxels, from the bricks that the ticks copy.
 
     Parameters
     ----------
@@ -286,9 +286,9 @@ class BoneSurface:
     Attributes
     ----------
     surface
-        The surface [mm], with normals; it has no cells if no bone is left.
+        Surface [mm], with normals. It has no cells if no bone is left.
     volume
-        The blocks; their filling follows the bone.
+        Blocks of voxels. Their content is updated with the bone.
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -308,7 +308,7 @@ class BoneSurface:
         self.surface: pyvista.PolyData = bone_surface(self.volume, self._fraction)
 
     def update(self) -> bool:
-        """Update the surface; return whether any brick has changed."""
+        """Update the surface; return whether a brick has changed."""
         now = self._remaining.copy()
         rows = np.flatnonzero((now != self._seen).any(axis=1))
         if not rows.size:
@@ -324,10 +324,10 @@ class BoneSurface:
 
         block = self._block
         count = BRICK // block
-        # A brick stores its 8 x 8 x 8 voxels as 4 x 4 x 4 blocks of 2 x 2 x 2.
+        # A brick stores its 8 x 8 x 8 voxels as 4 x 4 x 4 blocks of 2 x 2 x 2 voxels.
         bricks = self._seen[rows].reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6)
         parts = bricks.reshape(-1, count, block, count, block, count, block)
-        # 65535 steps of a full voxel over 255.
+        # A full voxel has 65535 steps here and 255 in the picture: the ratio is 257.
         means = np.rint(parts.mean(axis=(2, 4, 6)) / 257.0).astype(np.uint8)
         offsets = np.arange(count)
         x, y, z = count * self._places[rows].T[:, :, None] + offsets
@@ -335,9 +335,9 @@ class BoneSurface:
 
 
 class OrganSurface:
-    """Surface of a soft organ, displaced where its displacement is known.
+    """Surface of a soft organ, displaced where the displacement is known.
 
-    The displacement fades with the distance from there.
+    The shown displacement decreases with the distance from there.
 
     Parameters
     ----------
@@ -347,9 +347,9 @@ class OrganSurface:
     Attributes
     ----------
     surface
-        The surface [mm]; its points move.
+        Surface [mm], whose points move.
     touchable_mm
-        Touchable points of the surface, at rest [mm], shape (n, 3).
+        Points of the undeformed surface that can be touched [mm], shape (n, 3).
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -388,7 +388,7 @@ class OrganSurface:
         return True
 
     def _spread(self, known: Flags) -> None:
-        """Find each point's nearest known point and its share of that point's displacement."""
+        """Find for each point the nearest point with known displacement, and its share of it."""
         from scipy.spatial import cKDTree
 
         self._known = known

@@ -1,4 +1,4 @@
-"""Window of a live run in its own process, as the ticks see it: rows out, pointer in."""
+"""Window of a live run in a process of its own, which receives rows and returns the pointer."""
 
 import json
 import os
@@ -44,19 +44,19 @@ __all__ = [
 ]
 
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
-"""Values of the clock that a window receives."""
+"""Names of the clock values that a window receives."""
 LOAD = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
-"""Columns that a window plots."""
+"""Columns of the trace that a window plots."""
 ROW_TICKS = 8
-"""Ticks between two rows that a window receives: four rows for each of 30 pictures a second."""
+"""Ticks between two rows that a window receives: four rows for each of 30 pictures per second."""
 LOADS = 1024
-"""Number of rows of time and force kept for a window that plots them: 8 s."""
+"""Number of rows of time and force that are kept for the plots of a window (8 s)."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 """Pattern of terminal colours in the output of a process."""
 CLOSES_S = 10.0
-"""Longest time for a window to close [s]; then it is killed."""
+"""Longest time for a window to close [s]; after this time its process is killed."""
 OPENS_S = 120.0
-"""Longest time for a window to open [s]; then the run is refused."""
+"""Longest time for a window to open [s]; after this time the run is refused."""
 FOLDER = "tissue-live-"
 COUNTERS = (
     "row_turn",
@@ -69,21 +69,22 @@ COUNTERS = (
     "resets",
     "runs",
 )
-"""Shared numbers: writes of an array, and states of the window and of the run."""
+"""Names of shared numbers: counters of writes, and states of the window and of the run."""
 
 ABOVE_M = 0.02
 BELOW_M = 0.01
-"""Distances above and below the path within the pointer's reach [m].
+"""Distances above and below the path that the pointer can reach [m].
 
-The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the
-path. A cutting tool is pressed as far as there is bone beyond the reach of the script.
+The first value limits how far a tool can be withdrawn. The second value limits how far a probe can
+be pressed beyond the path. For a cutting tool, the margin of the voxels below the path is used
+instead.
 """
 Clock = tuple[float, float, float, float]
-"""Values of `CLOCK`."""
+"""Type of the values of `CLOCK`."""
 
 
 def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
-    """Return the corners of the box around the scripted path for the pointer [m].
+    """Return the corners of a box around the scripted path [m].
 
     The pointer may move the tool within this box.
     """
@@ -102,7 +103,7 @@ def push(
     *,
     turn: Quaternion | None = None,
 ) -> None:
-    """Move a mouse to a tool position [m]; the tool moves `scale` times as far."""
+    """Move a mouse so that the tool goes to a position [m]; the tool moves `scale` times as far."""
     x, y, z = (start_m + (np.array(pointed_m) - start_m) / scale).tolist()
     if turn is None:
         mouse.push((x, y, z))
@@ -111,34 +112,34 @@ def push(
 
 
 class WindowProcess:
-    """Window that shows a running run and reports the tool position requested by the pointer.
+    """Window that shows a live run and reports the tool position that the pointer requests.
 
-    The ticks never wait for it: both sides map the same memory. Ctrl-C does not interrupt the
-    window, and it ends by itself when the ticks end.
+    The window runs in a process of its own. The ticks never wait for it, because both processes map
+    the same memory. Ctrl-C does not interrupt the window. The window closes when the ticks end.
 
     Parameters
     ----------
     scene, parts
         Scene and parts of the run.
     columns
-        Names of the trace's columns.
+        Names of the columns of the trace.
     environment
-        Additional environment variables of its process.
+        Additional environment variables of the process.
     more_layout, more_start
-        Additional arrays that both sides share, and additional arrays that its process needs at the
-        start.
+        Additional arrays that both processes share, and additional arrays that the process of the
+        window needs at its start.
 
     Attributes
     ----------
     arrays
-        Arrays that both sides share.
+        Arrays that both processes share.
     address
-        Address that its process reports; empty for a window on the display.
+        Address that the process reports; empty for a window on the display.
 
     Raises
     ------
     InputError
-        If the installed package has no such process, or the window does not open.
+        If the installed package lacks this process, or the window does not open.
     """
 
     process = "window"
@@ -146,7 +147,7 @@ class WindowProcess:
     place = "must open its window where there is a display"
     remedy = "fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
-    """True if its process receives the tissue as it changes."""
+    """True if the process receives the changes of the tissue."""
 
     def __init__(
         self,
@@ -158,7 +159,8 @@ class WindowProcess:
         more_layout: Layout | None = None,
         more_start: Mapping[str, AnyArray] | None = None,
     ) -> None:
-        # A missing entry point is refused before the folder exists, which would stay behind.
+        # A missing entry point is refused before the folder is made, because the folder would be
+        # left behind.
         module = process_module(self.process)
         self._folder = _new_folder()
         self._shared = shared_tissue(parts) if self.shows_tissue else SharedTissue()
@@ -205,13 +207,14 @@ class WindowProcess:
             self.address, last = await_ready(self._child, longest_s=OPENS_S, closes_s=CLOSES_S)
             if last is not None:
                 last = last or self._last_words()
-                # The output of a library may be long.
+                # The output of a library may be long, so only its end is used.
                 raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         except BaseException:
             self._child.kill()
             self.end()
             raise
-        # Both sides have the files open, so a kill leaves no files behind.
+        # Both processes have the files open, so the folder can be removed now. No files are left
+        # behind if a process is killed.
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _count(self, name: str) -> int:
@@ -220,26 +223,26 @@ class WindowProcess:
 
     @property
     def frames(self) -> int:
-        """Number of pictures that it has drawn."""
+        """Number of pictures that the window has drawn."""
         return self._count("frames")
 
     @property
     def closed(self) -> bool:
-        """True if the user has closed it."""
+        """True if the user has closed the window."""
         return self._count("closed") > 0
 
     @property
     def paused(self) -> bool:
-        """True if the user has paused the run or no page of it is open."""
+        """True if the user has paused the run, or no page of the run is open."""
         return self._count("paused") > 0
 
     @property
     def reset(self) -> bool:
-        """True if the user requests the run from its start again."""
+        """True if the user requests a restart of the run."""
         return self._count("resets") != self._reset
 
     def begin_again(self, parts: Parts) -> None:
-        """Show another run of the scene from its start."""
+        """Show a new run of the same scene from its start."""
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
         self._reset = self._count("resets")
@@ -247,23 +250,23 @@ class WindowProcess:
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
-        """Return the last output of a process that ended without being closed, else None."""
+        """Return the last output of a process that ended unexpectedly, or None."""
         return self._last_words() if self._child.poll() is not None and not self.closed else None
 
     def pointed_m(self) -> tuple[float, float, float] | None:
-        """Return the tool position that the pointer requests [m]; None if it is not new."""
+        """Return the tool position that the pointer requests [m]; None without a new request."""
         if (
             self._count("pointer_turn") == self._seen
             or (pointed := self.arrays.read("pointer")) is None
         ):
             return None
         turn, (x, y, z) = pointed
-        # The counter rises before and after each write, see `SharedArrays.read`.
+        # The counter increases before and after each write; see `SharedArrays.read`.
         self._seen = 2 * turn
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
     def show(self, index: int, row: Array, clock: tuple[float, float, float, float]) -> None:
-        """Send a tick's row of the trace and of the clock, see `CLOCK`."""
+        """Send the row of a tick: trace, and clock values (see `CLOCK`)."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
             self._row[len(row) :] = clock
@@ -278,7 +281,7 @@ class WindowProcess:
         self.arrays["ended"][0] = 1
         try:
             self._child.communicate(timeout=CLOSES_S)
-        # A window that hangs must not keep the run from its end.
+        # A window that does not respond must not prevent the end of the run.
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.communicate()
@@ -293,7 +296,7 @@ class WindowProcess:
 
 
 class PageProcess(WindowProcess):
-    """Window in a browser: its process draws off screen and serves a page."""
+    """Window in a browser: the process draws off screen and serves a page."""
 
     process = "page"
     place = "must serve its page"
@@ -301,12 +304,12 @@ class PageProcess(WindowProcess):
 
 
 class Page:
-    """Page of a live run; its process starts with the first run that is shown.
+    """Page of a live run; the process of the page starts with the first run that is shown.
 
     Parameters
     ----------
     opened
-        Called once with the page's address, which holds a random token.
+        Function that is called once with the address of the page, which contains a random token.
     """
 
     def __init__(self, opened: Callable[[str], object]) -> None:
@@ -319,18 +322,18 @@ class Page:
         parts: Parts,
         columns: tuple[str, ...],
     ) -> PageProcess:
-        """Show a run from its start; arguments as for `WindowProcess`.
+        """Show a run from its start; the arguments are those of `WindowProcess`.
 
         Raises
         ------
         InputError
-            If nothing can be drawn or served here.
+            If this machine can neither draw nor serve the page.
         """
         if self._process is not None:
             self._process.begin_again(parts)
             return self._process
         failed: InputError | None = None
-        # A display may exist and still not draw: the next one is tried.
+        # A display may exist but fail to draw. In this case the next one is tried.
         for environment in drawing_environments():
             try:
                 self._process = PageProcess(scene, parts, columns, environment=environment)
@@ -351,7 +354,7 @@ class Page:
 
 
 def require_web() -> None:
-    """Refuse a page if the server for it is not installed.
+    """Refuse a page if the package for its server is not installed.
 
     Raises
     ------
@@ -364,7 +367,7 @@ def require_web() -> None:
 
 
 def _new_folder() -> Path:
-    """Make a folder for the values that both processes share.
+    """Make a folder for the arrays that both processes share.
 
     Folders left by killed processes are removed.
     """

@@ -1,1 +1,1 @@
-"""The window of `tissue run --live`."""
+"""Window of `tissue run --live`."""

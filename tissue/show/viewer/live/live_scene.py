@@ -1,4 +1,4 @@
-"""A scene while it runs, in a plotter: tissue, tool, force and the mark of the device."""
+"""Scene of a live run in a plotter: tissue, tool, force and mark of the device."""
 
 import json
 from dataclasses import dataclass
@@ -30,39 +30,39 @@ __all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target"]
 
 
 TISSUE_S = 0.2
-"""Minimum time between two updates of the tissue [s].
+"""Shortest time between two updates of the tissue [s].
 
-A longer update is followed by a pause of the same length. The window draws and answers the mouse
-in the pause.
+An update that takes longer is followed by a pause of the same length, in which the window draws and
+responds to the mouse.
 """
 DEVICE = "#D55E00"
 LEAST_N = 1.0
-"""Force that is drawn as the longest arrow until there is a greater one.
+"""Force that is drawn as the longest arrow until a larger force occurs [N].
 
-Without it, the first touch of some millinewtons would have the longest arrow.
+Without this limit, the first contact with some millinewtons would have the longest arrow.
 """
 
 
 NUMBERS = ("time_s", "removed_mm3", *CLOCK)
-"""Columns that are shown without conversion."""
+"""Names of columns whose values are shown without conversion."""
 
 
 @dataclass(frozen=True)
 class Readings:
-    """The newest row of the trace and of the clock.
+    """Newest row of the trace, and clock values.
 
     Attributes
     ----------
     tip_mm, turn
         Tip of the tool [mm] and its orientation (x, y, z, w).
     force_N, torque_Nm
-        Load of the tissue on the tool [N], [N m], shape (3,) each.
+        Force [N] and torque [N m] of the tissue on the tool, shape (3,) each.
     device_N
-        Size of the force that the device displays [N], None without a device.
+        Magnitude of the force that the device plays [N]; None if there is no device.
     layer
         Name of the layer at the tool, such as ``dentin``.
     numbers
-        The columns of `NUMBERS` by name.
+        Values of the columns `NUMBERS`, keyed by name.
     """
 
     tip_mm: Array
@@ -75,7 +75,7 @@ class Readings:
 
     @classmethod
     def of(cls, table: Table) -> "Readings":
-        """Read the first row of a table with the columns of the trace and of the clock."""
+        """Read the values from the first row of a table with trace and clock columns."""
         plays = "device_force_x_N" in table
         return cls(
             tip_mm=table.vectors("tool", "mm")[0],
@@ -91,18 +91,20 @@ class Readings:
 
 
 PASSES = 4
-"""Smoothing of normals: fewer than in a picture, for it is done again at every change."""
+"""Number of passes that smooth normals: fewer than in a picture, because each change needs them
+again.
+"""
 AROUND = 0.7
-"""Margin shown around the touchable surface, as a share of its size."""
+"""Margin that is shown around the touchable surface, relative to its size."""
 ORGAN = "#CC8E7D"
 
 
 def live_tissue(
     plotter: Plotter, start: Start, arrays: SharedArrays
 ) -> "LiveBone | LiveOrgan | None":
-    """Return the drawn tissue that `tissue.simulation.live` shares.
+    """Return the drawn tissue, from the arrays that `tissue.simulation.live` shares.
 
-    The result is None if only the scene describes the tissue.
+    The result is None if the tissue has no shared arrays.
     """
     match tissue_surface(start, arrays):
         case BoneSurface() as bone:
@@ -113,7 +115,7 @@ def live_tissue(
 
 
 class LiveBone:
-    """Bone by layer while it is carved.
+    """Bone of a live run, coloured by layer.
 
     Parameters
     ----------
@@ -127,7 +129,7 @@ class LiveBone:
     points_mm
         Points that must be in view [mm], shape (n, 3).
     colours
-        Colours of the existing layers by name, red, green and blue, 0 to 1.
+        Colours of the existing layers (red, green and blue, 0 to 1), keyed by name.
     cut
         Plane in front of which the bone is not drawn, or None.
     """
@@ -145,7 +147,7 @@ class LiveBone:
         self.points_mm: Array = np.asarray(bone.surface.points, dtype=np.float64)
 
     def update(self) -> bool:
-        """Draw the bone again if a brick has lost something."""
+        """Draw the bone again if it has changed."""
         changed = self._bone.update()
         if changed:
             self._draw()
@@ -170,7 +172,7 @@ class LiveBone:
 
 
 class LiveOrgan:
-    """Surface of a soft organ while it moves.
+    """Surface of the soft organ of a live run.
 
     Parameters
     ----------
@@ -184,7 +186,7 @@ class LiveOrgan:
     points_mm
         Points that must be in view [mm], shape (n, 3).
     colours
-        Empty, since the organ has only one colour.
+        Empty, because the organ has only one colour.
     """
 
     def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
@@ -204,40 +206,40 @@ class LiveOrgan:
         self.points_mm: Array = patch + AROUND * (patch - patch.mean(axis=0))
 
     def update(self) -> bool:
-        """Draw the surface where it has moved to."""
+        """Draw the surface at its current position."""
         return self._organ.update()
 
 
 class LiveScene:
-    """Tissue, tool, force, and mark of the device with its spring.
+    """Tissue, tool, force, and mark of the device with the coupling spring.
 
     Parameters
     ----------
     folder
-        Folder filled by `tissue.simulation.live.window.WindowProcess`.
+        Folder that `tissue.simulation.live.window.WindowProcess` has filled.
     size_px
-        Width and height of the window [pixel].
+        Width and height of the window [pixels].
     margins
-        Left, right, lower and upper end of the area for the scene, in shares of the window.
+        Left, right, lower and upper end of the area for the scene, relative to the window.
     off_screen
         If true, pictures are drawn without a window.
 
     Attributes
     ----------
     arrays
-        Arrays shared by the ticks.
+        Arrays that the process of the ticks shares.
     scene
         Scene of the run.
     plotter
         PyVista's plotter.
     tissue
-        Drawn tissue that changes. None for a tissue without changes.
+        Drawn tissue that changes; None for a tissue that does not change.
     colours
-        Colours of the shown objects by name, red, green and blue, 0 to 1.
+        Colours of the shown objects (red, green and blue, 0 to 1), keyed by name.
     points_mm
         Points that must be in view [mm], shape (n, 3).
     target_options
-        Arguments of a `tissue.show.viewer.live.live_scene.Target`, by name.
+        Arguments of `tissue.show.viewer.live.live_scene.Target`, keyed by name.
     is_cut_open
         True if the bone between the camera and the tool is left out.
     """
@@ -313,7 +315,7 @@ class LiveScene:
         self._cut.SetNormal(*normal)
 
     def update_tissue(self) -> bool:
-        """Update the tissue if it is due; return whether it changed."""
+        """Update the tissue if an update is due; return whether the tissue changed."""
         now = perf_counter()
         # an update takes at most half of the time, so that the tool still moves smoothly
         if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
@@ -324,7 +326,7 @@ class LiveScene:
         return changed
 
     def show(self, target_mm: Array) -> Readings | None:
-        """Show the newest row and the wanted position of the tool [mm]; return the row's readings.
+        """Show the newest row and the requested tool position [mm]; return the values of the row.
 
         The result is None if there is no row yet.
         """
@@ -344,7 +346,7 @@ class LiveScene:
         return readings
 
     def _add_tool(self) -> None:
-        """Add the tool, the device's mark and the spring between them."""
+        """Add the tool, the mark of the device and the spring between them."""
         import pyvista
 
         size_mm = float(np.linalg.norm(np.ptp(self.points_mm, axis=0)))
@@ -360,15 +362,15 @@ class LiveScene:
 
 NOTCH_MM = 0.5
 KEY_MM = 0.5
-"""Travel of a notch of the wheel and of a press of a key [mm], a fraction of a small burr."""
+"""Travel for a notch of the wheel and for a key press [mm], a fraction of a small burr."""
 DEEPER = ("Next", "s")
 HIGHER = ("Prior", "w")
 ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
-"""Directions right and up in the view."""
+"""Directions (right, up) in the view, keyed by key."""
 
 
 class Target:
-    """Wanted position of a tool.
+    """Requested position of a tool within a box.
 
     Parameters
     ----------
@@ -377,14 +379,14 @@ class Target:
     start_mm
         Initial position [mm].
     axis
-        The tool's axis from tip to shank, shape (3,).
+        Axis of the tool from tip to shank, shape (3,).
     low_mm, high_mm
-        Corners of the box [mm].
+        Corners of the box that the position may not leave [mm].
 
     Attributes
     ----------
     target_mm
-        Wanted position of the tool [mm], shape (3,).
+        Requested position of the tool [mm], shape (3,).
     """
 
     def __init__(
@@ -414,7 +416,7 @@ class Target:
         self._go(right_mm * right + up_mm * np.cross(right, forward))
 
     def press(self, key: str) -> None:
-        """Move by a key, given by VTK's name. Keys without a move are ignored."""
+        """Move according to a key with VTK's name; other keys are ignored."""
         if key in ARROWS:
             right, up = ARROWS[key]
             self.across(KEY_MM * right, KEY_MM * up)
@@ -425,7 +427,9 @@ class Target:
 
     @property
     def mm_per_pixel(self) -> float:
-        """Size of a pixel in the plane of the view through the target [mm]."""
+        """Size of a pixel in the plane through the requested position that is parallel to the view
+        [mm].
+        """
         camera = self._plotter.camera
         away = float(
             (self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection())
@@ -444,15 +448,15 @@ HELP = (
     "drag: turn the view, right drag: nearer, farther",
     "q: end",
 )
-"""Description of the keys and mouse actions."""
+"""Description of keys and mouse actions."""
 
 
 class Pointer(Target):
-    """Wanted position of a tool, moved by mouse and keys within a box.
+    """Requested position of a tool within a box, moved with mouse and keys.
 
-    The mouse moves the position in the plane of the view, by the distance that the mouse covers in
-    the parallel plane through the position. With a pressed button, the mouse controls the view. The
-    wheel and the depth keys move the position along the tool's axis.
+    The mouse moves the position in the plane that is parallel to the view and contains the
+    position, so the position follows the mouse. With a pressed button, the mouse controls the view.
+    The wheel and the depth keys move the position along the tool's axis.
 
     Parameters
     ----------
@@ -461,16 +465,16 @@ class Pointer(Target):
     start_mm
         Initial position [mm].
     axis
-        The tool's axis from tip to shank, shape (3,).
+        Axis of the tool from tip to shank, shape (3,).
     low_mm, high_mm
-        Corners of the box [mm].
+        Corners of the box that the position may not leave [mm].
 
     Attributes
     ----------
     target_mm
-        Wanted position of the tool [mm], shape (3,).
+        Requested position of the tool [mm], shape (3,).
     ended
-        True if the key to end was pressed.
+        True if the user pressed the key that ends the run.
     """
 
     def __init__(
@@ -484,8 +488,8 @@ class Pointer(Target):
         interactor.AddObserver("MouseMoveEvent", self._moved)
         interactor.AddObserver("LeaveEvent", self._left)
         interactor.AddObserver("KeyPressEvent", self._pressed)
-        # An event that the style is asked for by name is not its own any more: neither zoom nor
-        # shortcuts remain.
+        # If an observer is added for an event of the style, the style no longer handles the event.
+        # Zoom and shortcuts are thus switched off.
         style.AddObserver("MouseWheelForwardEvent", lambda *_: self.along(-NOTCH_MM))
         style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
         style.AddObserver("CharEvent", lambda *_: None)

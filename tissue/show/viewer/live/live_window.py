@@ -22,7 +22,7 @@ MARGINS = (0.08, 0.86, 0.1, 0.84)
 
 
 class LiveWindow:
-    """A scene while it runs: tissue, tool, force and words, and the pointer that moves the tool.
+    """Window of a live run: tissue, tool, force and readings, and the pointer that moves the tool.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ class LiveWindow:
     Attributes
     ----------
     shown, pointer
-        Its parts.
+        Scene in the window, and requested position of the tool.
     plotter
-        PyVista's plotter.
+        Plotter of PyVista.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -50,7 +50,7 @@ class LiveWindow:
         self._clock = add_text(self.plotter, "", (0.012, 0.895))
 
     def open(self) -> None:
-        """Open the window and take the mouse."""
+        """Open the window, and connect the mouse."""
         self.plotter.show(interactive_update=True, auto_close=False)
         self.plotter.iren.clear_key_event_callbacks()
         self.pointer = Pointer(self.plotter, **self.shown.target_options)
@@ -63,7 +63,7 @@ class LiveWindow:
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:
-        """Process the pending events, send the pointer, and draw all changes."""
+        """Process pending events, send the pointer position, and draw all changes."""
         self.plotter.iren.interactor.ProcessEvents()
         if self.pointer.ended:
             self._close()
@@ -80,7 +80,7 @@ class LiveWindow:
         self.arrays["frames"][0] += 1
 
     def run(self) -> None:
-        """Run frame after frame until it is over."""
+        """Run frame after frame until the window is over."""
         while not self.over:
             began = perf_counter()
             self.frame()
@@ -89,7 +89,7 @@ class LiveWindow:
         self.plotter.close()
 
     def _write(self, read: Readings) -> None:
-        """Write force, removed volume and lateness."""
+        """Show force, removed volume and lateness as text."""
         numbers = read.numbers
         size = float(np.linalg.norm(read.force_N))
         words = [f"{numbers['time_s']:.2f} s: force {size:.2f} N ({in_words(read.force_N)})"]
@@ -111,9 +111,9 @@ class LiveWindow:
 
 
 def _main(folder: str) -> None:
-    """Open the window, report it on the standard output, and run it until the end.
+    """Open the window, report this on standard output, and run the window until the end.
 
-    The ticks or the user end it.
+    The ticks or the user end the window.
     """
     standard_output = own_process(beside_ticks=True)
     window = LiveWindow(Path(folder))

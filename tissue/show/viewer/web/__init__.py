@@ -1,3 +1,3 @@
-"""Live and finished runs in a browser: pictures drawn here, sent to one page on this machine
-alone.
+"""Live and finished runs in a browser: this machine draws pictures for one page on the same
+machine.
 """

@@ -18,10 +18,12 @@ from tissue.simulation.live.window import LOADS
 __all__ = ["LivePage"]
 
 SIZE = (960, 720)
-"""Size until the page reports its own size [pixel]."""
+"""Size of the picture until the page reports its own size [pixels]."""
 MARGINS = (0.05, 0.95, 0.06, 0.94)
 ABOVE = 0.3
-"""Visible height above the tool's tip, in sizes of the scene. It exceeds the longest arrow."""
+"""Visible height above the tip of the tool, relative to the size of the scene; larger than the
+longest arrow.
+"""
 KEYS = {
     "ArrowLeft": "Left",
     "ArrowRight": "Right",
@@ -32,24 +34,24 @@ KEYS = {
     "s": "s",
     "w": "w",
 }
-"""A browser's names of keys, and VTK's."""
+"""Names of keys in VTK, keyed by the names in a browser."""
 
 
 class LivePage:
-    """Active run, whose tool is moved by the mouse of the page.
+    """Live run, whose tool the mouse of the page moves.
 
-    The ticks wait while no page is open or while they are paused. The tool does not move during
-    this time.
+    The ticks wait while no page is open or the run is paused. The tool does not move during this
+    time.
 
     Parameters
     ----------
     folder
-        Folder filled by `tissue.simulation.live.window.PageProcess`.
+        Folder that `tissue.simulation.live.window.PageProcess` has filled.
 
     Attributes
     ----------
     shown, stage, target
-        Parts of the page.
+        Scene, off-screen view, and requested position of the tool.
     """
 
     kind = "live"
@@ -76,11 +78,11 @@ class LivePage:
 
     @property
     def over(self) -> bool:
-        """State of the end, which the ticks set."""
+        """True if the ticks have ended."""
         return bool(self.arrays["ended"][0])
 
     def hello(self) -> dict[str, Any]:
-        """Return the scene's name and the legend."""
+        """Return the name of the scene and the legend."""
         self._last = None
         self.stage.changed = True
         from matplotlib.colors import to_hex
@@ -92,7 +94,7 @@ class LivePage:
         return {"scene": self.shown.scene.name, "legend": legend, "cut": cut}
 
     def attend(self, attended: bool) -> None:
-        """Continue the ticks if a page is open, otherwise let them wait."""
+        """Continue the ticks if a page is open; otherwise let the ticks wait."""
         self._attended = attended
         self._hold()
 
@@ -101,7 +103,7 @@ class LivePage:
         self.arrays["closed"][0] = 1
 
     def take(self, do: str, values: Values) -> None:
-        """Move the tool, turn the view, pause, begin again or end."""
+        """Apply a message of the page: move the tool, rotate the view, pause, reset or end."""
         if self.stage.take(do, values):
             pass
         elif do == "pause":
@@ -122,7 +124,7 @@ class LivePage:
             self._move(do, values)
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Send the wanted position of the tool, and show all changes."""
+        """Send the requested position of the tool, and show all changes."""
         self.arrays["frames"][0] += 1
         if int(self.arrays["runs"][0]) != self._run:
             self._begin_again()
@@ -143,11 +145,11 @@ class LivePage:
 
     @property
     def _resetting(self) -> bool:
-        """True if a requested reset has not happened yet."""
+        """True if a reset was requested but has not happened yet."""
         return self._resets != self._run
 
     def _move(self, do: str, values: Values) -> None:
-        """Move the tool as `tissue.show.viewer.live.live_scene.Pointer` does."""
+        """Move the tool like `tissue.show.viewer.live.live_scene.Pointer`."""
         if do == "move":
             tall_mm = self.stage.tall_px * self.target.mm_per_pixel
             self.target.across(tall_mm * float(values["right"]), tall_mm * float(values["up"]))
@@ -180,7 +182,7 @@ class LivePage:
         return np.round(rows, 4).tolist()
 
     def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:
-        """Return the data that the page writes and plots, or None if nothing is new."""
+        """Return the data that the page shows and plots, or None if there are no new data."""
         state = "running"
         if self._resetting:
             state = "resetting"

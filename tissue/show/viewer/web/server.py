@@ -1,4 +1,4 @@
-"""Server of a page on the local machine: access control, pictures and figures over a WebSocket."""
+"""Server of a page on this machine: access control, and pictures and figures over a WebSocket."""
 
 import asyncio
 import json
@@ -17,13 +17,17 @@ if TYPE_CHECKING:
 __all__ = ["Values", "serve"]
 
 LARGEST = 1024
-"""Longest message [byte]: the longest known one, a field's name, has some hundred bytes."""
+"""Largest size of a message [bytes]; the longest expected message, the name of a field, has some
+hundred bytes.
+"""
 MOST_PER_S = 400.0
 AT_ONCE = 200.0
-"""Messages that are read in a second, and at once after a pause: a page sends one for each move of
-the mouse and each picture, some 150 a second."""
+"""Largest number of messages that are read per second, and at once after a pause.
+
+A page sends a message for each motion of the mouse and for each picture, some 150 per second.
+"""
 LONGEST_REASON = 123
-"""Longest reason of a closed WebSocket, by RFC 6455 [byte]."""
+"""Longest reason for closing a WebSocket, according to RFC 6455 [bytes]."""
 Values = dict[str, float | bool | str]
 NUMBERS = {
     "size": {"wide": (64.0, 8192.0), "tall": (64.0, 8192.0)},
@@ -33,25 +37,27 @@ NUMBERS = {
     "depth": {"notches": (-20.0, 20.0)},
     "time": {"time_s": (-1e6, 1e6)},
 }
-"""Entries that are numbers, with their ranges."""
+"""Ranges of the numbers in messages, keyed by message and entry."""
 WORDS = ("key", "field", "layer")
 SWITCHES = ("pause", "play", "cut")
-"""Messages with one entry, ``name``, a word, or ``on``, true or false."""
+"""Messages with one entry: ``name``, which is a text; and messages with ``on``, which is true or
+false.
+"""
 ALONE = ("reset", "end", "seen")
-"""Messages without any."""
+"""Messages without entries."""
 
 
 class MessageError(ValueError):
-    """A message that no page of ours sends."""
+    """Error for a message that a page of this program never sends."""
 
 
 def parse(text: str) -> tuple[str, Values]:
-    """Read a message: its command and the entries.
+    """Read a message; return the command and the entries.
 
     Raises
     ------
     MessageError
-        If it is no such message.
+        If the message is invalid.
     """
     try:
         found = json.loads(text)
@@ -75,7 +81,9 @@ def parse(text: str) -> tuple[str, Values]:
 
 
 class Pace:
-    """Limit of the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
+    """Limit of the rate at which messages are read.
+
+    The limits are `MOST_PER_S` per second, and `AT_ONCE` after a pause.
 
     Further messages of a page wait in the buffers of the browser.
     """
@@ -85,7 +93,9 @@ class Pace:
         self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
-        """Count a message that came at a time [s]; return the wait before the next one [s]."""
+        """Count a message that came at a time [s]; return the time to wait before the next message
+        [s].
+        """
         self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
         self._time_s = time_s
         return max(-self._left, 0.0) / MOST_PER_S
@@ -94,33 +104,35 @@ class Pace:
 PAGE = Path(__file__).parent / "page"
 FRAME_S = 1.0 / 30.0
 REST_S = 0.004
-"""Time between two frames, and minimum time per frame for the page's messages [s].
+"""Time between two frames, and shortest time per frame for the messages of the page [s].
 
-Drawing blocks the reading of messages; without the rest, the mouse would lag behind.
+Messages cannot be read while a picture is drawn. Without this time, the picture would lag behind
+the mouse.
 """
 LEFT_S = 8.0
-"""Time that a page may be closed before its session ends [s], enough to load it again."""
+"""Time for which a page may be closed before its session ends [s], long enough for a reload."""
 SENDS_S = 5.0
-"""Time that a page may accept no figures or picture before its connection is ended [s].
+"""Time for which a page may accept no data before its connection is closed [s].
 
-The loop waits for the page, so that a page that hangs would stop the session.
+The limit is needed because the loop waits for the page, so a page that does not respond would stop
+the session.
 """
 CLOSES_S = 2.0
 """Time limit for closing a page from the server [s]."""
 REPLACED = 4001
-"""Code with which a page is closed that another one takes the place of.
+"""Code with which a page is closed when another page replaces it.
 
-RFC 6455 leaves codes from 4000 on to applications.
+In RFC 6455, codes from 4000 on are free for applications.
 """
 POLICY = (
     "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; "
     "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""Resources that the page may load: its own content and its socket."""
+"""Security policy: the page may load only its own content and its socket."""
 
 
 class Session(Protocol):
-    """Content of a page, and its response to messages."""
+    """Content of a page, and responses to its messages."""
 
     kind: str
     """Kind of the page: ``live`` or ``view``."""
@@ -131,7 +143,7 @@ class Session(Protocol):
         ...
 
     def hello(self) -> dict[str, Any]:
-        """Return the data that a page needs when it opens."""
+        """Return the data that a page needs when it is opened."""
         ...
 
     def take(self, do: str, values: Values) -> None:
@@ -139,32 +151,32 @@ class Session(Protocol):
         ...
 
     def attend(self, attended: bool) -> None:
-        """Take note that a page was opened or closed."""
+        """Handle that a page was opened or closed."""
         ...
 
     def leave(self) -> None:
-        """End because no page came back."""
+        """End the session because no page was opened again."""
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Advance by one frame; return new figures and a new picture if one can be drawn."""
+        """Advance by one frame; return new figures, and a new picture if `drawing` is set."""
         ...
 
 
 class PageServer:
-    """Server of a session for one page.
+    """Server of a session with one page.
 
     Parameters
     ----------
     session
         Session to serve.
     token
-        Token that the address must hold. Default: a new random token.
+        Token that the address must contain. Default: a new random token.
 
     Attributes
     ----------
     address
-        Address of the page, once `start` has been awaited.
+        Address of the page; available after `start` was awaited.
     """
 
     def __init__(self, session: Session, *, token: str | None = None) -> None:
@@ -179,7 +191,7 @@ class PageServer:
         self._opened = False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
-        """Serve until the session is over, and call ``opened`` with the address."""
+        """Call ``opened`` with the address, and serve until the session is over."""
         app = web.Application(middlewares=[self._gate])
         app.router.add_get("/", self._page)
         app.router.add_get(SOCKET, self._connect)
@@ -200,7 +212,7 @@ class PageServer:
             await runner.cleanup()
 
     async def _run(self) -> None:
-        """Run frame after frame until it is over."""
+        """Run frame after frame until the session is over."""
         loop = asyncio.get_running_loop()
         session = self._session
         while not session.over:
@@ -225,7 +237,7 @@ class PageServer:
 
     @web.middleware
     async def _gate(self, request: web.Request, handler: "Handler") -> web.StreamResponse:
-        """Answer 403 to refused requests."""
+        """Respond to refused requests with status 403."""
         why = refusal(request, self._port, self._token)
         if why is not None:
             return web.Response(status=403, text=f"refused: {why}\n", headers=HEADERS)
@@ -244,8 +256,8 @@ class PageServer:
         )
 
     async def _connect(self, request: web.Request) -> web.WebSocketResponse:
-        # No heartbeat: on one machine the system reports a page that is gone, and a picture may
-        # take seconds to draw.
+        # There is no heartbeat. On one machine the system reports that a page is gone, and a
+        # picture may take seconds to draw.
         socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
         before = self._socket
@@ -271,7 +283,7 @@ class PageServer:
                     session.take(do, values)
                 await asyncio.sleep(pace.wait_s(loop.time()))
                 if request.transport is None or request.transport.is_closing():
-                    break  # the page is gone, and what it has sent before counts no more
+                    break  # the page is gone, and its earlier messages are ignored
         except MessageError as error:
             await _close(socket, request.transport, WSCloseCode.POLICY_VIOLATION, str(error))
         finally:
@@ -285,9 +297,9 @@ class PageServer:
 async def _close(
     socket: web.WebSocketResponse, line: asyncio.Transport | None, code: int, reason: str
 ) -> None:
-    """Close a page's socket with a code and a reason.
+    """Close the socket of a page with a code and a reason.
 
-    The connection is cut if the page does not read any more.
+    The connection is cut if the page no longer reads.
     """
     try:
         async with asyncio.timeout(CLOSES_S):
@@ -304,9 +316,9 @@ def _cut(line: asyncio.Transport | None) -> None:
 
 
 def page_text(kind: str, nonce: str) -> str:
-    """Return a page as one text.
+    """Return the HTML text of a page.
 
-    The page loads nothing more, so only its address holds the token.
+    The page loads no other files, so only its address contains the token.
     """
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join(
@@ -319,10 +331,10 @@ def page_text(kind: str, nonce: str) -> str:
 
 
 HOST = "127.0.0.1"
-"""Served address, which no other machine can reach."""
+"""Address of the server, which other machines cannot reach."""
 SOCKET = "/socket"
 TOKEN_BYTES = 24
-"""Length of the random token: 192 bits cannot be guessed."""
+"""Length of the random token [bytes]; 192 bits cannot be guessed."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -330,18 +342,19 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""Headers of every response.
+"""Headers of each response.
 
-They forbid storage, embedding by other sites, and sending on the token in the address.
+The headers forbid that the response is stored, that other sites embed the page, and that the token
+in the address is passed on.
 """
 
 
 def refusal(request: web.BaseRequest, port: int, token: str) -> str | None:
-    """Return why a request is refused, or None.
+    """Return the reason why a request is refused, or None.
 
-    A request from another site by a name that points here (DNS rebinding) is detected by its Host.
-    A request from another site that opens the socket is detected by its Origin, which browsers
-    always send in this case.
+    If another site uses a host name that points to this machine (DNS rebinding), the Host header of
+    the request shows this. If another site opens the socket, the Origin header shows this; browsers
+    always send it in this case.
     """
     home = f"{HOST}:{port}"
     origin = request.headers.get("Origin")
@@ -355,16 +368,16 @@ def refusal(request: web.BaseRequest, port: int, token: str) -> str | None:
 
 
 def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
-    """Create a session and serve it until it is over.
+    """Create a session and serve it until the session is over.
 
-    The address is printed after the word ready.
+    The address is printed on standard output after the word ``ready``.
 
     Parameters
     ----------
     make
         Function that creates the session.
     beside_ticks
-        If true, ticks run in parallel and have priority.
+        If true, ticks run at the same time and have priority.
     """
     standard_output = own_process(beside_ticks=beside_ticks)
     import pyvista

@@ -1,4 +1,4 @@
-"""Off-screen view for a page: rotated by the page, sent as JPEG, with the colour scale as data."""
+"""Off-screen view for a page, which rotates it; pictures are JPEG, and the colour scale is data."""
 
 from collections.abc import Callable
 from io import BytesIO
@@ -14,20 +14,20 @@ from tissue.show.viewer.web.server import Values
 __all__ = ["Stage", "taken_scale"]
 
 MOST_PX = 1_000_000
-"""Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
+"""Largest picture [pixels]; for larger pictures, OpenGL in software takes longer than a frame."""
 QUALITY = 88
-"""Quality of a picture as JPEG, 0 to 100: text and edges stay legible at this value."""
+"""JPEG quality, 0 to 100; text and edges stay legible at this value."""
 STILL_S = 0.25
 """Time without changes after which smooth edges are drawn [s].
 
-Smooth edges take OpenGL in software four times as long.
+With smooth edges, OpenGL in software takes four times as long.
 """
 TURN_DEG = 180.0
-"""Turn of the view by a drag over the height of the picture."""
+"""Rotation of the view by a drag over the height of the picture [degrees]."""
 
 
 class Stage:
-    """Plotter whose view is turned and drawn for a page.
+    """Plotter whose view a page rotates, and which draws pictures for the page.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Stage:
         PyVista's plotter, off screen.
     aim
         Function that points the camera. It is called when the size changes, until the user has
-        turned the view.
+        rotated the view.
 
     Attributes
     ----------
@@ -54,11 +54,11 @@ class Stage:
 
     @property
     def tall_px(self) -> int:
-        """Height of a picture [pixel]."""
+        """Height of a picture [pixels]."""
         return int(self._plotter.window_size[1])
 
     def take(self, do: str, values: Values) -> bool:
-        """Change size or view on request of a page, and return whether it was such a request."""
+        """Change size or view if a message requests this; return whether it does."""
         changes: dict[str, Callable[..., None]] = {
             "size": self.resize,
             "turn": self.turn,
@@ -70,7 +70,7 @@ class Stage:
         return change is not None
 
     def resize(self, wide: float, tall: float) -> None:
-        """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
+        """Set the size of pictures [pixels]; too large sizes are reduced with the same shape."""
         scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
         # even numbers, though odd ones are drawn as well
         size = [int(scale * wide) // 2 * 2, int(scale * tall) // 2 * 2]
@@ -81,7 +81,7 @@ class Stage:
             self.changed = True
 
     def turn(self, right: float, up: float) -> None:
-        """Turn the view by a drag, in shares of the picture's height."""
+        """Rotate the view by a drag, given relative to the height of the picture."""
         camera = self._plotter.camera
         camera.Azimuth(-TURN_DEG * right)
         camera.Elevation(-TURN_DEG * up)
@@ -89,7 +89,7 @@ class Stage:
         self._viewed()
 
     def zoom(self, by: float) -> None:
-        """Bring the camera nearer by a factor."""
+        """Zoom the view by a factor."""
         camera = self._plotter.camera
         # a parallel projection does not depend on the distance of the camera
         if camera.GetParallelProjection():
@@ -99,8 +99,10 @@ class Stage:
         self._viewed()
 
     def picture(self) -> bytes | None:
-        """Return the view as JPEG: one with smooth edges once it stays the same, and None from
-        then on.
+        """Return the view as JPEG.
+
+        When the view no longer changes, one picture with smooth edges is returned, and None
+        afterwards.
         """
         now = perf_counter()
         if self.changed:
@@ -134,11 +136,11 @@ class Stage:
 
 STOPS = 24
 MARKS = 5
-"""Colours and labels along a scale."""
+"""Number of colours and labels along a scale."""
 
 
 def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
-    """Hide a plotter's scale of colours and return its title, colours and labels.
+    """Hide the colour scale of a plotter, and return its title, colours and labels.
 
     The colours are ``#rrggbb`` from low to high. The result is None if there is no scale.
     """

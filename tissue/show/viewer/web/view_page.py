@@ -23,20 +23,23 @@ from tissue.simulation.run_folder import SavedRun
 __all__ = ["ViewPage"]
 
 SIZE = (960, 720)
-"""Size until the page reports its own size [pixel]."""
+"""Size of the picture until the page reports its own size [pixels]."""
 MARGINS = (0.05, 0.82, 0.06, 0.94)
-"""Layers and the scale of colours lie at the right."""
+"""Left, right, lower and upper end of the area for the scene, relative to the picture.
+
+Layers and colour scale are at the right.
+"""
 MOST_ROWS = 2000
-"""Rows of the trace that the page plots: two for each pixel across."""
+"""Largest number of rows of the trace that the page plots: two for each pixel."""
 DEPTH = "removed depth"
 LAYER = "layer"
-"""Colourings of the bone, among the names of fields."""
+"""Names of the colourings of the bone, which are listed together with the names of fields."""
 
 
 class ViewPage:
     """Finished or stopped run on a page.
 
-    The page shows bone or fields, tool and force at the moment that it requests.
+    The page shows bone or fields, tool and force at the time that the user chooses.
 
     Parameters
     ----------
@@ -48,7 +51,7 @@ class ViewPage:
     Attributes
     ----------
     stage, shown
-        The view and its content.
+        Off-screen view, and scene in the view.
     """
 
     kind = "view"
@@ -75,7 +78,7 @@ class ViewPage:
 
     @property
     def time_s(self) -> float:
-        """Shown moment [s]."""
+        """Shown time [s]."""
         return self._playback.time_s
 
     def hello(self) -> dict[str, Any]:
@@ -99,7 +102,9 @@ class ViewPage:
         self.over = True
 
     def take(self, do: str, values: Values) -> None:
-        """Move to a moment, play, choose the content, turn the view or end."""
+        """Apply a message of the page: go to a time, play, choose the content, rotate the view or
+        end.
+        """
         if self.stage.take(do, values):
             pass
         elif do == "time":
@@ -111,7 +116,7 @@ class ViewPage:
             self._changed()
         elif do == "layer" and values["name"] in self._legend:
             self._hide(self.hidden ^ {str(values["name"])})
-            # a hidden layer is noticed by the colours of layers, not by those of depth
+            # a hidden layer is visible in the colours of layers, not in those of depth
             self.chosen = self._choose(LAYER if self.chosen == DEPTH else self.chosen)
             self._changed()
         elif do == "end":
@@ -119,7 +124,7 @@ class ViewPage:
         self._dirty = True
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Advance the time during playback, and show the moment."""
+        """Advance the time during playback, and show it."""
         self._playback.advance()
         # the page has not taken the last picture yet
         if not drawing:
@@ -134,12 +139,12 @@ class ViewPage:
         return None, self.stage.picture()
 
     def _changed(self) -> None:
-        """Draw again. The page draws the scale of colours."""
+        """Draw the view again, without the colour scale, which the page draws."""
         self._scale = taken_scale(self._plotter)
         self.stage.changed = True
 
     def _all_choices(self) -> dict[str, str]:
-        """Return the names of all possible contents and their labels."""
+        """Return the names and labels of all fields and colourings."""
         shown = self.shown
         choices = {}
         if shown.bone is not None:
@@ -173,7 +178,7 @@ class ViewPage:
         return np.round(rows, 4).tolist()
 
     def _figures(self) -> dict[str, Any]:
-        """Return the data of the moment that the page writes."""
+        """Return the data of the shown time that the page writes."""
         figures: dict[str, Any] = {
             "time_s": self.time_s,
             "playing": self._playback.playing,
