@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
-from meshes.base.text_tables import nearest
+from meshes.base.hints import nearest
 from meshes.tets.regions import Nodes, faces_of, nodes_behind_plane, nodes_facing, nodes_of_part
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
