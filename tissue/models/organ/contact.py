@@ -45,7 +45,6 @@ __all__ = [
     "point_arrays",
 ]
 
-
 MOST_DIVISIONS = 16
 """Largest number of contact points along the edge of a triangle: 256 points on a triangle."""
 
@@ -416,7 +415,7 @@ class SurfaceContact:
     def state(self) -> State:
         """Copy the state that later solves depend on.
 
-        Rows of the compliance are not part of it, because they are gathered again.
+        The compliance is not part of it.
         """
         return {
             "arrays": {name: array.numpy().copy() for name, array in self._arrays().items()},
@@ -462,24 +461,25 @@ class SurfaceContact:
     def change_compliance(self, compliance_m_N: Array) -> None:
         """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
 
-        With the new compliance the present forces displace the nodes by a different amount. This
-        difference is added to the positions without contact, so that friction finds the nodes
-        unmoved. Shift the positions by the difference in the next solve too.
+        The present forces then displace the nodes by a different amount. The difference is added to
+        the positions without contact, so that friction finds the nodes unmoved. Shift the positions
+        by the difference in the next solve too.
         """
         before = self.result.displacement_m()
+        self.use_compliance(compliance_m_N)
+        less = before - self.result.displacement_m()
+        self._body.last_free.assign(self._body.last_free.numpy() + less)
+
+    def use_compliance(self, compliance_m_N: Array) -> None:
+        """Write a compliance [m/N], shape (3s, 3s), and leave the positions without contact."""
         self.result.compliance_m_N[:] = compliance_m_N
         if not self._on_host:
             self._body.compliance.assign(compliance_m_N)
-        less = before - self.result.displacement_m()
-        self._body.last_free.assign(self._body.last_free.numpy() + less)
         self._points.ready.zero_()
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacement of the nodes without contact in the next solve [m], shape (s, 3).
-
-        It is the creep of the tissue.
-        """
+        """Set the displacement of nodes without contact in the next solve, by creep [m], (s, 3)."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must reach as far as the nodes are shifted.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
