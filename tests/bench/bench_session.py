@@ -36,6 +36,7 @@ PATHS = {
     "needle": ([[0, 0, 5], [0, 0, -45]], 20.0),
     "incision": ([[-20, 0, 4], [-20, 0, -5], [10, 0, -5]], 20.0),
     "palpation": ([[-45, 0, 2], [-45, 0, -3], [20, 0, -3]], 25.0),
+    "liver-press": ([[0, 0, 3], [0, 0, -6], [5, 0, -6]], 15.0),
     "wall": ([[0, 0, 1], [0, 0, -1]], 5.0),
 }
 """Corners of a path [mm] and the speed along it [mm/s]."""
@@ -68,7 +69,7 @@ def timed(call, count):
 def loops():
     """Print times of ticks and snapshots."""
     print(
-        "scene       tick / us: median 99 % max     snapshot / ms       restore / ms    size / kB"
+        "scene        tick / us: median 99 % max     snapshot / ms       restore / ms    size / kB"
     )
     for name, path in PATHS.items():
         loop = tissue.Loop(name)
@@ -83,7 +84,7 @@ def loops():
         restored = timed(lambda loop=loop, kept=snapshot: loop.restore(kept), 50)
         size = len(pickle.dumps(snapshot)) / 1e3
         print(
-            f"{name:10} {spread(ticks)} {spread(copied, 1e3)} {spread(restored, 1e3)} {size:9.0f}"
+            f"{name:11} {spread(ticks)} {spread(copied, 1e3)} {spread(restored, 1e3)} {size:9.0f}"
         )
 
 

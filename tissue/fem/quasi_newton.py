@@ -13,7 +13,7 @@ indefinite and there is no equilibrium nearby.
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -169,6 +169,21 @@ class _State:
     internal_N: Array
 
 
+@dataclass(eq=False)
+class _Tangent:
+    """Factor of the stiffness at a displacement [m], made definite or not.
+
+    A pickled tangent has no factor. The factor is computed again at the first use.
+    """
+
+    displacement_m: Array
+    is_definite: bool
+    factor: DirectSolver | None
+
+    def __reduce__(self) -> tuple[type["_Tangent"], tuple[Array, bool, None]]:
+        return _Tangent, (self.displacement_m, self.is_definite, None)
+
+
 class QuasiNewton:
     """Solver that follows the equilibrium of a body under a changing load.
 
@@ -193,6 +208,9 @@ class QuasiNewton:
         Number of tangents so far that were not positive definite.
     """
 
+    RECORD = ("_largest_N", "indefinite")
+    """Attributes that `restart` keeps."""
+
     def __init__(
         self,
         body: Body,
@@ -205,6 +223,7 @@ class QuasiNewton:
         self.at_rest = at_rest
         self._factorise = factorise
         self.factor = at_rest
+        self._tangent: _Tangent | None = None
         self._displacement = np.zeros(fixed.shape)
         self._energy, self._internal = body.energy_and_force(self._displacement)
         self._largest_N = 0.0
@@ -270,6 +289,29 @@ class QuasiNewton:
             energy, internal = self._body.energy_and_force(displacement_m)
         self._return_to(_State(displacement_m, energy, internal))
         self._take_factor(self.at_rest)
+        self._tangent = None
+
+    def state(self) -> dict[str, Any]:
+        """Return the state that later solves depend on, without the attributes in `RECORD`.
+
+        Nothing is copied, because a solve replaces these arrays and does not write to them.
+        """
+        return {"last": self._state(), "memory": list(self._memory), "tangent": self._tangent}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Return to an earlier state, of this solver or of an equal one."""
+        tangent: _Tangent | None = state["tangent"]
+        factor = self.at_rest
+        if tangent is not None:
+            if tangent.factor is None:
+                at_m = tangent.displacement_m
+                stiffness = self._body.stiffness(at_m, definite=tangent.is_definite)
+                tangent.factor = self._factorise(stiffness)
+            factor = tangent.factor
+        self._return_to(state["last"])
+        self._take_factor(factor)
+        self._tangent = tangent
+        self._memory.extend(state["memory"])
 
     @property
     def displacement_m(self) -> Array:
@@ -347,12 +389,16 @@ class QuasiNewton:
         A tangent that is not positive definite is replaced by one with positive eigenvalues at
         each quadrature point.
         """
+        at_m = self._displacement
+        is_definite = False
         try:
-            factor = self._factorise(self._body.stiffness(self._displacement))
+            factor = self._factorise(self._body.stiffness(at_m))
         except NotPositiveDefiniteError:
             self.indefinite += 1
-            factor = self._factorise(self._body.stiffness(self._displacement, definite=True))
+            is_definite = True
+            factor = self._factorise(self._body.stiffness(at_m, definite=True))
         self._take_factor(factor)
+        self._tangent = _Tangent(at_m, is_definite, factor)
 
     def _take_factor(self, factor: DirectSolver) -> None:
         """Replace the factor and discard the curvature pairs of the last steps."""

@@ -392,7 +392,7 @@ class Loop:
         Raises
         ------
         InputError
-            If a device moves the tool, or the tissue has a hyperelastic law.
+            If a device moves the tool, or a tissue of your own has no copy of its state.
         """
         return self._posed("snapshot").snapshot()
 

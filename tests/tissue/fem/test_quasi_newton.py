@@ -3,6 +3,8 @@
 They are compared with uniaxial closed forms and with balanced forces.
 """
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -166,6 +168,36 @@ def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
         )
     assert forces_N[-1] < max(forces_N), "the last stretches lie on the falling branch"
     assert follower.indefinite >= 7
+
+
+@pytest.mark.parametrize("along", [1.5, 2.1])
+def test_a_restored_solver_continues_bit_for_bit(along):
+    """From a tangent that is positive definite and one that was made so, with curvature pairs."""
+    space, _, follower, _ = softening_bar()
+    force_N, stretches = softening_N(along)
+    moved_m = space.nodes_m * (stretches - 1.0)
+    face = np.flatnonzero(np.isclose(space.nodes_m[:, 0], SIDE_M))
+    springs = Springs.holding(
+        face, 2e-3 * np.eye(3 * len(face)), moved_m[face], unknowns=moved_m.size
+    )
+
+    def follow(share):
+        load_N = pulled(space, share * force_N)
+        return follower.follow(load_N, tolerance=1e-4, step_limit=40, springs=springs)
+
+    follower.restart(moved_m)
+    follower.take_stiffness()
+    assert follower.indefinite == (along > 2.0)
+    follow(0.98)
+    state = follower.state()
+    assert state["memory"]
+    solved = []
+    for kept in (state, state, pickle.loads(pickle.dumps(state))):
+        follower.restore(kept)
+        solved.append(follow(0.95))
+    for found in solved[1:]:
+        np.testing.assert_array_equal(found.displacement_m, solved[0].displacement_m)
+        assert found.steps == solved[0].steps > 0
 
 
 def test_springs_have_the_compliance_they_are_given():

@@ -119,6 +119,28 @@ def test_moving_bone_and_path_changes_nothing(block):
     assert np.abs(moved.force_N - still.force_N).max() < 2e-3 * np.abs(still.force_N).max()
 
 
+def test_a_surface_1_km_away_gives_equal_forces(tmp_path):
+    """The shift is a whole number of voxels, so that only rounding remains.
+
+    An OBJ file of trimesh has 1e-8 mm in its last digit.
+    """
+    shift = np.array([1e6, 1e6, -1e6])
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=6.0)
+    cuts = []
+    for moved_mm in (0.0 * shift, shift):
+        file = tmp_path / "ball.obj"
+        ball.copy().apply_translation(moved_mm).export(file)
+        bone = tissue.Bone.from_file(file, spacing_mm=0.25, scale_mm=1.0)
+        cuts.append(slot(bone, np.array([[-1, 0, 6.2], [-1, 0, 5], [0.5, 0.4, 5]]) + moved_mm))
+    here, far = cuts
+    size = np.abs(here.force_N).max()
+    assert size > 10.0
+    # 1e-6: 9e-9 was measured with voxels of 0.125 mm.
+    np.testing.assert_allclose(far.force_N, here.force_N, rtol=0.0, atol=1e-6 * size)
+    # A voxel holds its filled share in steps of 1/255.
+    assert far.removed_mm3[-1] == pytest.approx(here.removed_mm3[-1], abs=3.0 * 0.25**3 / 255)
+
+
 def test_turning_bone_and_path_turns_the_force(block, tmp_path):
     """By a right angle, where the voxels stay the same, and by an odd one, where they do not."""
     _, cut = block

@@ -12,11 +12,13 @@ COARSE = {
     "milling": {"voxels.spacing_mm": 0.3},
     "molar": {"voxels.spacing_mm": 0.1, "stress.cell_mm": 0.4},
     "palpation": {"anatomy.edge_mm": 8.0, "anatomy.touch_edge_mm": 8.0},
+    "liver-press": {"anatomy.edge_mm": 20.0, "anatomy.touch_edge_mm": 10.0, "organ.order": 1},
 }
 PATHS = {
     "milling": [[-3, 0, 1.5], [-3, 0, -1], [0, 0, -1.2]],
     "needle": [[0, 0, 5], [0, 0, -45], [0, 0, 5]],
     "palpation": [[-30, 0, 2], [-30, 0, -3], [-20, 0, -3]],
+    "liver-press": [[0, 0, 3], [0, 0, -6], [15, 0, -6]],
     "molar": [[0, 0, 0.6], [0, 0, -0.8], [0.2, 0, -0.8]],
     "incision": [[0, 0, 1], [0, 0, -8], [10, 0, -8]],
 }
@@ -215,15 +217,35 @@ def test_an_organ_is_pressed_and_reset():
     np.testing.assert_array_equal(moved(loop, down), first)
 
 
-def test_an_organ_with_a_law_is_pressed_but_has_no_snapshots():
+def pressed(**options):
+    """Loop of a coarse block under a ball."""
     organ = tissue.Organ.block(
-        (40, 40, 20), edge_mm=10, modulus_kPa=10.0, poisson_ratio=0.45, law="neo-hookean"
+        (40, 40, 20), edge_mm=10, modulus_kPa=10.0, poisson_ratio=0.45, **options
     )
-    loop = tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=3)
-    assert moved(loop, along([[0, 0, 1], [0, 0, -2]], 50))[-1, 2] > 0.05
-    for call in (loop.snapshot, loop.reset):
-        with pytest.raises(ValueError, match="linear"):
-            call()
+    return tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=3)
+
+
+def test_an_organ_with_a_law_that_relaxes_is_restored():
+    loop = pressed(law="neo-hookean", relaxation=[(0.4, 0.05)])
+    tips = along([[0, 0, 1], [0, 0, -5], [2, 0, -4]], 100)
+    before = moved(loop, tips[:90])
+    windows = loop._loop.parts.tissue._law.windows
+    assert windows.now.follower.factor is not windows.now.follower.at_rest
+    snapshot = loop.snapshot()
+    after = moved(loop, tips[90:])
+    assert after[-1, 2] > 0.05
+    for kept in (snapshot, pickle.loads(pickle.dumps(snapshot))):
+        loop.restore(kept)
+        np.testing.assert_array_equal(moved(loop, tips[90:]), after)
+    loop.reset()
+    assert windows.now.follower.factor is windows.now.follower.at_rest
+    np.testing.assert_array_equal(moved(loop, tips), np.concatenate([before, after]))
+
+
+@pytest.mark.parametrize("other", [{}, {"law": "neo-hookean", "relaxation": [(0.4, 0.05)]}])
+def test_a_snapshot_of_another_law_is_refused(other):
+    with pytest.raises(ValueError, match="equal arguments"):
+        pressed(law="neo-hookean").restore(pressed(**other).snapshot())
 
 
 @pytest.mark.parametrize(

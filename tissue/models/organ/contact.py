@@ -45,7 +45,6 @@ __all__ = [
     "point_arrays",
 ]
 
-
 MOST_DIVISIONS = 16
 """Largest number of contact points along a triangle's edge: a triangle then has 256 points."""
 
@@ -416,7 +415,7 @@ class SurfaceContact:
     def state(self) -> State:
         """Copy the state that later solves depend on.
 
-        The gathered rows of the compliance are not copied, because they are gathered again.
+        The compliance is not part of the state.
         """
         return {
             "arrays": {name: array.numpy().copy() for name, array in self._arrays().items()},
@@ -463,23 +462,24 @@ class SurfaceContact:
         """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
 
         With the new compliance the present forces displace the nodes by a different amount. This
-        difference is added to the positions without contact. For the friction the nodes have then
-        not moved. Include this difference in the next call of `shift`.
+        difference is added to the positions without contact, so that the nodes do not move for the
+        friction. Include this difference in the next call of `shift`.
         """
         before = self.result.displacement_m()
+        self.use_compliance(compliance_m_N)
+        less = before - self.result.displacement_m()
+        self._body.last_free.assign(self._body.last_free.numpy() + less)
+
+    def use_compliance(self, compliance_m_N: Array) -> None:
+        """Write a compliance [m/N], shape (3s, 3s), and leave the positions without contact."""
         self.result.compliance_m_N[:] = compliance_m_N
         if not self._on_host:
             self._body.compliance.assign(compliance_m_N)
-        less = before - self.result.displacement_m()
-        self._body.last_free.assign(self._body.last_free.numpy() + less)
         self._points.ready.zero_()
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacement of the nodes without contact in the next solve [m], shape (s, 3).
-
-        This displacement is the creep of the tissue.
-        """
+        """Set the displacement of nodes without contact in the next solve, by creep [m], (s, 3)."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())

@@ -38,7 +38,9 @@ from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.law_window import LawWindow, LawWindows
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import SLOW
+from tissue.system.blas_threads import one_blas_thread
 
 __all__ = ["LawOffset", "TickState"]
 
@@ -72,6 +74,20 @@ FARTHEST = 2.0
 Without extrapolation, the largest force error while the tool moves in a deep press is 2.4 % instead
 of 1.5 %. Values above 2 change nothing.
 """
+
+
+STATE = (
+    "latest_m",
+    "_now",
+    "_shown",
+    "_apart",
+    "_changed_s",
+    "_next_s",
+    "solves",
+    "unsettled",
+    "_late",
+)
+"""Attributes that later ticks and their notices depend on, between two solves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,8 +307,13 @@ class LawOffset:
     def solve(self, depth_m: float, contact: TickState) -> TickState:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
-        If the organ does not relax, the crept forces are the contact forces.
+        If the organ does not relax, the crept forces are the contact forces. Linear algebra uses
+        one thread, so that another number of threads gives equal forces.
         """
+        with one_blas_thread():
+            return self._solve(depth_m, contact)
+
+    def _solve(self, depth_m: float, contact: TickState) -> TickState:
         crept_N = contact.crept_N
         started = perf_counter()
         indefinite = self.windows.indefinite
@@ -377,14 +398,37 @@ class LawOffset:
 
     def _change_compliance(self, contact: TickState) -> None:
         """Replace the contact's compliance by that of the last factorised stiffness."""
+        self._factor = self.windows.now.follower.factor
+        contact.change_compliance(self._compliance(contact.compliance_m_N))
+
+    def _compliance(self, present_m_N: Array) -> Array:
+        """Return the compliance [m/N] of the factor in use, from the compliance so far."""
         if self._at_rest is None:
-            self._at_rest = contact.compliance_m_N.copy()
+            self._at_rest = present_m_N.copy()
         window = self.windows.now
-        self._factor = window.follower.factor
-        rows = components_of(window.inside)
+        factor = window.follower.factor
         compliance = self._at_rest.copy()
-        compliance[np.ix_(rows, rows)] = self._factor.compliance_between(window.places)
-        contact.change_compliance(compliance)
+        if factor is not window.follower.at_rest:
+            rows = components_of(window.inside)
+            compliance[np.ix_(rows, rows)] = factor.compliance_between(window.places)
+        return compliance
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on, between two solves without a thread."""
+        return {"own": copied(self, STATE), "windows": self.windows.state()}
+
+    def restore(self, state: State, present_m_N: Array) -> Array | None:
+        """Return to a copied state.
+
+        Return the compliance of the contact in that state [m/N], shape (3t, 3t), or None if it is
+        the present one.
+        """
+        before = self._factor
+        put_back(self, state["own"])
+        with one_blas_thread():
+            self.windows.restore(state["windows"])
+            self._factor = self.windows.now.follower.factor
+            return None if self._factor is before else self._compliance(present_m_N)
 
     @property
     def older(self) -> float:

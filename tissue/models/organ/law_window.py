@@ -23,6 +23,7 @@ from tissue.fem.solvers.held_body import HeldBody
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
+from tissue.models.state import State, copied, put_back
 
 __all__ = ["TOUCHED", "LawWindow", "LawWindows", "whole_window", "window_centres", "window_of"]
 
@@ -177,6 +178,24 @@ class LawWindows:
         after.follower.restart(after.gathered(moved))
         self.now = after
         return True
+
+    def state(self) -> State:
+        """Copy the state that later solves depend on.
+
+        A window that is not in use restarts when a tool passes to it.
+        """
+        return {
+            "place": self._windows.index(self.now),
+            "now": self.now.follower.state(),
+            "records": [copied(each.follower, QuasiNewton.RECORD) for each in self._windows],
+        }
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        self.now = self._windows[state["place"]]
+        self.now.follower.restore(state["now"])
+        for window, record in zip(self._windows, state["records"], strict=True):
+            put_back(window.follower, record)
 
     @property
     def indefinite(self) -> int:

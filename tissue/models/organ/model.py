@@ -67,7 +67,7 @@ scanned liver (0.36-0.39 and 0.56-0.585): `python tests/bench/chart_liver.py`.
 SETTLED = 1e-3
 """Relative change of the force between two solves at which contact and law have converged."""
 STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
-"""Attributes that later ticks depend on, for a linear law."""
+"""Attributes that later ticks depend on, in addition to contact, law and creep."""
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed; see `LOOK_M`."""
 LOOK_M = 5e-3
@@ -247,30 +247,39 @@ class LiverModel:
     def state(self) -> State:
         """Copy the state that later ticks depend on.
 
-        Raises
-        ------
-        InputError
-            If the law is hyperelastic: the factors of its solver cannot be copied.
+        The factor of a hyperelastic law is shared, not copied. A pickled state does not contain it.
         """
-        if self._law is not None:
-            raise InputError(
-                "organ.law",
-                "be linear if the state of the organ is copied",
-                "hyperelastic",
-                "use linear",
-            )
         creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
         crept = self._crept_N.copy()
         return {
             "own": copied(self, STATE),
             "contact": self.contact.state(),
+            "law": None if self._law is None else self._law.state(),
             "creep": creep,
             "crept_N": crept,
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Return to a copied state.
+
+        Raises
+        ------
+        InputError
+            If the state is of an organ with another mesh, or another kind of law or relaxation.
+        """
+        creeps = len(state["creep"]) > 0
+        if (self._law is None) != (state["law"] is None) or (self._creep is None) == creeps:
+            raise InputError(
+                "snapshot",
+                "be of an organ with the same law and relaxation",
+                "another one",
+                "make both loops from equal arguments",
+            )
         self.contact.restore(state["contact"])
+        if self._law is not None:
+            compliance = self._law.restore(state["law"], self.contact.result.compliance_m_N)
+            if compliance is not None:
+                self.contact.use_compliance(compliance)
         put_back(self, state["own"])
         self._crept_N[:] = state["crept_N"]
         for each, kept in zip(self._integrals(), state["creep"], strict=True):
