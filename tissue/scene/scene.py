@@ -92,7 +92,10 @@ class Cutting(Part):
     """
 
     material: Annotated[str, OneOf(CUTTING_MATERIALS)] = "bone"
-    """Material whose coefficients bone uses. The layers of a tooth keep their own coefficients."""
+    """Material whose coefficients bone uses. The layers of a tooth keep their own material. The
+    coefficients below replace those of all layers, also of a tooth. A file of `materials` sets one
+    layer, such as dentin.
+    """
 
     tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
     """Chip force along the cutting speed, per area of the chip's section."""

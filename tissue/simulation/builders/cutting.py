@@ -115,6 +115,7 @@ def milled(
     else:
         _require_chips(scene, cutter)
         _require_effect(scene, volume)
+        notes.update(_replaced_note(scene, volume))
         notes["specific cutting energy"] = energy_note(
             tuple(volume.layer_names[at] for at in np.unique(volume.layer)),
             scene.constants,
@@ -199,6 +200,19 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
             f"{scene.motion.feed_mm_s:g}, which gives chips of {chip_mm:.3g} mm",
             "use a slower feed, or a higher tool.spin_rpm",
         )
+
+
+def _replaced_note(scene: Scene, volume: VoxelVolume) -> dict[str, str]:
+    """Return a note if keys of the scene replace coefficients of layers that differ."""
+    given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
+    layers = [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
+    if not given or len({CUT_AS.get(layer, scene.cutting.material) for layer in layers}) < 2:
+        return {}
+    keys = ", ".join(f"cutting.{key}" for key in given)
+    return {
+        "cutting": f"{keys} of the scene applies to all layers: {', '.join(layers)}. A file of "
+        f"materials sets one layer, by a table such as [cutting.{layers[0]}]"
+    }
 
 
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:

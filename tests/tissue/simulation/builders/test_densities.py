@@ -4,6 +4,7 @@ import numpy as np
 
 from tissue import load_scene
 from tissue.simulation.builders.voxels import anatomy_of
+from tissue.simulation.simulate import simulate
 
 
 def on_the_axis(scene, changes, depths_m):
@@ -29,3 +30,12 @@ def test_a_glenoid_has_a_density_in_plate_and_vault():
     # Below the plate the density falls from 450 kg/m3 over 5 mm.
     assert density[0] == 900.0 and density[1] > density[2]
     np.testing.assert_allclose(density[2], 150.0, atol=0.01)
+
+
+def test_a_coefficient_of_the_scene_that_applies_to_all_layers_of_a_tooth_is_noted():
+    coarse = {"voxels.spacing_mm": 0.25, "stress": None, "duration_s": 0.002}
+    changed = {"cutting.tangential_chip_N_mm2": 1000.0}
+    notes = simulate(load_scene("molar", coarse | changed)).parts.notes
+    assert "cutting.tangential_chip_N_mm2 of the scene applies to all layers" in notes["cutting"]
+    assert "enamel, dentin" in notes["cutting"]
+    assert "cutting" not in simulate(load_scene("molar", coarse)).parts.notes
