@@ -149,8 +149,8 @@ def molar(**sizes_mm: float) -> Anatomy:
             "in the fossa"
         ),
         "pulp": (
-            f"roof {sizes.pulp_roof_mm:g} mm below the fossa; chamber and canals of a young "
-            "adult, a prior"
+            f"roof {sizes.pulp_roof_mm:g} mm below the fossa, with horns about 1 mm higher; "
+            "chamber and canals of a young adult, a prior"
         ),
         "bone": (
             f"one density, a block {sizes.socket_mm:g} mm beyond the roots; cortical plate and "

@@ -202,6 +202,10 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     save(chart, path)
 
 
+PROJECTED_MM = 0.02
+"""Difference of a distance and its length in the section from which it counts as projected [mm]."""
+
+
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     """Draw each voxel in the colour of its layer; removed voxels are pale."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
@@ -403,6 +407,9 @@ def draw_kept_clear(
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
         side = "away" if place.least_mm >= 0.0 else "inside"
         ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
-        label = f"{place.name}; the tool at its nearest, {abs(place.least_mm):.2f} mm {side}"
+        label = f"{place.name}; smallest distance of the tool, {abs(place.least_mm):.2f} mm {side}"
+        # the nearest points may lie outside of the plane of the section
+        if abs(place.least_mm) - np.linalg.norm(ends[1] - ends[0]) > PROJECTED_MM:
+            label += " (projected)"
         handles += axes.plot(*ends.T, "o-", color=colour, markersize=3.5, label=label)
     return handles
