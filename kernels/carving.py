@@ -411,7 +411,7 @@ def distance_at(near: Nearest, offset: wp.vec3):
 
 @wp.func
 def swept_steps(distance: float):
-    """Convert a distance [voxel] to the stored distance to the swept volume."""
+    """Convert a distance to the swept volume [voxel] to the integer that is stored."""
     # 4096 steps per voxel, with 32768 for zero, up to 8 voxels. 65535 is reserved for voxels that
     # the tool has never been near.
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

@@ -41,7 +41,7 @@ class VoxelVolume:
     layer_names
         Name of each layer.
     placement
-        Placement of the frame in the frame of the bone's file; None without a file.
+        Placement of the volume's frame in the frame of the bone's file. None without a file.
     surface_distance
         Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`,
         uint8, shape (nx, ny, nz). None: it is computed from the fractions when needed.

@@ -73,7 +73,7 @@ class Line:
         )
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return the distance [m] of ``points``, shape (n, 2), and a curvature.
+        """Return the distance [m] of ``points``, shape (n, 2), from this piece, and a curvature.
 
         The curvature is the meridional curvature of the parallel curve at the points [1/m].
         """

@@ -192,10 +192,10 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the log ratio of a probability under the cut-off and under the normal prior.
+    """Compute the logarithm of the ratio of two evidences: with a one-sided and a normal prior.
 
-    The probabilities are those of a normal posterior. The integral is computed one number at a time
-    (Geweke, Hajivassiliou and Keane). For each conditional distribution, the probabilities at zero
+    The posterior is normal. The evidence with a one-sided prior is an integral over the one-sided
+    numbers. It is computed for one number at a time (Geweke, Hajivassiliou and Keane). For each conditional distribution, the probabilities at zero
     and above zero have a closed form.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Material constants of this package with their sources, cutting coefficients, and priors.
+"""Material constants of this package with their sources: cutting coefficients and priors.
 
 A cited constant is a constant with a source from the TOML files of this package.
 """

@@ -206,7 +206,7 @@ def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
 
 
 def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Return the tables of a union that have a key, in the order of the union."""
+    """Return those tables of a union that contain a given key, in the order of the union."""
     if len(names) < 2:
         return []
     outer = _model_at(names[:-2], table, model)

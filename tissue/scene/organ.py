@@ -198,7 +198,7 @@ class LayersAnatomy(Part):
                             f"({', '.join(self.membrane_depths_mm or {}) or 'none'})"
                         ),
                         name,
-                        "give its depth there",
+                        "add this membrane with its depth to anatomy.membrane_depths_mm",
                     )
         return self
 

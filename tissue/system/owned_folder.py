@@ -282,7 +282,7 @@ def listed_files(path: Path) -> Files:
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
             "out",
-            f"hold no {MARKER} of other origin or version",
+            f"be a folder without a {MARKER} from another program or version",
             f"one in {path}",
             "choose another --out",
         ) from None

@@ -75,7 +75,7 @@ def loops(along: str, values: Array) -> list[WallLoop]:
 
 
 class WallMap(Page):
-    """Critical stiffness by damping, delay and rate: measured, by eigenvalues, and by bounds."""
+    """Critical stiffness for each damping, delay and rate: measured, from eigenvalues and bounds."""
 
     name = "wall_map"
     title = "Stiffness × delay × damping × rate"

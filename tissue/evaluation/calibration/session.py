@@ -229,7 +229,7 @@ class Session:
         return notes
 
     def notes(self) -> list[str]:
-        """Return the limits of the answers as sentences; empty for an ordinary session."""
+        """Return sentences on what the answers cannot show; empty for an ordinary session."""
         found = []
         count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)

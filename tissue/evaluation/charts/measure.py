@@ -332,7 +332,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
 
 
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
-    """Run an excerpt of a scene at a setting: once at each place, or repeatedly at a single one."""
+    """Run excerpts of a scene at one setting: one at each place, or several at one place."""
     started = perf_counter()
     places = placed(scene)
     runs = []

@@ -213,7 +213,7 @@ def edge_mm(scene: Scene) -> float:
 
 
 def force_only(scene: Scene) -> dict[str, object]:
-    """Return the changes that leave out everything without influence on the force."""
+    """Return the changes to a scene that switch off everything without influence on the force."""
     if isinstance(scene.anatomy, SoftAnatomy):
         return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
     if isinstance(scene.anatomy, LayersAnatomy | IncisedAnatomy):

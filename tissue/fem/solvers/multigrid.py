@@ -122,7 +122,7 @@ class MultigridSolver:
                 name = found.outcome.name
                 remedy = found.outcome.value
                 raise InputError(
-                    "stiffness", "have columns on which multigrid converges", name, remedy
+                    "stiffness", "allow multigrid to converge", f"the outcome {name}", remedy
                 )
             answers[:, column] = found.displacement_m * self._scale
         return answers

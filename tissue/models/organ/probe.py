@@ -202,9 +202,9 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """Return one point for each cube and each direction of the surface in it, and their areas.
+    """Return one sample for each cube and each direction of the surface within it, and the areas.
 
-    `side` is the edge of a cube. The points have shape (k,).
+    `side` is the edge of a cube. The samples are indices into `centres`, shape (k,).
     """
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)

@@ -234,7 +234,7 @@ def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
 
 
 def force_met(scene: Scene) -> Met:
-    """Return the force on the scripted motion of a scene, with the constants of the scene.
+    """Return the force on the tool along the scripted motion of a scene.
 
     The force is 0 if it is not known.
     """
