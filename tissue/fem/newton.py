@@ -406,8 +406,8 @@ def resting_sphere(
             "point_m",
             "lie on the surface",
             point_m,
-            "give a surface point that the sphere reaches; here no surface node lies in the path of "
-            "the sphere",
+            "give a surface point that the sphere reaches; here no surface node lies in the path "
+            "of the sphere",
         )
     touching = float((along[inside] - np.sqrt(radius_m**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)

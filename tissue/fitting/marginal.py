@@ -195,8 +195,8 @@ def log_factor(mean: Array, covariance: Array) -> float:
     """Compute the logarithm of the ratio of two evidences: with a one-sided and a normal prior.
 
     The posterior is normal. The evidence with a one-sided prior is an integral over the one-sided
-    numbers. It is computed for one number at a time (Geweke, Hajivassiliou and Keane). For each conditional distribution, the probabilities at zero
-    and above zero have a closed form.
+    numbers. It is computed for one number at a time (Geweke, Hajivassiliou and Keane). For each
+    conditional distribution, the probabilities at zero and above zero have a closed form.
 
     Parameters
     ----------

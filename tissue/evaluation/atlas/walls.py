@@ -75,7 +75,7 @@ def loops(along: str, values: Array) -> list[WallLoop]:
 
 
 class WallMap(Page):
-    """Critical stiffness for each damping, delay and rate: measured, from eigenvalues and bounds."""
+    """Critical stiffness for damping, delay and rate: measured, from eigenvalues and bounds."""
 
     name = "wall_map"
     title = "Stiffness × delay × damping × rate"

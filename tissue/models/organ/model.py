@@ -429,7 +429,7 @@ class LiverModel:
         )
 
     def _take(self, found: TickState, time_s: float) -> None:
-        """Use the offset and the compliance of a solve in such a way that no node jumps."""
+        """Use the offset and the compliance of a solve, so that no node jumps."""
         law = self._law
         assert law is not None
         held = None

@@ -89,7 +89,8 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
     """Return a numbered line for each event up to the largest number of lines, and a last line.
 
-    The last line counts the remaining events."""
+    The last line counts the remaining events.
+    """
     lines = [
         f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)
     ]
