@@ -53,7 +53,7 @@ def assessment_lines(found: Assessment) -> list[str]:
         *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
         *([f"and {more} more breaches"] if more > 0 else []),
-        *([] if found.breaches else ["no limit was passed"]),
+        *([] if found.breaches else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
         *(f"note: {note}" for note in found.notes),
     ]

@@ -125,6 +125,7 @@ def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
             assert attempt.steadiness.tremor_mm == pytest.approx(true_mm, rel=0.5)
     written = found.save(tmp_path / "out")
     rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
+    assert rows[0].endswith(",limits_exceeded")
     assert len(rows) == 7 and rows[1].startswith("1,expert,run0,")
     assert [path.name for path in written] == ["ranking.csv", "ranking.png"]
     with pytest.raises(InputError, match="out must not hold another ranking"):
@@ -181,7 +182,7 @@ def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
     tissue.simulate(scene).save(tmp_path / "people" / "scripted")
     with pytest.raises(InputError, match="scripted has no score: the run has no device"):
         tissue.rank(tmp_path / "people", tmp_path / "people" / "scripted")
-    with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9: "):
+    with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9\. "):
         steadiness(FREE[:900], FREE[:900], DEVICE)
     with pytest.raises(InputError, match=r"run must move the device at 6\.3 mm/s or more"):
         steadiness(0.1 * shaken(1e-4), FREE, DEVICE)
