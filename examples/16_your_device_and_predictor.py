@@ -59,17 +59,22 @@ class Slope:
     def __init__(self) -> None:
         self.force_N = np.zeros(3)
         self.slope_N = np.zeros(3)
+        self.age = 0
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
         """Observe a tick. If the tissue model is slow, only some ticks have a force."""
+        self.age += 1  # ticks since the last force
         if force_N is not None:
             # mean over about 5 ticks, so that single encoder steps have little effect
-            self.slope_N = 0.8 * self.slope_N + 0.2 * (force_N - self.force_N)
+            fade = 0.8**self.age
+            slope_N = (force_N - self.force_N) / self.age
+            self.slope_N = fade * self.slope_N + (1.0 - fade) * slope_N
             self.force_N = force_N
+            self.age = 0
 
     def predict(self, ticks: float) -> Floats:
         """Return the predicted force a number of ticks later [N]."""
-        return self.force_N + ticks * self.slope_N
+        return self.force_N + (self.age + ticks) * self.slope_N
 
 
 # %%

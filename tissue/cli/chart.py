@@ -35,11 +35,12 @@ def chart(
     out
         Output folder; default charts, charts/prediction or charts/perception.
     quick
-        Use fewer settings, shorter parts of the scenes and a coarser reference.
+        With scenes: use fewer settings, shorter parts of the scenes and a coarser reference. Not
+        possible with prediction or perception.
     trials
-        With prediction: number of test runs of each scene; default 30.
+        Only with prediction: number of test runs of each scene; default 30.
     observer
-        With perception: file of a person, written by `tissue calibrate`, to draw next to the
+        Only with perception: file of a person, written by `tissue calibrate`, to draw next to the
         population.
     overwrite
         Replace the charts that the folder already holds.

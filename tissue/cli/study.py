@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from meshes.base.errors import counted
 from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
 from tissue.system.progress import progress
 
@@ -126,7 +127,7 @@ def run(
     out = out or Path("studies/paper")
     wanted = list(plan.all_trials())
     if there := sum(map(StudyFolder(out).has, wanted)):
-        problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run")
+        problems.print(f"already run: {there} of {counted(len(wanted), 'trial')}")
     with progress(quiet_s=LINES_S) as bar:
 
         def report(doing: str, share: float) -> None:
@@ -141,13 +142,14 @@ def run(
         )
     kept = list(folder.trials(variant=None))
     failed = sum(trial.failed for trial in kept)
-    console.print(f"{len(kept)} trials in {out}, {failed} with a failure")
+    console.print(f"{counted(len(kept), 'trial')} in {out}, {failed} with a failure")
     for task in plan.tasks:
         took = sorted(
             trial.took_s for trial in kept if trial.key.task == task and not trial.key.variant
         )
         console.print(
-            f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods"
+            f"{task}: {took[len(took) // 2]:.1f} s a trial of "
+            f"{counted(len(plan.methods), 'method')}"
         )
     console.print(f"next: tissue study report {out}")
 

@@ -11,6 +11,7 @@ import numpy as np
 from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array, Ints, Singles, lattice
 from meshes.base.cache import Kept
+from meshes.base.errors import counted
 from tissue.cutters.profile import Piece, Profile
 
 __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
@@ -116,8 +117,8 @@ class Cutter:
         diameter_mm = 2e3 * self.profile.radius_m
         rpm = -self.spin_rad_s * 60.0 / (2.0 * pi)
         return (
-            f"Cutter({diameter_mm:.4g} mm wide, {self.flute_count} flutes, {rpm:.6g} turns a "
-            "minute)"
+            f"Cutter({diameter_mm:.4g} mm wide, {counted(self.flute_count, 'flute')}, "
+            f"{rpm:.6g} turns a minute)"
         )
 
     @property

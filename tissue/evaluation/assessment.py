@@ -30,6 +30,7 @@ __all__ = [
     "AssessedRun",
     "Assessment",
     "Breach",
+    "NoSharedContactError",
     "Quantity",
     "assess",
     "path_note",
@@ -46,6 +47,22 @@ FORCE_MARGIN = 1.25
 
 The value is a convention, not a standard.
 """
+
+
+class NoSharedContactError(InputError):
+    """Error for a run that does not touch the tissue where the reference run does.
+
+    `reason` completes a sentence that begins with the run.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(
+            "run",
+            "touch the tissue where the reference run does",
+            f"a run that {reason}",
+            "run the scene again and move the tool along the path of the reference run",
+        )
+        self.reason = reason
 
 
 @dataclass(frozen=True)
@@ -192,7 +209,9 @@ def assess(
     ------
     InputError
         If the runs are of different tasks (another anatomy, tool or material), hold no trace, or
-        have no contact.
+        the reference has no contact.
+    NoSharedContactError
+        If the run has no contact where the reference has contact.
     """
     _require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
@@ -217,6 +236,7 @@ def assess(
     )
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
+    _require_shared_contact(size, ideal_size[rows])
     quantities = (
         Quantity("distance from the path", "mm", apart, deviation_limit_mm),
         Quantity("force", "N", size, limit, ideal_size[rows]),
@@ -251,6 +271,17 @@ def assess(
         tuple(_notes(trainee, reference)),
         unscored,
     )
+
+
+def _require_shared_contact(size: Array, ideal_size: Array) -> None:
+    """Check that a run has contact, and that the reference has contact at an aligned place.
+
+    The arguments are the sizes of both forces over the ticks of the run [N], shape (ticks,).
+    """
+    if not size.any():
+        raise NoSharedContactError("touches nothing")
+    if not ideal_size.any():
+        raise NoSharedContactError("touches only where the reference run does not")
 
 
 def _new_events(mine: Summary, theirs: Summary) -> tuple[tuple[float, str], ...]:

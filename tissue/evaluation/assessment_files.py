@@ -52,11 +52,16 @@ def assessment_lines(found: Assessment) -> list[str]:
         ),
         *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
-        *([f"and {more} more breaches"] if more > 0 else []),
-        *([] if found.breaches else ["no limit was passed"]),
+        *([f"and {_breaches(more)} more"] if more > 0 else []),
+        *([] if found.breaches else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
         *(f"note: {note}" for note in found.notes),
     ]
+
+
+def _breaches(count: int) -> str:
+    """Return a number of breaches in words."""
+    return "1 breach" if count == 1 else f"{count} breaches"
 
 
 def _score_line(hand: Steadiness) -> str:
@@ -149,7 +154,7 @@ def draw_assessment(found: Assessment, path: Path) -> None:
     )
     figures = found.figures
     title = (
-        f"{figures['scene']}: a trainee against the reference, {len(found.breaches)} breaches; "
+        f"{figures['scene']}: a trainee against the reference, {_breaches(len(found.breaches))}; "
         f"{figures['deviation_mm']['mean']:.2f} mm off the path on average, force "
         f"{100.0 * figures['force_error']:.0f} % off"
     )

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.assessment import AssessedRun, Assessment, assess
+from tissue.evaluation.assessment import AssessedRun, Assessment, NoSharedContactError, assess
 from tissue.evaluation.statistics.intervals import mean_interval
 from tissue.evaluation.steadiness import Steadiness
 from tissue.show.figures.figure import figure, save
@@ -41,7 +41,7 @@ COLUMNS = (
     "overshoot_mm",
     "peak_force_N",
     "force_error",
-    "limits_passed",
+    "limits_exceeded",
 )
 LEAST_ATTEMPTS = 3
 """Number of attempts from which on the interval is computed from their spread."""
@@ -120,7 +120,8 @@ class Person:
 class Ranking:
     """Trainees in the order of their mean score, the best first.
 
-    `left_out` has a sentence for each run without a score.
+    `left_out` has a sentence for each run that is not ranked. Such a run has no score, or no
+    contact where the reference has contact.
     """
 
     scene: str
@@ -150,7 +151,8 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
     Raises
     ------
     InputError
-        If a folder holds no run, a run has another task than the reference, or no run has a score.
+        If a folder holds no run, a run has another task than the reference, or no run can be
+        ranked.
     """
     people = []
     left_out = []
@@ -165,7 +167,11 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
             )
         attempts = []
         for run in runs:
-            found = _assessed(load(run), reference, run)
+            try:
+                found = _assessed(load(run), reference, run)
+            except NoSharedContactError as problem:
+                left_out.append(f"{run} {problem.reason}")
+                continue
             if found.steadiness is None:
                 left_out.append(f"{run} has no score: {found.unscored}")
             else:
@@ -189,6 +195,8 @@ def _assessed(run: AssessedRun, reference: AssessedRun, folder: Path) -> Assessm
     """Assess one run; a refusal names its folder."""
     try:
         return assess(run, reference)
+    except NoSharedContactError:
+        raise
     except InputError as refusal:
         raise InputError(f"{folder}: {refusal}") from refusal
 

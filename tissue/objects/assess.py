@@ -58,7 +58,7 @@ def assess(
     ------
     InputError
         If the runs belong to different tasks (their anatomy, tool or material differs), or a run
-        has no trace or no contact.
+        has no trace or no contact where the other run has contact.
     """
     found = engine.assess(
         assessed_run(trainee),

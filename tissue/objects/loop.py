@@ -359,7 +359,7 @@ class Loop:
         return self._row
 
     def _show(self) -> None:
-        """Update the last row of the trace, and warn of limits that were passed."""
+        """Update the last row of the trace, and warn of limits that were exceeded."""
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is None:
             return

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.extras import install_command
 from tissue.objects.html import scrolled, table_html
 from tissue.simulation.saved_fields import field_label
@@ -91,7 +91,8 @@ class Trace(dict[str, NDArray[Any]], Table):
         return found
 
     def __repr__(self) -> str:
-        return f"<{len(self.rows)} ticks of {len(self)} columns: {', '.join(self)}>"
+        size = f"{counted(len(self.rows), 'tick')} of {counted(len(self), 'column')}"
+        return f"<{size}: {', '.join(self)}>"
 
     def _repr_html_(self) -> str:
         count = len(self.rows)
@@ -106,7 +107,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         titles = [" / ".join(filter(None, field_label(name))) for name in self]
         return (
             scrolled(table_html(rows, titles=titles, numbers=True))
-            + f"<p>{count} ticks, {len(self)} columns</p>"
+            + f"<p>{counted(count, 'tick')}, {counted(len(self), 'column')}</p>"
         )
 
 

@@ -12,7 +12,9 @@ from meshes.base.errors import InputError
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
 from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Probe, Tool
 
 __all__ = ["choices_of", "error_of", "idle_keys"]
 
@@ -173,6 +175,12 @@ def _of_another_kind(
     kind = kinds_of(chosen)[0]
     where = f"a {kind}"
     remedy = f"set {part}.kind = {kinds_of(others[0])[0]}"
+    if part == "anatomy":
+        usable = [each for each in others if _tool_of(each) is _tool_of(chosen)]
+        if usable:
+            remedy = f"set anatomy.kind = {kinds_of(usable[0])[0]}"
+        elif _tool_of(chosen) not in (Tool, Probe):
+            return _of_another_tool(names, table, chosen)
     sources = [_source(other) for other in others if set(kinds_of(other)) & set(kinds_of(chosen))]
     if sources and _source(chosen) == "procedural":
         where = f"a procedural {kind}"
@@ -188,6 +196,27 @@ def _of_another_kind(
         got += did_you_mean([".".join(meant)])
     key = ".".join(map(shown, names))
     return InputError(key, f"be left out for {where}", got, f"{remedy}, or remove it")
+
+
+def _of_another_tool(names: Key, table: Table, chosen: type[BaseModel]) -> InputError:
+    """Return the error for a key of tissues that the tool of the scene cannot enter.
+
+    `chosen` is the anatomy of the scene, for example the layers for a needle.
+    """
+    key = ".".join(map(shown, names))
+    tool = kinds_of(_tool_of(chosen))[0]
+    return InputError(
+        key,
+        f"be left out for a {tool}",
+        shown(_value_at(names, table)),
+        f"a {tool} needs anatomy.kind = {kinds_of(chosen)[0]}. Remove {key}, or press a shaped "
+        "organ with a probe: anatomy.kind = liver and tool.kind = sphere-probe",
+    )
+
+
+def _tool_of(anatomy: type[BaseModel]) -> type[BaseModel]:
+    """Return the class of the tools for an anatomy."""
+    return ANATOMIES[kinds_of(anatomy)[0]].tool
 
 
 def _source(part: type[BaseModel]) -> str:

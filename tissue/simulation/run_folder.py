@@ -12,7 +12,7 @@ from typing import Any
 from meshes.base.errors import InputError, is_file
 from meshes.base.file_limits import require_regular
 from meshes.base.placement import Placement
-from meshes.base.text_tables import read_json
+from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import package_version, require_version, whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
@@ -45,6 +45,19 @@ Summary = dict[str, Any]
 FORMAT = 1
 """Version of the format of run folders."""
 STATUS = ("running", "complete", "interrupted", "failed")
+PARTS = {
+    "anatomy.kind": "tissue",
+    "cutting.material": "material",
+    "device.hand": "hand",
+    "device.kind": "device",
+    "device.perception": "perception",
+    "device.prediction": "predictor",
+    "device.renderer": "renderer",
+    "motion.kind": "motion",
+    "organ.material": "material",
+    "tool.kind": "tool",
+}
+"""Keys whose values are names of registered parts, with a noun for the part."""
 AGAIN = "run the scene again"
 PICTURE_FORMATS = ("png", "svg", "pdf")
 FILES = (
@@ -260,6 +273,7 @@ class SavedRun:
     ------
     InputError
         If the folder holds no run, a run of another version, or a damaged summary, scene or trace.
+        Also if the run was made with a part that is not registered, such as a hand.
         The trace of a complete run is damaged if its number of rows does not agree with the
         duration of the run.
     """
@@ -271,7 +285,7 @@ class SavedRun:
         self.problem = str(self.summary.get("problem", ""))
         kept = self.path / "scene.toml"
         table = self.path / "trace.csv"
-        self.scene = load_scene(kept) if kept.is_file() else None
+        self.scene = _saved_scene(kept) if kept.is_file() else None
         self.trace = (
             read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
         )
@@ -290,6 +304,22 @@ class SavedRun:
     def complete(self) -> bool:
         """True if the run is complete."""
         return self.status == "complete"
+
+
+def _saved_scene(file: Path) -> Scene:
+    """Load the scene of a saved run; an error names the run and its unregistered part."""
+    try:
+        return load_scene(file)
+    except InputError as error:
+        word = PARTS.get(error.argument)
+        if word is None or not error.requirement.startswith("be one of"):
+            raise
+        table, key = error.argument.split(".")
+        name = read_toml(file.read_text("utf-8"))[table][key]
+        raise InputError(
+            f"the run in {file.parent} was made with the {word} {name}, which is not registered "
+            "here. Register it in the same script, or install the package that provides it"
+        ) from error
 
 
 def saved_placement(path: Path) -> Placement | None:

@@ -14,20 +14,26 @@ FADE = 0.9
 class DampedLine:
     """Predictor that continues the force along a fading slope.
 
-    After n ticks the force is F + s (1 - r^n) / (1 - r). F is the last force, s is the slope per
-    tick, and r is `FADE`.
+    The force n ticks after the last force F is F + s (1 - r^n) / (1 - r). The slope per tick is s,
+    and r is `FADE`.
     """
 
     def __init__(self) -> None:
         self.force_N = np.zeros(3)
         self.slope_N = np.zeros(3)
+        self.age = 0
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
         """Observe the force of a tick. It is None if the tissue model has no force in this tick."""
+        self.age += 1  # ticks since the last force
         if force_N is not None:
-            self.slope_N = FADE * self.slope_N + (1.0 - FADE) * (force_N - self.force_N)
+            fade = FADE**self.age
+            slope_N = (force_N - self.force_N) / self.age
+            self.slope_N = fade * self.slope_N + (1.0 - fade) * slope_N
             self.force_N = force_N
+            self.age = 0
 
     def predict(self, ticks: float) -> Floats:
         """Return the expected force a number of ticks later [N]."""
-        return self.force_N + (1.0 - FADE**ticks) / (1.0 - FADE) * self.slope_N
+        later = self.age + ticks
+        return self.force_N + (1.0 - FADE**later) / (1.0 - FADE) * self.slope_N

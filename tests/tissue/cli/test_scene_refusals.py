@@ -108,3 +108,17 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
         0.01,
     )
     assert (code, error) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("scene", "remedy"),
+    [
+        ("needle", "a needle, got cut.stl. A needle needs anatomy.kind = layers. Remove "),
+        ("incision", "a blade, got cut.stl. A blade needs anatomy.kind = soft-tissue. Remove "),
+        ("palpation", "a slab, got cut.stl. Set anatomy.kind = liver, or remove it"),
+    ],
+)
+def test_a_shape_is_proposed_only_for_a_tool_that_can_enter_it(refused, here, scene, remedy):
+    message = refused("run", scene, "--set", "anatomy.file=cut.stl")
+    assert remedy in message.replace(f"{here}/", "") and "glenoid" not in message
+    assert ("anatomy.kind = liver and tool.kind = sphere-probe" in message) == ("Remove" in message)

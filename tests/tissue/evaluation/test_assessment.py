@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.assessment import assess
+from tissue.evaluation.assessment import NoSharedContactError, assess
 from tissue.evaluation.assessment_files import assessment_lines
+from tissue.evaluation.ranking import rank
 from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
@@ -78,7 +79,7 @@ def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
     assert np.linalg.norm(reach(2.7, pause_s=0.5)[:2000] - reach(2.0), axis=1).max() > 5.0
     time = found.figures["time_in_contact_s"]
     assert time["trainee"] == pytest.approx(time["reference"] * 1.35 + 0.5, abs=0.01)
-    assert "no limit was passed" in assessment_lines(found)
+    assert "no limit was exceeded" in assessment_lines(found)
 
 
 def test_a_run_that_ends_early_deviates_nowhere(tmp_path):
@@ -193,3 +194,27 @@ def test_least_distances_to_structures_of_both_runs_are_listed(tmp_path):
     found = assess(*runs)
     assert found.figures["least_distance_mm"] == {"canal": {"trainee": 0.4, "reference": 1.5}}
     assert "least distance to canal: 0.40 mm against 1.50" in assessment_lines(found)
+
+
+@pytest.mark.parametrize(
+    ("shift_mm", "reason"),
+    [(10.0, "touches nothing"), (0.0, "touches only where the reference run does not")],
+)
+def test_a_run_without_shared_contact_is_refused_and_left_out_of_a_ranking(
+    tmp_path, shift_mm, reason
+):
+    """The path ends above the tissue, or the force begins where the reference has already left."""
+    path = reach(1.0)
+    reference = saved(tmp_path / "r", path)
+    folder = tmp_path / "people" / "clara"
+    run = saved(folder, path[:50] + np.array([0.0, 0.0, shift_mm]))
+    if not shift_mm:
+        at = run.trace.columns.index("model_force_z_N")
+        run.trace.rows[:, at] = 1.0
+    with pytest.raises(
+        NoSharedContactError,
+        match=f"run must touch the tissue where the reference run does, got a run that {reason}",
+    ):
+        assess(run, reference)
+    with pytest.raises(InputError, match=f"clara {reason}"):
+        rank(tmp_path / "people", reference, lambda _: run)

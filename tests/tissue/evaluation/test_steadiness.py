@@ -125,6 +125,7 @@ def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
             assert attempt.steadiness.tremor_mm == pytest.approx(true_mm, rel=0.5)
     written = found.save(tmp_path / "out")
     rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
+    assert rows[0].endswith(",limits_exceeded")
     assert len(rows) == 7 and rows[1].startswith("1,expert,run0,")
     assert [path.name for path in written] == ["ranking.csv", "ranking.png"]
     with pytest.raises(InputError, match="out must not hold another ranking"):

@@ -136,9 +136,7 @@ def test_a_plan_that_grows_is_registered_anew(study):
     assert (study.path / "plan-1.toml").read_bytes() == first
     assert [each["trials_before"] for each in study.registrations()] == [0, 24]
     found = differences(study)
-    assert found["plan after the first trial"].startswith(
-        "plan.toml: registered when 24 trials were there"
-    )
+    assert found["plan after the first trial"].startswith("plan.toml: registered after 24 trials")
     assert found["trials missing"].endswith("T2-novice-0004, T2-intermediate-0004, T2-expert-0004")
     assert "registered after 24 trials" in registration_section(study, []).sentences[0]
 

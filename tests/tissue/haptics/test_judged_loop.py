@@ -48,6 +48,16 @@ def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
     assert run.trace["saturated"].any()
 
 
+def test_a_coupling_that_is_stable_only_in_a_hand_is_noted():
+    run = run_of("wall", duration_s=0.01)
+    note = run.parts.notes["coupling"]
+    assert "N/m is stable, " in note
+    assert note.endswith("Only friction (or renderer = passivity) can stop the oscillation")
+    assert note.split(". ")[-3].startswith("If the hand lets go while the tissue holds the tool")
+    soft = run_of("wall", coupling__stiffness_N_m=10.0, duration_s=0.01)
+    assert "lets go" not in soft.parts.notes["coupling"]
+
+
 def test_what_is_judged_counts_the_delay_that_is_there():
     """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
     wall, late = (

@@ -4,6 +4,7 @@ A run can be made again from them, and the files after a kill are checked.
 """
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import sys
 import pytest
 from coarse_run import COARSE
 
-from tissue import InputError, load_scene
+from tissue import InputError, load_scene, simulate
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.simulation.scheduling import spin_time_s
 
@@ -106,3 +107,21 @@ def test_a_run_killed_before_its_first_row_reads_back(tmp_path):
     assert SavedRun(folder.path).trace is None
     (folder.path / "trace.csv").touch()
     assert len(SavedRun(folder.path).trace.rows) == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "word"), [("hand", "hand"), ("prediction", "predictor"), ("renderer", "renderer")]
+)
+def test_a_run_with_an_unregistered_part_is_refused_by_folder_and_part(tmp_path, key, word):
+    """The part was registered in the script that made the run."""
+    folder = tmp_path / "run"
+    simulate(load_scene("wall", {"duration_s": 0.01})).save(folder)
+    file = folder / "scene.toml"
+    text = file.read_text("utf-8")
+    file.write_text(re.sub(rf'(?m)^{key} = ".*"', f'{key} = "anna"', text), "utf-8")
+    with pytest.raises(InputError) as refused:
+        SavedRun(folder)
+    assert str(refused.value) == (
+        f"the run in {folder} was made with the {word} anna, which is not registered here. "
+        "Register it in the same script, or install the package that provides it"
+    )

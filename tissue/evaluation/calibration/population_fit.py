@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.evaluation.calibration.session import Session, read_log
 from tissue.perception.hierarchy import (
@@ -147,12 +147,13 @@ def fit_population(
     worst = max(fit.r_hat.values())
     least = min(fit.ess.values())
     return [
-        f"{len(sessions)} observers: median Weber fraction {100 * np.exp(kappa[1]):.1f} % "
+        f"{counted(len(sessions), 'observer')}: median Weber fraction "
+        f"{100 * np.exp(kappa[1]):.1f} % "
         f"(95 % within {100 * np.exp(kappa[0]):.1f} to {100 * np.exp(kappa[2]):.1f} %), "
         f"mean exponent {beta[1]:.2f} ({beta[0]:.2f} to {beta[2]:.2f})",
         f"convergence: R-hat at most {worst:.3f} (of {R_HAT}), effective sample size at "
         f"least {least:.0f} "
-        f"(of {ESS:.0f}), {fit.divergences} divergences",
+        f"(of {ESS:.0f}), {counted(fit.divergences, 'divergence')}",
         *(f"note: {each}" for each in fit.problems()),
         *(f"note: {each} was left out: it holds no comparison or no number" for each in empty),
         f"wrote {out}, {table}",

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import logit
 from scipy.stats import binom
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, counted, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_version
@@ -217,14 +217,14 @@ class Session:
             f"Weber fraction {100 * law.kappa:.1f} % (95 % within {100 * low:.1f} to "
             f"{100 * high:.1f} %), "
             f"threshold at {REPORTED_N:g} N {law.threshold(REPORTED_N):.3f} N, "
-            f"after {len(self.asked)} comparisons"
+            f"after {counted(len(self.asked), 'comparison')}"
         ]
         if self.given:
             # the median and the ends of the 95 % interval
             least, exponent, most = self.magnitudes().exponent_at([0.025, 0.5, 0.975])
             notes.append(
                 f"Stevens' exponent {exponent:.2f} (95 % within {least:.2f} to {most:.2f}), "
-                f"after {len(self.given)} numbers"
+                f"after {counted(len(self.given), 'number')}"
             )
         return notes
 

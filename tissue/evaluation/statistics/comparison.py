@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import levene, studentized_range, tukey_hsd
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from tissue.evaluation.statistics.hypothesis_test import (
     ALPHA,
     LEVEL,
@@ -189,7 +189,9 @@ def stratum_test(
     signs = sign_test(scores, groups, between=between, rng=rng)
     notes = []
     if cells.dropped:
-        notes.append(f"{len(cells.dropped)} users without a whole set of trials are left out.")
+        notes.append(
+            f"Left out: {counted(len(cells.dropped), 'user')} without a whole set of trials."
+        )
     if np.ptp(cells.counts) > 0:
         notes.append("Means of users rest on unequal numbers of trials.")
     test = HypothesisTest(

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import binom
 
 from meshes.base.arrays import Array
+from meshes.base.errors import counted
 from tissue.evaluation.calibration.observers import Stimulus, draw_observers, share_right
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.discrimination import (
@@ -202,8 +203,8 @@ def needle_section(table: TrialTable, seed: int) -> Section:
         text, headline, picture = _travels(shared)
         count = len(shared.where(method=methods_of(shared)[0]))
         finding = (
-            f"Of {count} trials in which the capsule broke before the hand stopped under every "
-            f"method, {text}."
+            f"Of {counted(count, 'trial')} in which the capsule broke before the hand stopped "
+            f"under every method, {text}."
         )
     sentences.append(finding)
     sentences.append(

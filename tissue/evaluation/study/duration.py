@@ -72,7 +72,8 @@ def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> st
     """Return the expected time of trials on this machine as a sentence."""
     cores = os.cpu_count() or 1
     seconds = expected_s(plan, keys, workers=workers, cores=cores, probed_s=probe_s())
+    about = "" if seconds < 60.0 else "about "
     return (
-        f"{counted(len(keys), 'trial')} will take about {duration_text(seconds)} on "
+        f"{counted(len(keys), 'trial')} will take {about}{duration_text(seconds)} on "
         f"{counted(workers, 'worker')}, judged by a short simulation"
     )

@@ -15,7 +15,7 @@ from time import sleep
 
 from pydantic import TypeAdapter
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, counted, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import read_json
@@ -450,14 +450,15 @@ def _run_trials(
                 raise InputError(
                     "workers",
                     "stay alive",
-                    f"{barren} losses with {len(waiting)} trials left",
+                    f"{barren} losses with {counted(len(waiting), 'trial')} left",
                     (
                         "find out why they end, for example for lack of memory, and run "
                         "the study again to continue"
                     ),
                 ) from error
             report_share(
-                f"workers were lost ({type(error).__name__}), {len(waiting)} trials continue"
+                f"workers were lost ({type(error).__name__}), "
+                f"{counted(len(waiting), 'trial')} left to run"
             )
             # a suspected trial was alone on its worker, so it caused the loss
             if suspects and running:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import package_version, whole_file
 from tissue.evaluation.charts.settings import code_sha256
@@ -139,7 +139,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
             raise InputError(
                 "study",
                 "hold a trial that did not fail",
-                f"{table.failed} failures",
+                counted(table.failed, "failure"),
                 "see the reasons in trials.csv",
             )
         # the progress follows the time of the sections: the tests take half of it
@@ -276,11 +276,11 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     # its SHA-256 is shown by 16 digits, which distinguish versions of a plan
     newest = folder.registrations()[-1]
     before = newest["trials_before"]
-    when = f"after {before} trials" if before else "before the first trial"
+    when = f"after {counted(int(before), 'trial')}" if before else "before the first trial"
     differs = "nothing differs from it"
     if found:
         kinds = ", ".join(dict.fromkeys(kind for kind, _, _ in found))
-        differs = f"{len(found)} differences from it: {kinds}"
+        differs = f"{counted(len(found), 'difference')} from it: {kinds}"
     digits = str(newest["sha256"])[:16]
     headline = f"{newest['file']} was registered {when} (SHA-256 {digits}); {differs}."
     limits = (
@@ -302,7 +302,7 @@ def _plans(folder: StudyFolder) -> Iterator[Difference]:
             yield "plan changed", name, f"registered as {str(each['sha256'])[:16]}, {how}"
         if each["trials_before"]:
             detail = (
-                f"registered when {each['trials_before']} trials were there, whose results could "
+                f"registered after {counted(each['trials_before'], 'trial')}, whose results could "
                 "be seen"
             )
             yield "plan after the first trial", name, detail

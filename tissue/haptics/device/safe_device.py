@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
@@ -131,14 +131,17 @@ class SafeDevice:
         found = []
         if self.slow_reads:
             slowest = f"{1e3 * self.slowest_read_s:.3g} ms"
-            found.append(f"{self.slow_reads} reads took longer than a tick, the slowest {slowest}")
+            found.append(
+                f"{counted(self.slow_reads, 'read')} took longer than a tick, the slowest {slowest}"
+            )
         if self._releases:
             late = f"no command came for {1e3 * STALL_S:g} ms"
             found.append(
-                f"the force was taken off and faded in again {self._releases} times, because {late}"
+                f"the force was taken off and faded in again {counted(self._releases, 'time')}, "
+                f"because {late}"
             )
         if held := max(self._force.limited, self._torque.limited):
-            found.append(f"the device's slew held the force back in {held} ticks")
+            found.append(f"the device's slew held the force back in {counted(held, 'tick')}")
         stated = self._states.happened() if self._states is not None else []
         return stated + [(self._time_s, what) for what in found]
 

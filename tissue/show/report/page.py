@@ -4,6 +4,7 @@ from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
+from meshes.base.errors import counted
 from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun, Summary
 
@@ -127,8 +128,8 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
         sure = CONFIDENCE.get(one.cited.confidence, one.cited.confidence)
         rows.append((text(one.of), text(one.name), value, span, text(sure), text(one.cited.source)))
     sentence = (
-        f"<p>{len(used)} cited constants, {low} of them of low confidence (assumed, or read "
-        "in an abstract). "
+        f"<p>{counted(len(used), 'cited constant')}, {low} of them of low confidence (assumed, "
+        "or read in an abstract). "
         "The range is what is plausible; results move with it.</p>"
     )
     header = ("of", "constant, with its unit", "value", "range", "confidence", "source")
@@ -208,8 +209,8 @@ def band_section(saved: SavedRun, text: Text) -> str:
         value = saved.summary[outer].get(inner, 0.0)
         rows.append((f"{label} / {unit}", f"{value:.3g}", f"{at['p50']:.3g}", *spans))
     sentence = (
-        f"{len(band['constants'])} constants in their ranges. The error of the model itself is "
-        "not in it."
+        f"{counted(len(band['constants']), 'constant')} in their ranges. The error of the model "
+        "itself is not in it."
     )
     lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
     table = _table(("figure", "this run", "median", "50 %", "90 %"), rows)

@@ -33,6 +33,7 @@ from tissue.simulation.builders.loop import (
     lead_ticks,
     loop_settings,
     person_of,
+    release_note,
 )
 from tissue.simulation.builders.parts import plays_record
 
@@ -250,6 +251,9 @@ def device_motion(
         notes.append(f"cues of {settings.output.cue_N:g} N mark contacts, layers and punctures")
     if felt is not None:
         notes.append(felt.sentence)
+    loops = [judged, turning] if turning else [judged]
+    if released := release_note(loops):
+        notes[-1] += f". {released}"
     return motion, notes
 
 

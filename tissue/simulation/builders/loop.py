@@ -1,6 +1,6 @@
 """Loops of a device for translation and rotation: settings, and stability check before the run."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, isfinite
@@ -47,6 +47,7 @@ __all__ = [
     "loop_settings",
     "motor_path",
     "person_of",
+    "release_note",
     "sampled",
 ]
 
@@ -221,15 +222,26 @@ class JudgedLoop:
     saves: str
 
     def sentence(self) -> str:
-        """Return a sentence on the chosen stiffness and its stability."""
-        note = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
-        if self.verdict.stable and self.loop.stiffness_N_m >= self.alone:
-            note += (
-                ", but only in a hand: let go where it is held from two sides, nothing but "
-                f"{self.saves} stops its "
-                f"ringing from {self.alone:.3g} {self.unit} on"
-            )
-        return note
+        """Return a sentence on the chosen stiffness and its stability in a hand."""
+        return self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
+
+    @property
+    def needs_hand(self) -> bool:
+        """True if the loop is stable in a hand, but not without a hand."""
+        return self.verdict.stable and self.loop.stiffness_N_m >= self.alone
+
+
+def release_note(loops: Sequence[JudgedLoop]) -> str:
+    """Return sentences on loops that are stable only in a hand; empty if there are none."""
+    loops = [each for each in loops if each.needs_hand]
+    if not loops:
+        return ""
+    limits = " and ".join(f"{each.alone:.3g} {each.unit}" for each in loops)
+    return (
+        "If the hand lets go while the tissue holds the tool from two sides, the device can "
+        f"oscillate. Without a hand, the coupling is stable only below {limits}. "
+        f"Only {loops[0].saves} can stop the oscillation"
+    )
 
 
 def judged_loops(

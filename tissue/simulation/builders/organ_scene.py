@@ -12,6 +12,7 @@ from meshes.base.errors import InputError, by, is_file, names_of_caller
 from meshes.base.progress import Progress
 from meshes.paths.toolpath import kept_corners
 from meshes.tets.tetrahedra import TetMesh
+from tissue.materials.scene_constants import Materials
 from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
 from tissue.models.tissue_model import WallModel
 from tissue.motion.motion import Motion
@@ -76,12 +77,7 @@ def pierced(
     assert isinstance(scene.anatomy, LayersAnatomy) and isinstance(scene.tool, Needle)
     diameter = 1e-3 * scene.tool.diameter_mm
     tissue = pierced_tissue(scene)
-    notes = {
-        "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel "
-        "wall's "
-        "numbers have no "
-        "source; forces across the needle's axis are not modelled"
-    }
+    notes = {"needle": _needle_note(scene)}
     track = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter)
     fields = None
     if track is not None and scene.anatomy.interval_ms > 0.0:
@@ -245,6 +241,34 @@ def pierced_tissue(scene: Scene) -> "NeedleTissue":
         return needle_tissue(walls=walls, constants=scene.constants)
     found: NeedleTissue = outside(walls=walls)
     return found
+
+
+def _needle_note(scene: Scene) -> str:
+    """Describe the origin of a needle's built-in constants and the limits of the model."""
+    anatomy = scene.anatomy
+    constants = scene.constants
+    assert isinstance(anatomy, LayersAnatomy)
+    remarks = []
+    liver = Materials.cited.constants("needle", "liver")
+    cited = [name for name, entry in liver.items() if "Okamura" in entry.source]
+    kept = [name for name in cited if f"needle.liver.{name}" not in constants.given]
+    if kept and NEEDLES[scene.tool.kind] is None:
+        which = "" if kept == cited else f"{', '.join(kept)}: "
+        remarks.append(f"{which}bovine liver of Okamura 2004, fitted to one needle in one organ")
+    stated = {
+        "puncture_N": anatomy.membrane_punctures_N or {},
+        "hold_N": anatomy.membrane_holds_N or {},
+    }
+    unsourced = [
+        name
+        for name, forces in stated.items()
+        if f"needle.vessel_wall.{name}" not in constants.given
+        and any(wall not in forces for wall, _ in anatomy.membranes)
+    ]
+    if unsourced:
+        remarks.append(f"no source for {' and '.join(unsourced)} of the vessel wall")
+    remarks.append("forces across the needle's axis are not modelled")
+    return "; ".join(remarks)
 
 
 def blade_of(scene: Scene) -> "IncisionBlade":

@@ -103,7 +103,7 @@ class Publisher(RunObserver):
             return True
         self._process.show(index, row, self.clock_of(times))
         if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
-            with_run = ", and the run with it" * self.ends_run
+            with_run = ", and the run ended with it" * self.ends_run
             self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
             self.on_end()
             return not self.ends_run

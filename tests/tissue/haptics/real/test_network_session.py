@@ -141,7 +141,7 @@ def test_a_second_device_is_refused_with_a_reason_and_its_poses_are_dropped():
     kind, number, echo, reason = read(session.receive(packet(HELLO, 9), "other"))
     assert (kind, number, echo) == (REFUSED, 0, 9)
     assert reason.decode().startswith(
-        "one device must be used at a time, got a second. End the first"
+        "one device must be used at a time, got a second one. End the first"
     )
     assert (
         session.receive(pose(10), "other") is None

@@ -11,6 +11,7 @@ from meshes.tets.structured import box
 from tissue import load_scene, simulate
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
+from tissue.materials.scene_constants import Materials
 from tissue.scene.organ import Organ
 from tissue.simulation.builders.organ import elasticity_of
 
@@ -257,3 +258,27 @@ def test_what_cannot_be_is_refused_in_one_sentence(scene, changes, sentence):
     with pytest.raises(InputError) as refused:
         simulate(load_scene(scene, coarse | changes))
     assert sentence in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_the_note_of_a_needle_names_only_built_in_constants(tmp_path):
+    def note(names, **changes):
+        entry = 'value = 1.0\nrange = [0.0, 2.0]\nsource = "x"\nconfidence = "H"\n'
+        file = tmp_path / "own.toml"
+        file.write_text("".join(f"[needle.{name}]\n{entry}" for name in names))
+        changes |= {"materials": str(file)} if names else {}
+        changes |= {"anatomy.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -1]]}
+        return simulate(load_scene("needle", changes)).summary["notes"]["needle"]
+
+    names = Materials.cited.constants("needle", "liver")
+    own = [f"liver.{name}" for name in names]
+    sentences = note([]).split("; ")
+    assert sentences[0] == "bovine liver of Okamura 2004, fitted to one needle in one organ"
+    assert sentences[1] == "no source for puncture_N and hold_N of the vessel wall"
+    left = [name for name in own if name.startswith("liver.static")]
+    partly = note([name for name in own if name not in left])
+    assert partly.startswith("static_in_N_m, static_out_N_m: bovine liver of Okamura 2004")
+    punctures = {"anatomy.membrane_punctures_N": {"vessel wall": 1.0}}
+    assert note(own, **punctures).startswith("no source for hold_N of the vessel wall; ")
+    assert note([*own, "vessel_wall.hold_N"], **punctures) == (
+        "forces across the needle's axis are not modelled"
+    )
