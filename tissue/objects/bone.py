@@ -154,8 +154,8 @@ class Bone:
         options
             ``material``: name of the material whose cutting coefficients are used, ``bone`` (built
             in) or a registered material. ``cutting``: coefficients that replace these, keyed by
-            their names in a scene. ``materials``: file of constants, in the format that `tissue
-            fit` writes.
+            their names in a scene. ``materials``: file of constants, in the format that
+            `tissue fit` writes.
 
         Raises
         ------

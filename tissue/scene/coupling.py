@@ -116,8 +116,8 @@ class Device(Part):
     """Predictor that compensates the latency of the force and of slow tissue models."""
     perception: Annotated[str, OneOf(PERCEPTIONS, ("none",))] = "none"
     """Perception model that scales the force at the device. `population` uses the constants of the
-    population. `observer:FILE` uses the constants of one person, from a file that `tissue
-    calibrate` wrote.
+    population. `observer:FILE` uses the constants of one person, from a file that
+    `tissue calibrate` wrote.
     """
     coupling: Coupling = Coupling()
     """Coupling of the device to the tool."""
