@@ -302,8 +302,8 @@ def _plans(folder: StudyFolder) -> Iterator[Difference]:
             yield "plan changed", name, f"registered as {str(each['sha256'])[:16]}, {how}"
         if each["trials_before"]:
             detail = (
-                f"registered after {counted(int(each['trials_before']), 'trial')}, whose results could "
-                "be seen"
+                f"registered after {counted(int(each['trials_before']), 'trial')}, "
+                "whose results could be seen"
             )
             yield "plan after the first trial", name, detail
 
