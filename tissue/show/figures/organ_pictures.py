@@ -282,11 +282,14 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
         from matplotlib.patches import Patch
 
         named = {"held": HELD, "may be touched": TOUCHABLE, "free": FREE}
-        # tissue that a blade cuts has no nodes that may be touched
-        if not len(series.node_sets.get("touchable", ())):
-            del named["may be touched"]
+        # the two faces of a closed cut lie on each other, and neither can be seen
+        middles_mm = np.round(surface.cell_centers().points, 3)
+        _, place, count = np.unique(middles_mm, axis=0, return_inverse=True, return_counts=True)
+        seen = surface.cell_data["colours"][count[place.ravel()] == 1]
         handles = [
-            Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named.items()
+            Patch(facecolor=colour, edgecolor="0.4", label=name)
+            for name, colour in named.items()
+            if (seen == np.rint(255.0 * np.array(colour))).all(axis=1).any()
         ]
         shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
 
