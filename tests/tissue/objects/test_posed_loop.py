@@ -180,7 +180,8 @@ def test_the_surface_shrinks_by_the_removed_volume():
     moved(loop, along(PATHS["milling"], 100))
     removed_mm3 = loop.row["removed_mm3"]
     assert removed_mm3 > 1.0
-    assert before_mm3 - loop.surface().volume == pytest.approx(removed_mm3, rel=0.05)
+    # measured: 0.7, 0.4, 0.16 and 0.06 % less with voxels of 0.4, 0.3, 0.2 and 0.15 mm
+    assert before_mm3 - loop.surface().volume == pytest.approx(removed_mm3, rel=0.006)
 
 
 def test_an_organ_has_no_surface_of_voxels():
