@@ -110,8 +110,8 @@ def _read_ply(file: Path, notes: list[str]) -> _Stored:
         except MemoryError:
             raise
         except Exception as problem:  # the library raises many undocumented types of errors
-            reason = f"trimesh does not read {file.name}: {problem or type(problem).__name__}"
-            reason = f"{reason.rstrip('.!')}."
+            cause = str(problem).rstrip(".!") or type(problem).__name__
+            reason = f"trimesh does not read {file.name}: {cause}."
     found = _read_by_vtk(file, notes)
     notes.append(f"{reason} VTK read it, with coordinates in single precision.")
     return found

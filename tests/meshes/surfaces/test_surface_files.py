@@ -204,6 +204,16 @@ def test_files_of_careless_programs_are_read(tmp_path, name, content, volume, no
     assert not note or note in notes[0]
 
 
+def test_an_error_of_trimesh_without_a_message_is_named(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise IndexError
+
+    monkeypatch.setattr(trimesh, "load", fail)
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply("binary"))
+    assert "trimesh does not read a.ply: IndexError. VTK" in str(read_surface(path).report.repairs)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
