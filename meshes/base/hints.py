@@ -95,7 +95,7 @@ def _score(given: str, name: str) -> float:
     if not words or not others:
         return 0.0
     by_word = sum(max(_alike(word, other) for other in others) for word in words) / len(words)
-    # Further words make the name more special than the given one.
+    # Further words make the name more specific than the given one.
     by_word *= 1.0 - 0.1 * min(max(len(others) - len(words), 0), 3)
     score = max(by_word, _letters("".join(words), "".join(others)))
     units = _units(given)
@@ -121,7 +121,7 @@ def _alike(word: str, other: str) -> float:
     """
     if word == other:
         return 1.0
-    # Three letters: bur of burr, but not a of all.
+    # Shorter beginnings mean nothing: bur is close to burr, but a is not close to all.
     if min(len(word), len(other)) >= 3 and (word.startswith(other) or other.startswith(word)):
         return 0.9
     if any({word, other} <= group for group in SAME_MEANING):
