@@ -39,7 +39,15 @@ _LONGEST_PATH = 500
 """Longest path in an error message [characters]. The middle of a longer path is omitted."""
 
 
-PRESENT = "it"
+class _Present:
+    """Type of `PRESENT`."""
+
+    def __reduce__(self) -> str:
+        """Pickle the name, because an error from another process must hold this very object."""
+        return "PRESENT"
+
+
+PRESENT = _Present()
 """Value for an argument that must not be present, such as a flag. The message does not print it."""
 
 

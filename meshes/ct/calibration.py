@@ -244,6 +244,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     errors = np.array([regions[tissue].error_HU for tissue in tissues])
 
     def misfit(unknown: Array) -> Array:
+        """Return the errors of the fit and the unknowns, all in standard deviations."""
         energy = _energy(unknown)
         fitted = [
             _read((1.0 + _SPREAD[tissue] * deviation) * linear_attenuation(tissue, energy), unknown)

@@ -110,8 +110,8 @@ def _read_ply(file: Path, notes: list[str]) -> _Stored:
         except MemoryError:
             raise
         except Exception as problem:  # the library raises many undocumented types of errors
-            reason = f"trimesh does not read {file.name}: {problem or type(problem).__name__}"
-            reason = f"{reason.rstrip('.!')}."
+            cause = str(problem).rstrip(".!") or type(problem).__name__
+            reason = f"trimesh does not read {file.name}: {cause}."
     found = _read_by_vtk(file, notes)
     notes.append(f"{reason} VTK read it, with coordinates in single precision.")
     return found
@@ -209,8 +209,9 @@ def _is_whole_ply(file: Path) -> bool:
             return True
         found = sum(bool(line.strip()) for line in stored)
     counts = [line[2:3] for line in head if line[:1] == [b"element"]]
-    stated = [int(count[0]) if count and count[0].isdigit() else -1 for count in counts]
-    return min(stated, default=-1) >= 0 and sum(stated) == found
+    # A damaged header may hold thousands of digits, for which `int` raises an error.
+    stated = [float(count[0]) if count and count[0].isdigit() else -1.0 for count in counts]
+    return min(stated, default=-1.0) >= 0.0 and sum(stated) == found
 
 
 def _read_obj(file: Path, notes: list[str]) -> tuple[Array, Ints]:

@@ -145,13 +145,12 @@ class PlacedLabels:
 
 def resampled(
     placed: PlacedLabels,
-    corners: Array,
     size: float,
     *,
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Make voxels with the edge `size` [m] between two corners [m], cropped to the tooth.
+    """Make voxels with the edge `size` [m] of the whole tooth, cropped to the tooth.
 
     The grid lines lie at integer multiples of the edge.
 
@@ -163,10 +162,11 @@ def resampled(
     Raises
     ------
     InputError
-        If no part of the tooth lies between the corners.
+        If the tooth is so thin that it lies between all sub-samples.
     """
     from scipy.ndimage import find_objects
 
+    corners = placed.corners
     first = np.floor(corners[0] / size).astype(int).tolist()
     count = (np.ceil(corners[1] / size).astype(int) - first).tolist()
     grid = Grid(size, (first[0], first[1], first[2]), (count[0], count[1], count[2]))
@@ -181,6 +181,7 @@ def resampled(
     ]
 
     def fill(start: int) -> None:
+        """Compute fraction and layer of the slab of voxels that begins at an index."""
         stop = min(start + _SLAB, grid.shape[0])
         held = _parts_by_layer(placed, grid.slab(start, stop), parts, preference)[
             ..., : len(preference)
@@ -197,10 +198,10 @@ def resampled(
                 progress(done / len(starts))
     if not fraction.any():
         raise InputError(
-            "region",
-            "contain a part of the tooth",
-            "a region outside the tooth",
-            "move the tool to the tooth, or set anatomy.site",
+            "labels",
+            "be thick enough for the voxels",
+            f"a tooth thinner than voxels of {1000.0 * size:g} mm",
+            "use smaller voxels",
         )
     (crop,) = find_objects((fraction > 0).view(np.uint8))
     origin = (np.array(grid.first) + [s.start for s in crop]) * size

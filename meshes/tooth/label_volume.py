@@ -74,9 +74,7 @@ class LabelledTooth:
     @cached_property
     def cavity(self) -> PulpCavity | None:
         """Return the pulp cavity of the whole tooth, found in voxels of 0.1 mm, or None."""
-        return PulpCavity.of(
-            resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES)
-        )
+        return PulpCavity.of(resampled(self.placed, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
 
     def at_lesion(self) -> LabelledTooth:
         """Return the tooth with its site above its lesion.
@@ -157,7 +155,7 @@ class LabelledTooth:
                 f"use {1000.0 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more",
             )
         if region_m is None:
-            volume = resampled(self.placed, corners, size, progress=progress)
+            volume = resampled(self.placed, size, progress=progress)
             if not self.has_pulp and self.cavity is not None:
                 volume = with_pulp(volume, self.cavity.voxels(volume))
         else:
@@ -167,8 +165,8 @@ class LabelledTooth:
             if not volume.fraction.any():
                 raise InputError(
                     "region",
-                    "meet the tooth",
-                    "one without any of it",
+                    "contain a part of the tooth",
+                    "a region outside the tooth",
                     "move the tool to the tooth, or set anatomy.site",
                 )
         if remark is not None:
@@ -251,7 +249,7 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
     ]
     if "ligament" not in volumes_mm3:
         sentences.append(
-            "No label for the ligament: the tooth has no support but what the scene states."
+            "No label for the ligament: the tooth has only the support that the scene states."
         )
     if "caries" in volumes_mm3:
         sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")

@@ -14,7 +14,7 @@ pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)``, with the thickness t a
 `kernels.tetrahedra`.
 
 Prefer linear cells under a stiff capsule on a curved body. Quadratic cells with straight edges have
-nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so that the corners
+nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners
 are displaced inwards too far. The error of their displacement is 8 % if capsule and body are
 equally stiff, with 7 cells a quadrant. The error of the mean displacement is 2 %.
 """

@@ -312,7 +312,7 @@ class _Layer:
             distance = self._mesh.radius_m + gap
             stiff = np.where(pressed > 0.0, self._stiff, 0.0)[..., None, None] * along
             # A pressure far above the multiplier is only a first guess. It would make the matrix
-            # indefinite, so that it is limited.
+            # indefinite, so it is limited.
             turning = np.minimum(pressed, TRUSTED * self._pressure) / distance
             stiff = stiff - turning[..., None, None] * (np.eye(2) - along)
             blocks = np.einsum(

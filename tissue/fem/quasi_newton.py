@@ -37,7 +37,7 @@ ROUNDING = 1e-12
 SMALL = 1e-3
 """Smallest reference force of the residual, as a share of the largest load so far.
 
-The residual of a smaller load is relative to this share, so that such a load need not be balanced.
+The residual of a smaller load is relative to this share, so such a load need not be balanced.
 """
 MANY = 8
 """Number of steps after which the stiffness at the present displacement is factorised anew."""

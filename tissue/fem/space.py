@@ -8,7 +8,7 @@ The shape functions of straight-sided simplices are written in barycentric coord
 The gradients g_c of these coordinates are constant. The gradient of shape function A is ``sum_c
 sum_i slope[A, c, i] l_i g_c``. For a corner it is g_A (linear) or ``(4 l_A - 1) g_A`` (quadratic),
 with 1 = sum l_i. For the middle of edge ij it is ``4 (l_i g_j + l_j g_i)``. Products are integrated
-exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so that no quadrature is
+exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so no quadrature is
 needed.
 
 The block pattern has the positions of the 3x3 blocks of an assembled matrix, and the cells that

@@ -311,7 +311,7 @@ class HandMotion(Motion):
         tip = self.tool.follow(device, sample.quaternion, velocity, response, self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
-        # Most tools never turn, so that the matrix is computed only after a change.
+        # Most tools never turn, so the matrix is computed only after a change.
         if self.tool.quaternion != self._turned:
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start

@@ -244,7 +244,7 @@ class _Search:
             outputs=[self._distance.device],
             offset_index=0,
             device=DEVICE,
-            # The search runs in one thread, so that dim is 1.
+            # The search runs in one thread, so dim is 1.
             cores=1,
         )
 

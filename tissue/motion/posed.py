@@ -15,7 +15,7 @@ __all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
 FASTEST_M_S = 10.0
 """Largest speed of a tool [m/s]; a larger speed means that the pose has a wrong unit.
 
-Carving visits the whole swept region, so that one wrong number would take minutes.
+Carving visits the whole swept region, so one wrong number would take minutes.
 """
 OFF_ROTATION = 1e-4
 """Largest deviation of a matrix from a rotation, for single precision or five digits."""

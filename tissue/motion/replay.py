@@ -59,7 +59,7 @@ class GivenPoses(Motion):
     def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
         extent_m = float(np.ptp(tips_m, axis=0).max())
         if extent_m > FARTHEST_M:
-            # Carving visits the whole swept region, so that one damaged number would take endless
+            # Carving visits the whole swept region, so one damaged number would take endless
             # time.
             raise InputError(
                 "poses",

@@ -166,7 +166,7 @@ def test_phases_at_one_place_are_refused(tmp_path):
 def test_a_segmentation_is_no_image(tmp_path):
     mask = ball_HU()[None] > 0
     file = write_segmentation(tmp_path / "seg.dcm", mask, SPACING, ORIGIN, names=["bone"])
-    with pytest.raises(InputError, match=r"got only SEG in seg.dcm. Give SEG and RTSTRUCT as"):
+    with pytest.raises(InputError, match=r"got only SEG in seg\.dcm\. Give SEG and RTSTRUCT as"):
         read_image(file)
 
 

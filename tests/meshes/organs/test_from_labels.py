@@ -94,5 +94,5 @@ def test_parts_may_touch_lie_in_each_other_and_reach_the_surface(tmp_path):
     read = read_tets(tmp_path / "organ.vtu", unit_mm=1.0).mesh
     assert read.part_names == mesh.part_names
     assert volumes_ml(read) == pytest.approx(found, rel=1e-6)
-    with pytest.raises(InputError, match=r"path must end in \.vtu, got organ\.stl. Name it"):
+    with pytest.raises(InputError, match=r"path must end in \.vtu, got organ\.stl\. Name it"):
         write_organ(mesh, tmp_path / "organ.stl")

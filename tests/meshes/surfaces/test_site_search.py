@@ -102,7 +102,7 @@ NO_BONES = {
     ],
 )
 def test_what_is_no_bone_is_refused(kind, shape):
-    with pytest.raises(InputError, match=r"file must show a .*, got .*. Check the unit"):
+    with pytest.raises(InputError, match=r"file must show a .*, got .*\. Check the unit"):
         find_site(kind, as_surface(NO_BONES[shape]))
 
 

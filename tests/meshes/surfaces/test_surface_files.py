@@ -204,6 +204,16 @@ def test_files_of_careless_programs_are_read(tmp_path, name, content, volume, no
     assert not note or note in notes[0]
 
 
+def test_an_error_of_trimesh_without_a_message_is_named(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise IndexError
+
+    monkeypatch.setattr(trimesh, "load", fail)
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply("binary"))
+    assert "trimesh does not read a.ply: IndexError. VTK" in str(read_surface(path).report.repairs)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
@@ -214,6 +224,11 @@ def test_files_of_careless_programs_are_read(tmp_path, name, content, volume, no
         ("a.stl", "solid Empty\nendsolid Empty", "must hold triangles, got 0 vertices"),
         ("a.stl", binary_stl(13), "13 triangles in its header and 12 of them"),
         ("a.ply", ply("binary")[:-20], "be a readable PLY surface"),
+        (
+            "a.ply",
+            ply("ascii").replace(b"vertex 8", b"vertex " + 5000 * b"8"),
+            "must hold triangles",
+        ),
     ],
 )
 def test_files_that_cannot_be_read_are_refused_with_the_reason(tmp_path, name, content, expected):

@@ -9,6 +9,8 @@ import pytest
 import tissue
 from meshes.base.hints import closest
 from tissue import InputError
+from tissue.scene.coupling import Coupling
+from tissue.scene.tool import Tool
 
 ROOT = Path(tissue.__file__).parent
 
@@ -35,6 +37,8 @@ def refusal(scene, key, value=1.0):
         ("wall", "latency_ms", "device.coupling.delay_ms"),
         ("wall", "method", "device.prediction"),
         ("wall", "coupling.stifness", "stiffness_N_m or stiffness_Nm_rad"),
+        ("wall", "coupling.stifness_N_m", "stiffness_N_m"),
+        ("wall", "coupling.stifness_Nm_rad", "stiffness_Nm_rad"),
         ("wall", "anatomy.stiffness", "stiffness_kN_m"),
     ],
 )
@@ -55,6 +59,14 @@ def test_a_feed_is_no_key_of_a_scene_that_is_driven_by_thrust(key):
 @pytest.mark.parametrize("key", ["noise", "output.colour", "cutting.energy"])
 def test_no_key_is_suggested_for_another_meaning(key):
     assert "did you mean" not in refusal("glenoid", key)
+
+
+@pytest.mark.parametrize("table", [Coupling, Tool])
+def test_a_key_without_one_of_its_letters_is_suggested(table):
+    keys = list(table.model_fields)
+    for key in keys:
+        for at in range(len(key)):
+            assert key in closest(key[:at] + key[at + 1 :], keys)
 
 
 def test_words_of_different_meaning_are_not_close():

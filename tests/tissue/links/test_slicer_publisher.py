@@ -244,6 +244,11 @@ def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled
     assert not len(client.of("tissue-anatomy")[2]["triangles"])
 
 
+AT_ORIGIN = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""Tip and quaternion for the identity matrix. Its RAS axes are LPS axes after half a turn about z.
+"""
+
+
 def target(matrix):
     """A transform that is to move the tool."""
     return igtl.packed("TRANSFORM", "tissue-target", igtl.transform_body(matrix), time_s=0.0)
@@ -287,7 +292,7 @@ def test_a_transform_that_is_no_pose_is_ignored_and_counted(stage, pressed, matr
     client = shown.client()
     other = igtl.packed("TRANSFORM", "another", igtl.transform_body(np.eye(4)), time_s=0.0)
     client.send(target(matrix) + other + target(np.eye(4)))
-    asked(shown, taken=1, ignored=1)
+    np.testing.assert_allclose(asked(shown, taken=1, ignored=1), AT_ORIGIN, atol=1e-6)
 
 
 def test_only_one_client_at_a_time_moves_the_tool(stage, pressed):
@@ -301,9 +306,11 @@ def test_only_one_client_at_a_time_moves_the_tool(stage, pressed):
     second.until(lambda: len(shown.publisher.server.clients) == 1, poll=shown.publisher.step)
     second.send(target(np.eye(4)))
     asked(shown, taken=2, ignored=1)
+    assert shown.arrays["counts"][3] == 1
 
 
 def test_a_run_that_nobody_may_move_ignores_poses(stage, pressed):
     shown = stage(pressed, drives=False)
     shown.client().send(target(np.eye(4)))
     asked(shown, taken=0, ignored=1)
+    assert not shown.arrays.read("target")[0]

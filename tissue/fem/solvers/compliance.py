@@ -226,7 +226,7 @@ class LazyCompliance:
         """Write one newly computed node into a matrix of all touchable nodes, shape (3t, 3t).
 
         The method writes the blocks between this node and all computed nodes. The values of a block
-        are equal on every call. Other blocks stay unchanged. A call writes only one node, so that a
+        are equal on every call. Other blocks stay unchanged. A call writes only one node, so a
         tick is short.
 
         Returns

@@ -96,7 +96,7 @@ class MouseDevice(ComputedDevice):
     """
 
     bounds_itself = True
-    """True, so that no reach is checked: the pointer of a mouse is not bounded by an arm."""
+    """True, so no reach is checked: the pointer of a mouse is not bounded by an arm."""
 
     def __init__(self, position_m: Triple = NOTHING) -> None:
         self._target = position_m

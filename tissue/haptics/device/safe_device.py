@@ -179,7 +179,7 @@ class SafeDevice:
             raise problem
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the device's newest sample; None if the read was too slow, so that it is old.
+        """Return the device's newest sample; None if a slow read made the sample too old.
 
         Raises
         ------
@@ -278,7 +278,7 @@ class SafeDevice:
     def _command(self, force: Array, torque: Array) -> None:
         """Send one command and record its time."""
         if not self.in_process:
-            # After a zero command no force has to be removed, so that its time is not monitored.
+            # After a zero command no force has to be removed, so its time is not monitored.
             self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
         with self._calling("command"):
             self.device.command(force, torque)

@@ -127,7 +127,7 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
     """Return the hands that do not oscillate on the device without a virtual wall.
 
-    The reflex may make a hand oscillate. Such a hand may oscillate with any coupling, so that a
+    The reflex may make a hand oscillate. Such a hand may oscillate with any coupling, so a
     coupling cannot be chosen with it.
     """
     alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)

@@ -33,13 +33,13 @@ It is five times the longest memory of the built-in predictors, 102 ticks.
 FADED = 1e-3
 """Ratio to the largest response below which a response has decayed.
 
-The map of the loop has one state per tick of memory, so that shorter responses make the analysis
+The map of the loop has one state per tick of memory, so shorter responses make the analysis
 faster.
 """
 RIGID = 1e6
 """Stiffness of the tissue under the tool during a probe, relative to the coupling stiffness.
 
-In the analysed loop the coupling is the virtual wall, so that the tissue behind the coupling must
+In the analysed loop the coupling is the virtual wall, so the tissue behind the coupling must
 be rigid.
 """
 SETTLING = 300
@@ -197,6 +197,6 @@ def _faded(taps: Array) -> Array:
             "a response that does not decay",
             "train the predictor with capped eigenvalues, or use another predictor",
         )
-    # Responses down to a tenth of the bound are kept, so that the truncation has no effect on the
+    # Responses down to a tenth of the bound are kept, so the truncation has no effect on the
     # analysis.
     return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

@@ -147,7 +147,7 @@ PERIODS = 5
 APART_S = 0.1
 """Time without contact before a new first contact, and shortest time between transients [s].
 
-A transient takes 40 ms, so that two transients never overlap. A tool that bounces causes only one
+A transient takes 40 ms, so two transients never overlap. A tool that bounces causes only one
 transient.
 """
 SETTLED_S = 0.01

@@ -186,7 +186,7 @@ class RecordedAdapter(HardwareAdapter):
 
     name = "recorded"
     bounds_itself = True
-    """True, so that no reach is checked: a file has no arm that bounds its positions."""
+    """True, so no reach is checked: a file has no arm that bounds its positions."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)
@@ -257,7 +257,7 @@ def checked_url(
 ) -> tuple[SplitResult, str, int]:
     """Return the parts of ``hardware.address`` as a URL, with its host and port.
 
-    Port 0 means any free port of this computer, so that it is valid only with `any_port`.
+    Port 0 means any free port of this computer, so it is valid only with `any_port`.
 
     Raises
     ------

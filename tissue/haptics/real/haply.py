@@ -6,7 +6,7 @@ and not with the device.
 
 A thread sends the newest force and receives the newest state. The service answers every frame with
 one state. It plays a force only as long as the force is sent again and again. The thread sends a
-frame only after the answer to the frame before, so that at most one answer is pending. An answer
+frame only after the answer to the frame before, so at most one answer is pending. An answer
 contains the state under the force that was sent before. A sample is therefore not older than one
 exchange of a frame and its answer. Answers do not identify the frame to which they belong. If an
 answer is late, zero force is sent. The thread then sends nothing more until all pending answers
@@ -54,7 +54,7 @@ It equals the default of ``hardware.watchdog_ms``. The vendor does not give a ti
 LOST_S = 0.5
 """Time without answers after which late answers are treated as lost [s].
 
-No force is sent in this time, so that a long wait is safe.
+No force is sent in this time, so a long wait is safe.
 """
 PATIENCE_S = 0.01
 """Interval at which the thread checks whether it must end [s]."""

@@ -153,7 +153,7 @@ def is_newer(sequence: int, before: int) -> bool:
 SILENCE_S = 0.5
 """Silence after which a device is given up and another device may connect [s].
 
-A device sends at least five packets a second, so that after this time two packets in a row are
+A device sends at least five packets a second, so after this time two packets in a row are
 missing.
 """
 KEPT = 1024

@@ -39,7 +39,7 @@ surfaces of tools is far below it.
 FRICTION = 0.3
 """Friction coefficient (Coulomb) of smooth metal on bone; the range is 0.2 to 0.6.
 
-Source: Shirazi-Adl et al., 1993, quoted from memory, so that the confidence is L (low).
+Source: Shirazi-Adl et al., 1993, quoted from memory, so the confidence is L (low).
 """
 
 
@@ -105,6 +105,6 @@ class SmoothSurface:
 
     @property
     def is_blocked(self) -> bool:
-        """True if too much of the surface is inside bone, so that its missing force matters."""
+        """True if too much of the surface is inside bone, so its missing force matters."""
         self.forces.find_bone()
         return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2

@@ -14,7 +14,7 @@ __all__ = ["BODY_C", "DOSE_LIMITS_MIN", "HeatedBone", "dose_rate"]
 BODY_C = 37.0
 """Temperature of the bone at the start [degC]: core temperature of the body.
 
-Exposed bone is cooler, so that the computed dose is an upper bound.
+Exposed bone is cooler, so the computed dose is an upper bound.
 """
 DOSE_LIMITS_MIN = {
     16.0: "the dose of 47 °C for 1 min, after which bone dies",

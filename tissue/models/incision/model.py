@@ -178,7 +178,7 @@ class IncisionModel:
 
     def _entered(self, motion: ToolMotion) -> Cut:
         """Return the cut, earlier or new, at the point where the blade intersects the surface."""
-        # The axis lies in the blade's plane, so that the plane is steep if the axis is steep.
+        # The axis lies in the blade's plane, so the plane is steep if the axis is steep.
         rise = float(motion.rotation[2, 2])
         if rise < LEAST_COSINE:
             raise InputError(

@@ -82,7 +82,7 @@ class Track:
         steep = outward[:, 2] >= LEAST_COSINE
         travel = np.where(steep, -tips_m[:, 2] / np.where(steep, outward[:, 2], 1.0), -np.inf)
         inside = np.flatnonzero(travel > 0.0)
-        # The needle stays outside, or starts inside, so that no entry is known.
+        # The needle stays outside, or starts inside, so no entry is known.
         if len(inside) == 0 or inside[0] == 0:
             return None
         entries = tips_m[inside] + travel[inside, None] * outward[inside]

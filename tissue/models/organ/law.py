@@ -22,7 +22,7 @@ An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd
 relaxation function. The inverse integral of the nodal forces f, with the creep function, is called
 the crept forces (`tissue.models.organ.model`). The displacement is the response of the elastic law
 to the crept forces. In the equations above, f then stands for the crept forces. The integral keeps
-the directions of the forces fixed, so that tissue must not rotate much while it relaxes.
+the directions of the forces fixed, so tissue must not rotate much while it relaxes.
 """
 
 from collections.abc import Callable
@@ -308,7 +308,7 @@ class LawOffset:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
         If the organ does not relax, the crept forces are the contact forces. Linear algebra uses
-        one thread, so that another number of threads gives equal forces.
+        one thread, so another number of threads gives equal forces.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -346,7 +346,7 @@ class LawOffset:
         left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
         moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
-        # A new compliance is the tangent at this displacement, so that the slope of the offset is
+        # A new compliance is the tangent at this displacement, so the slope of the offset is
         # zero.
         slope = np.zeros_like(offset) if changed else self._now.slope
         reach_m = self._now.reach_m
@@ -385,7 +385,7 @@ class LawOffset:
             columns = components_of(window.inside[loaded])
             return contact.compliance_m_N[np.ix_(columns, columns)]
 
-        # Forces outside the window have no effect on the window, so that the targets leave them
+        # Forces outside the window have no effect on the window, so the targets leave them
         # out.
         return window.springs(crept_N, _displaced(contact, inside_N) + contact.offset_m, compliance)
 

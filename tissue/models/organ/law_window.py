@@ -261,7 +261,7 @@ def window_of(
 ) -> LawWindow:
     """Return a window on the cells within a radius [m] of a centre [m].
 
-    On a coarse mesh the window has more cells, so that no node in contact is on its border.
+    On a coarse mesh the window has more cells, so no node in contact is on its border.
     """
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)

@@ -191,7 +191,7 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
     """Return a distance before the point at which the tool does not touch the organ [m]."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
-    # A shell has its own contact points, so that no points on the organ are needed.
+    # A shell has its own contact points, so no points on the organ are needed.
     if isinstance(probe, ShellProbe):
         points = nodes[np.unique(triangles)]
     else:

@@ -267,7 +267,7 @@ def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> Partic
     ratio = np.full(len(places), 0.3)
     for index, name in enumerate(tooth.layer_names):
         chosen = layer == index
-        # Ligament and bone have no particles, so that the table chosen for them has no effect.
+        # Ligament and bone have no particles, so the table chosen for them has no effect.
         table = constants.constants("tooth", name if name in TOOTH else "dentin")
         modulus[chosen] = 1e9 * table["modulus_GPa"].value
         ratio[chosen] = table["poisson_ratio"].value

@@ -119,7 +119,7 @@ iterations to a tolerance of 1e-6 would double.
 SPLIT_NODES = 4000
 """Largest number of nodes of a grid whose kernel launches run on one core.
 
-Passing work to another thread takes about 50 us, so that splitting saves time above 0.2 ms of work.
+Passing work to another thread takes about 50 us, so splitting saves time above 0.2 ms of work.
 """
 NULL_CUT = 1e-13
 """Relative threshold for the scaled eigenvalues of the coarsest grid.

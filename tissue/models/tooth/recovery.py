@@ -270,7 +270,7 @@ def support_compliance(
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept
-    # The entries have different units, so that each entry is compared with the diagonal.
+    # The entries have different units, so each entry is compared with the diagonal.
     size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
     asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
     return SupportCompliance(

@@ -248,7 +248,7 @@ class CellStrips:
     ) -> None:
         self.layout = StripLayout(grid)
         self.device = device
-        # The cubes have half the cell's edge, so that their centres lie at 1/4 and 3/4.
+        # The cubes have half the cell's edge, so their centres lie at 1/4 and 3/4.
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
         self.regular = np.ones(grid.cell_count, np.bool_)
         self.regular[particle_cell[off]] = False

@@ -147,7 +147,7 @@ def test_the_version_of_a_service(answer, version):
 )
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(
-        InputError, match=r"^hardware\.address must be ws://HOST:PORT.*. Use ws://localhost:10001$"
+        InputError, match=r"^hardware\.address must be ws://HOST:PORT.*\. Use ws://localhost:10001$"
     ):
         service_address(address)
 

@@ -59,13 +59,14 @@ def test_a_force_that_is_not_pushed_again_is_taken_off(service):
             (1.0, 0.0, 0.0),
         )
         wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
+        assert service.last_N() == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("status", ["calibrated", "power_supply", "ready"])
 def test_a_device_that_is_not_ready_is_refused_before_any_force(service, status):
     service.status[status] = False
     with (
-        pytest.raises(InputError, match=rf"^haply must .*, got {status} = false of {DEVICE}. "),
+        pytest.raises(InputError, match=rf"^haply must .*, got {status} = false of {DEVICE}\. "),
         adapter_of(service),
     ):
         pass

@@ -109,7 +109,7 @@ def test_an_address_that_cannot_be_meant_is_refused(address):
     with pytest.raises(
         InputError,
         match=(
-            r"hardware\.address must be udp://HOST:PORT or ws://HOST:PORT .* got .*. Use "
+            r"hardware\.address must be udp://HOST:PORT or ws://HOST:PORT .* got .*\. Use "
             r"udp://127"
         ),
     ):
@@ -128,7 +128,7 @@ def test_a_port_that_is_taken_is_refused(scheme):
         address = f"{scheme}://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(
             InputError,
-            match=f"hardware.address must be free on this machine, got {address} .*. End the",
+            match=rf"hardware\.address must be free on this machine, got {address} .*\. End the",
         ):
             NetworkAdapter(Hardware(address=address)).__enter__()
         assert "must be free" in NetworkAdapter.find(address)[0].problem

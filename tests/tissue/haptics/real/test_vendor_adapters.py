@@ -57,7 +57,7 @@ def test_what_is_not_new_is_no_sample_and_no_velocity_is_rest(monkeypatch):
 def test_a_device_that_answers_no_more_is_lost_and_left_without_force(monkeypatch, call):
     device = ForceDimension().install(monkeypatch)
     lost = pytest.raises(
-        DeviceError, match=r"the device must answer, got the device is in use. Check"
+        DeviceError, match=r"the device must answer, got the device is in use\. Check"
     )
     with lost, ForceDimensionAdapter() as adapter:
         for count in range(3 * MOST_FAILURES):
@@ -189,7 +189,7 @@ def test_a_touch_that_fails_is_lost_and_not_called_again(monkeypatch):
         monkeypatch.setattr(device, "position_mm", None)
         device.step()
         with pytest.raises(
-            DeviceError, match=r"the device must answer, got AttributeError \(.*. Check its cable"
+            DeviceError, match=r"the device must answer, got AttributeError \(.*\. Check its cable"
         ):
             adapter.poll()
     assert device.calls[-2:] == ["stop", "close 0"]

@@ -1,0 +1,16 @@
+"""Messages of errors for invalid inputs."""
+
+import pickle
+
+from meshes.base.errors import PRESENT, InputError
+
+
+def test_the_message_of_a_flag_does_not_print_its_value():
+    error = InputError("web", "be left out with a movie", PRESENT, "leave it out")
+    expected = "web must be left out with a movie. Leave it out"
+    assert [str(error), str(pickle.loads(pickle.dumps(error)))] == [expected] * 2
+
+
+def test_a_value_that_is_a_word_is_printed():
+    error = InputError("region", "be a label", "it", "choose a label")
+    assert str(error) == "region must be a label, got it. Choose a label"
