@@ -484,8 +484,9 @@ def _results(
             )
         waiting = {pool.submit(run, each, replaces, False): each.name for each, replaces in left}
         while waiting:
-            report(f"{total - len(waiting)} of {total} runs are done", 1.0 - len(waiting) / total)
-            for future in first_done(pool, waiting, report):
+            done = 1.0 - len(waiting) / total
+            report(f"{total - len(waiting)} of {total} runs are done", done)
+            for future in first_done(pool, waiting, partial(_same_share, report, done)):
                 error = future.exception()
                 if error is not None and not isinstance(error, BrokenExecutor):
                     raise error
@@ -495,6 +496,18 @@ def _results(
 def _share(report: Progress, name: str, number: int, total: int, doing: str, share: float) -> None:
     """Report the progress of one run as progress of the sweep."""
     report(f"run {number + 1} of {total}, {name}: {doing}", (number + share) / total)
+
+
+def _same_share(report: Progress, done: float, doing: str, share: float) -> None:
+    """Report a message of the workers without a change of the completed share."""
+    report(doing, done)
+
+
+def _half(report: Bar, start: float) -> Bar:
+    """Return the report function of a half of a run, which begins at a share of 0 or 0.5."""
+    if not callable(report):
+        return report
+    return lambda doing, share: report(doing, start + 0.5 * share)
 
 
 def _run(
@@ -508,12 +521,15 @@ def _run(
 ) -> str:
     """Simulate and save one run; return its problem, or an empty text."""
     assert each.scene is not None
+    simulating = progress if band is None else _half(progress, 0.0)
     try:
-        run = simulate(each.scene, out=each.path, overwrite=replaces, progress=progress, **settings)
+        run = simulate(
+            each.scene, out=each.path, overwrite=replaces, progress=simulating, **settings
+        )
         run.save(each.path, pictures=pictures)
         if band is not None:
             there = {"compute": settings["compute"], "cores": settings["cores"]}
-            run.band(band, pictures=pictures, progress=progress, **there)
+            run.band(band, pictures=pictures, progress=_half(progress, 0.5), **there)
     except InputError as refused:
         return str(refused)
     except Exception as error:
