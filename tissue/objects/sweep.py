@@ -499,15 +499,8 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
 
 
 def _same_share(report: Progress, done: float, doing: str, share: float) -> None:
-    """Report a message of the workers without a change of the completed share."""
+    """Report a message without a change of the completed share."""
     report(doing, done)
-
-
-def _half(report: Bar, start: float) -> Bar:
-    """Return the report function of a half of a run, which begins at a share of 0 or 0.5."""
-    if not callable(report):
-        return report
-    return lambda doing, share: report(doing, start + 0.5 * share)
 
 
 def _run(
@@ -521,15 +514,14 @@ def _run(
 ) -> str:
     """Simulate and save one run; return its problem, or an empty text."""
     assert each.scene is not None
-    simulating = progress if band is None else _half(progress, 0.0)
+    # The stages of a band count from zero again, which would move the bar back.
+    sampling = partial(_same_share, progress, 1.0) if callable(progress) else progress
     try:
-        run = simulate(
-            each.scene, out=each.path, overwrite=replaces, progress=simulating, **settings
-        )
+        run = simulate(each.scene, out=each.path, overwrite=replaces, progress=progress, **settings)
         run.save(each.path, pictures=pictures)
         if band is not None:
             there = {"compute": settings["compute"], "cores": settings["cores"]}
-            run.band(band, pictures=pictures, progress=_half(progress, 0.5), **there)
+            run.band(band, pictures=pictures, progress=sampling, **there)
     except InputError as refused:
         return str(refused)
     except Exception as error:
