@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
 from tissue.show.figures.figure import SMALL_NM, plain, styled
@@ -98,12 +98,17 @@ def chosen_over(curves: Sequence[Curve]) -> Over:
 
 def _mainly_descends(trace: "Table") -> bool:
     """Return whether the first descent covers most of the tip's path in contact."""
-    contact = trace["contact_mm2"] > 0.0
+    contact, height = _heights(trace)
+    steps = np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1)
+    descent = height[first_descent(height, contact)]
+    return len(descent) > 1 and bool(np.ptp(descent) > MAINLY * steps[contact[1:]].sum())
+
+
+def _heights(trace: "Table") -> tuple[Flags, Array]:
+    """Return the rows in contact, and the tip's coordinate out of the tissue [mm]."""
     axis, outward = facing(trace)
-    tips = trace.vectors("tool", "mm")
-    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    height = outward * tips[first_descent(outward * tips[:, axis], contact), axis]
-    return len(height) > 1 and bool(np.ptp(height) > MAINLY * steps[contact[1:]].sum())
+    height = outward * trace.vectors("tool", "mm")[:, axis]
+    return trace["contact_mm2"] > 0.0, height
 
 
 @styled
@@ -208,8 +213,9 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
     force = trace.vectors("model_force", "N")[rows]
     torque = trace.vectors("model_torque", "Nm")[rows]
     turns = Rotation.from_quat(tool_turns(trace)[rows])
-    across_x, across_y, thrust = turns.inv().apply(force).T
-    about = turns.inv().apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
+    into_tool = turns.inv()
+    across_x, across_y, thrust = into_tool.apply(force).T
+    about = into_tool.apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
     values = np.column_stack([thrust, across_x, across_y, about])
     band = curve.band if over == "time" or curve.is_path_given else None
     low, high = _band_ends(band, turns.as_matrix(), rows, about_axis=about_axis)
@@ -228,8 +234,10 @@ def _band_ends(
     # 1e-6: rounding of quaternions in a file
     if band is None or np.abs(turns - aligned).max(initial=0.0) > 1e-6:
         return None, None
-    # force x, y, z and size, then torque
-    at, sign = np.abs(aligned[0]).argmax(axis=0), aligned[0].sum(axis=0)
+    # World axis of each axis of the tool, and 1 or -1 for its direction.
+    at = np.abs(aligned[0]).argmax(axis=0)
+    sign = aligned[0].sum(axis=0)
+    # A band has force x, y, z and size, then torque x, y, z and size.
     places = [at[2], at[0], at[1], 4 + at[2] if about_axis else 7]
     signs = np.array([sign[2], sign[0], sign[1], sign[2] if about_axis else 1.0])
     ends = [signs * band.quantiles[end][rows][:, places] for end in (LOW, HIGH)]
@@ -248,13 +256,11 @@ def _place(trace: "Table", over: Over, name: str) -> tuple[slice, Array]:
     """Return the rows to draw, and their time [s] or depth [mm]."""
     if over == "time":
         return slice(None), trace["time_s"]
-    axis, outward = facing(trace)
-    contact = trace["contact_mm2"] > 0.0
+    contact, height = _heights(trace)
     if not contact.any():
         raise InputError(
             "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
         )
-    height = outward * trace.vectors("tool", "mm")[:, axis]
     rows = first_descent(height, contact)
     return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])
 
