@@ -211,12 +211,13 @@ def _filled_layers(volume: VoxelVolume) -> list[str]:
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
     """Return a note if keys of the scene replace coefficients of layers that differ."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
-    if not given or len({CUT_AS.get(layer, scene.cutting.material) for layer in layers}) < 2:
+    cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
+    if not given or len(set(cut_as)) < 2:
         return {}
     keys = ", ".join(f"cutting.{key}" for key in given)
     return {
         "cutting": f"{keys} of the scene applies to all layers: {', '.join(layers)}. A file of "
-        f"materials sets one layer, by a table such as [cutting.{layers[0]}]"
+        f"materials sets the layers of one material, by a table such as [cutting.{cut_as[0]}]"
     }
 
 
