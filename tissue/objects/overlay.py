@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
-from tissue.show.figures.figure import SMALL_NM, plain, styled
+from tissue.show.figures.figure import plain, styled, torque_unit
 from tissue.show.figures.force_depth import first_descent
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import facing
@@ -36,7 +36,8 @@ WIDTHS = 2.2, 1.0
 """Widths of the first and the last curve [points], so that equal curves show below each other."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
-LOW, HIGH = 0, -1
+LOW = 0
+HIGH = -1
 """Rows of a band's quantiles: 5 % and 95 %."""
 
 
@@ -145,7 +146,7 @@ def overlay(
         axes.set_ylabel(FORCES[at])
         _draw(axes, curves, loads, at)
     if largest[TORQUE] > 0.0:
-        unit, scale = ("mN m", 1e3) if largest[TORQUE] < SMALL_NM else ("N m", 1.0)
+        unit, scale = torque_unit(largest[TORQUE])
         axes = panels[len(forces)]
         axes.set_ylabel(f"torque{' about' * about_axis}\n{'the axis ' * about_axis}/ {unit}")
         first = loads[0].values[:, TORQUE].sum()
@@ -227,8 +228,9 @@ def _band_ends(
 ) -> tuple[Array | None, Array | None]:
     """Return the ends of a band in the tool's frame, each of shape (n, 4).
 
-    A band has quantiles of world components. They are those of the tool's components only if the
-    tool keeps its axes along the world's; else there are no ends.
+    The quantiles of a band are given for the components in the world frame. They are valid for the
+    components in the tool's frame only if the axes of both frames are always parallel. Otherwise
+    the result is None.
     """
     aligned = np.rint(turns[:1])
     # 1e-6: rounding of quaternions in a file
