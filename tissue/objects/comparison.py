@@ -174,19 +174,19 @@ class Comparison:
 
     def _labels(self) -> list[str]:
         """Return names for a legend: the values of the keys that differ, if they are short."""
+        if self._are_named:
+            return list(self.runs)
         keys = {
             key: values
             for key, values in self.scene_differences.items()
             if not any(isinstance(value, list) for value in values)
         }
-        labels = [
-            ", ".join(_stated(key, value, self.scene_differences) for key, value in pairs)
-            for pairs in (
-                [(key, values[at]) for key, values in keys.items()] for at in range(len(self.runs))
-            )
-        ]
+        labels = []
+        for at in range(len(self.runs)):
+            stated = [_stated(key, keys[key][at], self.scene_differences) for key in keys]
+            labels.append(", ".join(stated))
         are_usable = len(set(labels)) == len(labels) and max(map(len, labels)) <= LONGEST_LABEL
-        return labels if are_usable and not self._are_named else list(self.runs)
+        return labels if are_usable else list(self.runs)
 
     def traces(self) -> "dict[str, NDArray[Any]]":
         """Return the traces of all runs as one table, one row a tick.

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
-from tissue.show.figures.figure import SMALL_NM, plain, styled
+from tissue.show.figures.figure import plain, styled, torque_unit
 from tissue.show.figures.force_depth import first_descent
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import facing
@@ -36,7 +36,8 @@ WIDTHS = 2.2, 1.0
 """Widths of the first and the last curve [points], so that equal curves show below each other."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
-LOW, HIGH = 0, -1
+LOW = 0
+HIGH = -1
 """Rows of a band's quantiles: 5 % and 95 %."""
 
 
@@ -98,12 +99,17 @@ def chosen_over(curves: Sequence[Curve]) -> Over:
 
 def _mainly_descends(trace: "Table") -> bool:
     """Return whether the first descent covers most of the tip's path in contact."""
-    contact = trace["contact_mm2"] > 0.0
+    contact, height = _heights(trace)
+    steps = np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1)
+    descent = height[first_descent(height, contact)]
+    return len(descent) > 1 and bool(np.ptp(descent) > MAINLY * steps[contact[1:]].sum())
+
+
+def _heights(trace: "Table") -> tuple[Flags, Array]:
+    """Return the rows in contact, and the tip's coordinate out of the tissue [mm]."""
     axis, outward = facing(trace)
-    tips = trace.vectors("tool", "mm")
-    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    height = outward * tips[first_descent(outward * tips[:, axis], contact), axis]
-    return len(height) > 1 and bool(np.ptp(height) > MAINLY * steps[contact[1:]].sum())
+    height = outward * trace.vectors("tool", "mm")[:, axis]
+    return trace["contact_mm2"] > 0.0, height
 
 
 @styled
@@ -140,7 +146,7 @@ def overlay(
         axes.set_ylabel(FORCES[at])
         _draw(axes, curves, loads, at)
     if largest[TORQUE] > 0.0:
-        unit, scale = ("mN m", 1e3) if largest[TORQUE] < SMALL_NM else ("N m", 1.0)
+        unit, scale = torque_unit(largest[TORQUE])
         axes = panels[len(forces)]
         axes.set_ylabel(f"torque{' about' * about_axis}\n{'the axis ' * about_axis}/ {unit}")
         first = loads[0].values[:, TORQUE].sum()
@@ -208,8 +214,9 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
     force = trace.vectors("model_force", "N")[rows]
     torque = trace.vectors("model_torque", "Nm")[rows]
     turns = Rotation.from_quat(tool_turns(trace)[rows])
-    across_x, across_y, thrust = turns.inv().apply(force).T
-    about = turns.inv().apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
+    into_tool = turns.inv()
+    across_x, across_y, thrust = into_tool.apply(force).T
+    about = into_tool.apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)
     values = np.column_stack([thrust, across_x, across_y, about])
     band = curve.band if over == "time" or curve.is_path_given else None
     low, high = _band_ends(band, turns.as_matrix(), rows, about_axis=about_axis)
@@ -221,15 +228,18 @@ def _band_ends(
 ) -> tuple[Array | None, Array | None]:
     """Return the ends of a band in the tool's frame, each of shape (n, 4).
 
-    A band has quantiles of world components. They are those of the tool's components only if the
-    tool keeps its axes along the world's; else there are no ends.
+    The quantiles of a band are given for the components in the world frame. They are valid for the
+    components in the tool's frame only if the axes of both frames are always parallel. Otherwise
+    the result is None.
     """
     aligned = np.rint(turns[:1])
     # 1e-6: rounding of quaternions in a file
     if band is None or np.abs(turns - aligned).max(initial=0.0) > 1e-6:
         return None, None
-    # force x, y, z and size, then torque
-    at, sign = np.abs(aligned[0]).argmax(axis=0), aligned[0].sum(axis=0)
+    # World axis of each axis of the tool, and 1 or -1 for its direction.
+    at = np.abs(aligned[0]).argmax(axis=0)
+    sign = aligned[0].sum(axis=0)
+    # A band has force x, y, z and size, then torque x, y, z and size.
     places = [at[2], at[0], at[1], 4 + at[2] if about_axis else 7]
     signs = np.array([sign[2], sign[0], sign[1], sign[2] if about_axis else 1.0])
     ends = [signs * band.quantiles[end][rows][:, places] for end in (LOW, HIGH)]
@@ -248,13 +258,11 @@ def _place(trace: "Table", over: Over, name: str) -> tuple[slice, Array]:
     """Return the rows to draw, and their time [s] or depth [mm]."""
     if over == "time":
         return slice(None), trace["time_s"]
-    axis, outward = facing(trace)
-    contact = trace["contact_mm2"] > 0.0
+    contact, height = _heights(trace)
     if not contact.any():
         raise InputError(
             "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
         )
-    height = outward * trace.vectors("tool", "mm")[:, axis]
     rows = first_descent(height, contact)
     return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])
 

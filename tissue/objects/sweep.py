@@ -484,8 +484,9 @@ def _results(
             )
         waiting = {pool.submit(run, each, replaces, False): each.name for each, replaces in left}
         while waiting:
-            report(f"{total - len(waiting)} of {total} runs are done", 1.0 - len(waiting) / total)
-            for future in first_done(pool, waiting, report):
+            done = 1.0 - len(waiting) / total
+            report(f"{total - len(waiting)} of {total} runs are done", done)
+            for future in first_done(pool, waiting, partial(_same_share, report, done)):
                 error = future.exception()
                 if error is not None and not isinstance(error, BrokenExecutor):
                     raise error
@@ -495,6 +496,11 @@ def _results(
 def _share(report: Progress, name: str, number: int, total: int, doing: str, share: float) -> None:
     """Report the progress of one run as progress of the sweep."""
     report(f"run {number + 1} of {total}, {name}: {doing}", (number + share) / total)
+
+
+def _same_share(report: Progress, done: float, doing: str, share: float) -> None:
+    """Report a message without a change of the completed share."""
+    report(doing, done)
 
 
 def _run(
@@ -508,12 +514,14 @@ def _run(
 ) -> str:
     """Simulate and save one run; return its problem, or an empty text."""
     assert each.scene is not None
+    # The stages of a band count from zero again, which would move the bar back.
+    sampling = partial(_same_share, progress, 1.0) if callable(progress) else progress
     try:
         run = simulate(each.scene, out=each.path, overwrite=replaces, progress=progress, **settings)
         run.save(each.path, pictures=pictures)
         if band is not None:
             there = {"compute": settings["compute"], "cores": settings["cores"]}
-            run.band(band, pictures=pictures, progress=progress, **there)
+            run.band(band, pictures=pictures, progress=sampling, **there)
     except InputError as refused:
         return str(refused)
     except Exception as error:

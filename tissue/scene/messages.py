@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -13,7 +13,7 @@ from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
 from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.registry import ANATOMIES
-from tissue.scene.scene import Scene
+from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
 
 __all__ = ["choices_of", "error_of", "idle_keys"]
@@ -295,8 +295,7 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     if (values := _values(field)) is not None:
         return f"a table of names and numbers {_bounds(values.metadata)}"
     entries = ", ".join([*_parts(field)[0].model_fields][:3])
-    takes_none = any(isinstance(each, BeforeValidator) for each in field.metadata)
-    return f"{'none or ' * takes_none}a table with entries such as {entries}"
+    return f"{'none or ' * (OR_NONE in field.metadata)}a table with entries such as {entries}"
 
 
 def _bounds(metadata: Iterable[object]) -> str:

@@ -38,7 +38,16 @@ from tissue.scene.tool import (
     tool_parts,
 )
 
-__all__ = ["BlockAnatomy", "Cutting", "KeepClear", "Output", "Scene", "Stress", "Voxels"]
+__all__ = [
+    "OR_NONE",
+    "BlockAnatomy",
+    "Cutting",
+    "KeepClear",
+    "Output",
+    "Scene",
+    "Stress",
+    "Voxels",
+]
 
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 

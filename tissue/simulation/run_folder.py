@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from math import isfinite
@@ -15,7 +16,7 @@ from meshes.base.placement import Placement
 from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import package_version, require_version, whole_file
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.load import load_scene, saved_text
+from tissue.scene.load import OldSceneWarning, converted, load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
@@ -314,8 +315,12 @@ def _saved_scene(file: Path) -> Scene:
         word = PARTS.get(error.argument)
         if word is None or not error.requirement.startswith("be one of"):
             raise
-        table, key = error.argument.split(".")
-        name = read_toml(file.read_text("utf-8"))[table][key]
+        with warnings.catch_warnings():
+            # `load_scene` has already given this warning.
+            warnings.simplefilter("ignore", OldSceneWarning)
+            tables, _ = converted(read_toml(file.read_text("utf-8")), file)
+        part, key = error.argument.split(".")
+        name = tables[part][key]
         raise InputError(
             f"the run in {file.parent} was made with the {word} {name}, which is not registered "
             "here. Register it in the same script, or install the package that provides it"

@@ -85,17 +85,19 @@ class Remaining:
     def __init__(self) -> None:
         self._begun = 1.0
         self._begun_s = 0.0
+        self._last = 1.0
 
     def text(self, share: float) -> str:
         """Return the remaining time for a completed share as text; empty if it is not known.
 
-        The pace is measured from the first report, because a continued command does not begin at
-        zero.
+        The pace is measured from the first report of a stage, because a continued command does not
+        begin at zero. A stage begins where the share decreases.
         """
         now_s = perf_counter()
-        if share < self._begun:
+        if share < self._last:
             self._begun = share
             self._begun_s = now_s
+        self._last = share
         done = share - self._begun
         if not TRUSTED * (1.0 - self._begun) < done < 1.0 - self._begun:
             return ""

@@ -166,7 +166,11 @@ def test_a_band_of_each_run(scene, out):
     """Runs without the requested band are run again; runs with it are kept."""
     changes = {"motion.feed_mm_s": [3.0, 9.0]}
     tissue.sweep(scene, changes, out=out)
-    found = tissue.sweep(scene, changes, out=out, band=16)
+    shares = []
+    found = tissue.sweep(
+        scene, changes, out=out, band=16, progress=lambda _, share: shares.append(share)
+    )
+    assert shares == sorted(shares)
     assert not found.failures
     assert [each.open().summary["band"]["samples"] for each in found.runs] == [16, 16]
     before = [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs]

@@ -125,3 +125,22 @@ def test_a_run_with_an_unregistered_part_is_refused_by_folder_and_part(tmp_path,
         f"the run in {folder} was made with the {word} anna, which is not registered here. "
         "Register it in the same script, or install the package that provides it"
     )
+
+
+@pytest.mark.filterwarnings("ignore::tissue.scene.load.OldSceneWarning")
+@pytest.mark.parametrize(
+    ("lines", "part"),
+    [
+        ('device = "robo"\nhand = "expert"', "device robo"),
+        ('device = "touch"\nhand = "anna"', "hand anna"),
+    ],
+)
+def test_a_run_of_version_0_2_with_an_unregistered_part_is_refused(tmp_path, lines, part):
+    """These files have the device and its hand at the top level."""
+    folder = tmp_path / "run"
+    simulate(load_scene("wall", {"duration_s": 0.01})).save(folder)
+    file = folder / "scene.toml"
+    text = file.read_text("utf-8").partition("[device]")[0]
+    file.write_text(f"{lines}\n{text}".replace("format = 2", "format = 1"), "utf-8")
+    with pytest.raises(InputError, match=f"was made with the {part}, which is not registered"):
+        SavedRun(folder)

@@ -17,8 +17,10 @@ def test_the_remaining_time_follows_the_pace(monkeypatch):
     assert remaining.text(0.4) == ", 30 min left"
     now_s[0] = 601.0
     assert remaining.text(0.999) == ""
-    # a second stage begins anew
-    assert remaining.text(0.1) == ""
+    # a second stage begins anew, also above the begin of the first one
+    assert remaining.text(0.3) == ""
+    now_s[0] = 701.0
+    assert remaining.text(0.5) == ", 4 min left"
 
 
 @pytest.mark.parametrize(

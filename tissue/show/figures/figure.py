@@ -47,6 +47,7 @@ __all__ = [
     "plain_numbers",
     "save",
     "styled",
+    "torque_unit",
 ]
 
 
@@ -240,6 +241,11 @@ def axis_names(run: "Run") -> tuple[str, ...]:
     # For bone from a file, the direction of x (forward or backward) depends on the side of the
     # body, which the file does not contain.
     return ("x", *named[1:]) if bone.from_file else named
+
+
+def torque_unit(torque_Nm: float) -> tuple[str, float]:
+    """Return the unit for torques up to this value in a picture, and its factor from N m."""
+    return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:

@@ -11,12 +11,12 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.show.figures.figure import (
     COMPONENTS,
-    SMALL_NM,
     legend_above,
     panelled,
     plain,
     save,
     styled,
+    torque_unit,
 )
 
 if TYPE_CHECKING:
@@ -316,7 +316,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     torque = np.abs(quantiles[..., 4:]).max(initial=0.0)
     groups = [("force", "N", 0, 1.0)]
     if torque > 0.0:
-        unit, scale = ("mN·m", 1e3) if torque < SMALL_NM else ("N·m", 1.0)
+        unit, scale = torque_unit(torque)
         groups.append(("torque", unit, 4, scale))
     chart, panels = panelled(
         f"{title}: loads on the tool over the ranges of constants",

@@ -12,13 +12,13 @@ from tissue.models.tissue_model import TICK_S
 from tissue.show.figures.figure import (
     COMPONENTS,
     MAGNITUDE,
-    SMALL_NM,
     layer_colours,
     legend_above,
     panelled,
     plain,
     save,
     styled,
+    torque_unit,
 )
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import tool_axes
@@ -164,9 +164,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
     )
     _draw_components(panels[0], run, "force", "N", 1.0, "force / N")
     if turns:
-        # The torque of a bur is a thousandth of that of a reamer.
-        small = bool(np.abs(trace.vectors("torque", "Nm")).max(initial=0.0) < SMALL_NM)
-        scale, unit = (1e3, "mN·m") if small else (1.0, "N·m")
+        unit, scale = torque_unit(np.abs(trace.vectors("torque", "Nm")).max(initial=0.0))
         _draw_components(panels[1], run, "torque", "Nm", scale, f"torque / {unit}")
     legend_above(panels[0], 3)
     cuts = bool((trace["removed_mm3"] > 0.0).any())

@@ -46,6 +46,11 @@ DECADES = 3.0
 """Largest span of a logarithmic scale [decades]; over more decades, neighbouring values look the
 same.
 """
+PROJECTED_MM = 0.02
+"""Smallest difference between a distance and its drawn length that the legend mentions [mm].
+
+The legend states distances to 0.01 mm.
+"""
 
 
 @dataclass(frozen=True)
@@ -200,10 +205,6 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
         _draw_tool(panel, run, section)
         panel.set(xlabel=f"{x} / mm", xlim=window[:2], ylim=window[2:], aspect="equal")
     save(chart, path)
-
-
-PROJECTED_MM = 0.02
-"""Difference of a distance and its length in the section from which it counts as projected [mm]."""
 
 
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
-from tissue.show.figures.figure import COMPONENTS, SMALL_NM, field_words, layer_colours
+from tissue.show.figures.figure import COMPONENTS, field_words, layer_colours, torque_unit
 from tissue.simulation.trace import Table
 
 __all__ = [
@@ -147,8 +147,8 @@ def charts(trace: Table, scene: Scene | None) -> list[Record]:
     They show force, torque, removal rate or contact area, force at a device, depth, and a chosen
     column.
     """
-    small = bool(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0) < SMALL_NM)
-    torque = ("torque", "Nm", *(("torque / mN·m", 1e3) if small else ("torque / N·m", 1.0)))
+    shown, factor = torque_unit(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0))
+    torque = ("torque", "Nm", f"torque / {shown}", factor)
     drawn = []
     for name, unit, label, scale in (("force", "N", "force / N", 1.0), torque):
         # an axial load without friction has no torque

@@ -6,6 +6,7 @@ from typing import Any
 
 from meshes.base.errors import counted
 from tissue.scene.used_constants import Used
+from tissue.show.figures.figure import torque_unit
 from tissue.simulation.run_folder import SavedRun, Summary
 
 __all__ = [
@@ -157,8 +158,8 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
 
 
 def _torque(torque_Nm: float) -> str:
-    # a bur's torque is a thousandth of a reamer's
-    return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
+    unit, factor = torque_unit(torque_Nm)
+    return f"{factor * torque_Nm:.3g} {unit}"
 
 
 def _table(

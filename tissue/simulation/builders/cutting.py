@@ -114,8 +114,9 @@ def milled(
         )
     else:
         _require_chips(scene, cutter)
-        _require_effect(scene, volume)
-        notes.update(_replaced_note(scene, volume))
+        layers = _filled_layers(volume)
+        _require_effect(scene, volume, layers)
+        notes.update(_replaced_note(scene, layers))
         notes["specific cutting energy"] = energy_note(
             tuple(volume.layer_names[at] for at in np.unique(volume.layer)),
             scene.constants,
@@ -202,26 +203,30 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
         )
 
 
-def _replaced_note(scene: Scene, volume: VoxelVolume) -> dict[str, str]:
+def _filled_layers(volume: VoxelVolume) -> list[str]:
+    """Return the names of the layers that the tool can reach, in the order of the layers."""
+    return [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
+
+
+def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
     """Return a note if keys of the scene replace coefficients of layers that differ."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
-    layers = [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
-    if not given or len({CUT_AS.get(layer, scene.cutting.material) for layer in layers}) < 2:
+    cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
+    if not given or len(set(cut_as)) < 2:
         return {}
     keys = ", ".join(f"cutting.{key}" for key in given)
     return {
         "cutting": f"{keys} of the scene applies to all layers: {', '.join(layers)}. A file of "
-        f"materials sets one layer, by a table such as [cutting.{layers[0]}]"
+        f"materials sets the layers of one material, by a table such as [cutting.{cut_as[0]}]"
     }
 
 
-def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
+def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> None:
     """Refuse keys that have no effect on the voxels that the tool can reach."""
     anatomy = scene.anatomy
     cutting = scene.cutting
-    filled = volume.fraction > 0
-    layers = {volume.layer_names[at] for at in np.unique(volume.layer[filled])}
     if is_given(cutting, "density_exponent"):
+        filled = volume.fraction > 0
         cited = scene.constants.coefficients(volume.layer_names, {}, bone=cutting.material)
         reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
@@ -234,7 +239,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
                 f"{cutting.density_exponent:g}",
                 "set another coefficient such as cutting.tangential_chip_N_mm2, or remove it",
             )
-    if is_given(cutting, "material") and layers <= set(CUT_AS):
+    if is_given(cutting, "material") and set(layers) <= set(CUT_AS):
         raise InputError(
             "cutting.material",
             (

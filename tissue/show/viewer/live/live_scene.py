@@ -166,7 +166,7 @@ class LiveBone:
             actor.mapper.AddClippingPlane(self.cut)
 
     def cut_open(self, plane: vtkPlane | None) -> None:
-        """Draw the bone behind a plane only, or all of it."""
+        """Draw only the bone behind a plane; without a plane, draw all bone."""
         self.cut = plane
         self._draw()
 
@@ -240,8 +240,6 @@ class LiveScene:
         Points that must be in view [mm], shape (n, 3).
     target_options
         Arguments of `tissue.show.viewer.live.live_scene.Target`, keyed by name.
-    is_cut_open
-        True if the bone between the camera and the tool is left out.
     """
 
     def __init__(
@@ -291,24 +289,29 @@ class LiveScene:
         self._took = 0.0
         self._largest = LEAST_N
         self._cut = vtkPlane()
-        self.is_cut_open = False
+        self._place_cut(self.target_options["start_mm"])
 
     @property
     def can_be_cut_open(self) -> bool:
         """True for a scene with bone."""
         return isinstance(self.tissue, LiveBone)
 
+    @property
+    def is_cut_open(self) -> bool:
+        """True if the bone between the camera and the tool is left out."""
+        return isinstance(self.tissue, LiveBone) and self.tissue.cut is not None
+
     def cut_open(self, is_open: bool) -> None:
         """Leave out the bone between the camera and the tool, or draw it again."""
         if isinstance(self.tissue, LiveBone) and is_open != self.is_cut_open:
-            self.is_cut_open = is_open
             self.tissue.cut_open(self._cut if is_open else None)
 
-    def _place_cut(self, tip_mm: Array, axis: Array) -> None:
+    def _place_cut(self, tip_mm: Array) -> None:
         """Place the cut through the tip and along the axis of the tool, facing the camera."""
+        axis = self.target_options["axis"]
         forward = np.array(self.plotter.camera.GetDirectionOfProjection())
         across = forward - (forward @ axis) * axis
-        # a camera that looks along the tool has no such plane
+        # A camera that looks nearly along the tool (within 6 degrees) has no such plane.
         size = float(np.linalg.norm(across))
         normal = across / size if size > 0.1 else forward
         self._cut.SetOrigin(*tip_mm)
@@ -339,7 +342,7 @@ class LiveScene:
             return None
         self._mark.position = tuple(target_mm)
         if self.is_cut_open:
-            self._place_cut(readings.tip_mm, self.target_options["axis"])
+            self._place_cut(readings.tip_mm)
         self._spring.points = np.stack([readings.tip_mm, target_mm])
         self._largest = max(self._largest, float(np.linalg.norm(readings.force_N)))
         self._tool.show(readings.tip_mm, readings.turn, readings.force_N, largest_N=self._largest)

@@ -58,6 +58,8 @@ class LivePage:
 
     def __init__(self, folder: Path) -> None:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS, off_screen=True)
+        # the tool works inside a tooth, where it cannot be seen otherwise
+        self.shown.cut_open("dentin" in self.shown.colours)
         plotter = self.shown.plotter
         start = self.shown.target_options["start_mm"]
         axis = self.shown.target_options["axis"]
@@ -82,14 +84,12 @@ class LivePage:
         return bool(self.arrays["ended"][0])
 
     def hello(self) -> dict[str, Any]:
-        """Return the name of the scene and the legend."""
+        """Return the name of the scene, the legend, and whether the bone is cut open."""
         self._last = None
         self.stage.changed = True
         from matplotlib.colors import to_hex
 
         legend = {name: to_hex(colour) for name, colour in self.shown.colours.items()}
-        # the tool works inside a tooth, where it cannot be seen otherwise
-        self.shown.cut_open("dentin" in self.shown.colours)
         cut = self.shown.is_cut_open if self.shown.can_be_cut_open else None
         return {"scene": self.shown.scene.name, "legend": legend, "cut": cut}
 
