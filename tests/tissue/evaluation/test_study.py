@@ -194,6 +194,22 @@ def test_a_trial_file_that_is_cut_short_is_run_again(tmp_path, pool):
     assert table(out) == before and len(folder.table("T2")) == 3 * 3 * len(METHODS)
 
 
+def test_progress_of_a_continued_study_begins_at_the_completed_share(tmp_path, pool):
+    """The remaining time is estimated from the growth of the share, so no report states zero."""
+    out = tmp_path / "study"
+    run_study(SMALL, out)
+    done = len(list(SMALL.all_trials())) - 2
+    (out / "trials" / "T2-novice-0001.json").write_text("{")
+    (out / "trials" / "needle-expert-0002.json").unlink()
+    reported = []
+    run_study(SMALL, out, report=lambda doing, share: reported.append((doing, share)))
+    assert "was cut short" in reported[0][0] and "2 trials will take" in reported[1][0]
+    shares = [share for _, share in reported]
+    # trials of the two tasks take different times
+    assert shares[0] == pytest.approx(done / (done + 2), abs=0.03)
+    assert shares == sorted(shares) and shares[-1] == 1.0
+
+
 @pytest.mark.slow
 def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""
