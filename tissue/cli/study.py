@@ -129,14 +129,17 @@ def run(
     if there := sum(map(StudyFolder(out).has, wanted)):
         problems.print(f"already run: {there} of {counted(len(wanted), 'trial')}")
     with progress(quiet_s=LINES_S) as bar:
+        begun: float | None = None
 
         def report(doing: str, share: float) -> None:
             """Update the progress bar, and print messages that come before the first trial."""
+            nonlocal begun
+            if begun is None:
+                begun = share
             bar(doing, share)
-            if share == 0.0:
+            if share == begun:
                 problems.print(doing)
 
-        bar("starting workers", 0.0)
         folder = run_study(
             plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report
         )

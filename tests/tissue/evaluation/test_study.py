@@ -210,6 +210,16 @@ def test_progress_of_a_continued_study_begins_at_the_completed_share(tmp_path, p
     assert shares == sorted(shares) and shares[-1] == 1.0
 
 
+def test_the_command_prints_messages_before_the_first_trial(here, pool, command):
+    """A new and a continued study; progress of the trials belongs to the bar alone."""
+    asked = ("study", "run", "--trials", 2, "--tasks", "T2", "--workers", 1, "--out", "study")
+    code, _, err = command(*asked)
+    assert code == 0 and " trials will take " in err and "trial 6 of" not in err
+    (here / "study" / "trials" / "T2-novice-0001.json").write_text("{")
+    code, _, err = command(*asked)
+    assert code == 0 and "T2-novice-0001 was cut short" in err and "1 trial will take " in err
+
+
 @pytest.mark.slow
 def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""
