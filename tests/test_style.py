@@ -1,6 +1,8 @@
 """Style of docstrings and words: summary lines, and the terms that CONTRIBUTING lists."""
 
 import ast
+import inspect
+import itertools
 import os
 import re
 from pathlib import Path
@@ -54,28 +56,41 @@ WORDS = {
     r"believ\w*|vouch\w*": "valid, trusted, assumed",
     r"undelayed": "reference, without latency",
     r"(?<!half )(?<!gives )(?<!gave )(?<!under )ways?": "path, direction, method",
-    r"rooms?|houses?": "memory, space; package, module",
+    r"(?<!operating )rooms?(?! temperature)|houses?": "memory, space; package, module",
     r"(?<!\.)(?<!import )(?<!noise )floors?(?!\()": "base, ground; layer",
     r"overdo\w*": "over-compensates",
 }
 """Words of prose, with the words to write instead."""
-ANY_WORD = re.compile(rf"(?<![\w\"-])(?:{'|'.join(WORDS)})(?![\w\"-])", re.IGNORECASE)
+_ANY = "|".join(WORDS)
+ANY_WORD = re.compile(rf'(?<![\w-])(?!(?<=")(?:{_ANY})")(?:{_ANY})(?![\w-])', re.IGNORECASE)
+"""Any of the words, except a word that stands alone between double quotes."""
 
 
 def summaries(code):
-    """Return the line and the summary of every docstring of a module."""
+    """Return the line and the summary of every docstring of a module, also of its attributes."""
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    found = []
+    texts = []
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, documented):
-            text = ast.get_docstring(node)
-            if text:
-                found.append((getattr(node, "lineno", 1), " ".join(text.split("\n\n")[0].split())))
-    return found
+            texts.append((getattr(node, "lineno", 1), ast.get_docstring(node)))
+            texts += attribute_docstrings(node.body)
+    return [(line, " ".join(text.split("\n\n")[0].split())) for line, text in texts if text]
+
+
+def attribute_docstrings(body):
+    """Return the line and the text of each string that follows an assignment."""
+    return [
+        (after.lineno, inspect.cleandoc(after.value.value))
+        for before, after in itertools.pairwise(body)
+        if isinstance(before, (ast.Assign, ast.AnnAssign))
+        and isinstance(after, ast.Expr)
+        and isinstance(after.value, ast.Constant)
+        and isinstance(after.value.value, str)
+    ]
 
 
 def bad_summaries(code):
-    """Return the line and the summary of docstrings with a wrong opening or no sentence."""
+    """Return the line and the summary of each docstring with a wrong first word."""
     return [
         (line, summary)
         for line, summary in summaries(code)
@@ -113,5 +128,9 @@ def test_bad_summaries_and_words_are_found_and_good_ones_left():
         '"""Kernels."""\ndef f():\n    """How it is done."""\ndef g():\n    """Return the force."""'
     )
     assert bad_summaries(code) == [(2, "How it is done.")]
+    assert bad_summaries('SIZE_MM = 3.0\n"""What a tool has."""\n') == [(2, "What a tool has.")]
     text = 'the tool is told its way\nalways half way, np.floor(x), far_way_m "says"\nBeside it'
     assert bad_words(text) == [(1, "told"), (1, "way"), (3, "Beside")]
+    # a message may begin or end with the word
+    assert bad_words('"Beside it"\n"in one way"\n"lest"') == [(1, "Beside"), (2, "way")]
+    assert bad_words("at room temperature, in the operating room; room for it") == [(1, "room")]

@@ -141,7 +141,7 @@ def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
                 "slices",
                 "all have the same type of values",
                 f"{file.name} with another type than {files[0].name}",
-                "export all slices in one way",
+                "export all slices with the same settings",
             )
 
 

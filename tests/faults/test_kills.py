@@ -239,8 +239,8 @@ STOPPED = {
 }
 
 
-PROGRESS = re.compile(r".*, \d+ %\n")
-"""Progress that a command prints every half a minute where no terminal shows a bar."""
+PROGRESS = re.compile(r".*, \d+ %\n|\d+ trials? will take .*\n")
+"""Progress that a command prints where no terminal shows a bar, and the estimate of a study."""
 
 
 MOMENTS_S = {"SIGINT": (0.1, 0.6), "SIGTERM": (1.5, 6.0)}

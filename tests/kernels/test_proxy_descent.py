@@ -88,7 +88,7 @@ def step_once(
 
 
 def one_contact(arm, normal, gap):
-    """Room for one candidate."""
+    """Return the arrays of one possible contact."""
     contacts = Contacts()
     contacts.slots = 1
     for name, values, dtype in (

@@ -72,8 +72,9 @@ def test_cap_volume_converges_with_second_order_and_beats_binary_removal(spacing
     subvoxel, binary = cap_errors("subvoxel", spacings_m), cap_errors("binary", spacings_m)
     slope = np.polyfit(np.log(spacings_m), np.log(subvoxel), 1)[0]
     binary_slope = np.polyfit(np.log(spacings_m), np.log(binary), 1)[0]
-    rows = zip(1e3 * np.array(spacings_m), subvoxel, binary, strict=True)
-    print("\nspacing mm, sub-voxel, binary:", *rows, sep="\n  ")
+    print("\nspacing / mm, sub-voxel / %, binary / %:")
+    for spacing, fine, coarse in zip(spacings_m, subvoxel, binary, strict=True):
+        print(f"  {1e3 * spacing:.2f}  {100 * fine:.4f}  {100 * coarse:.3f}")
     print(f"slopes {slope:.2f} and {binary_slope:.2f}")
     assert slope > 1.6  # second order, fitted over its spacings with placement noise
     assert subvoxel[2] < 1e-3  # 0.1 % at 0.1 mm

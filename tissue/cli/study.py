@@ -101,7 +101,6 @@ def run(
     only
         Run only the trial of this name, such as T1-novice-0007, and print its result.
     """
-    from tissue.evaluation.study.duration import cost
     from tissue.evaluation.study.folder import StudyFolder, run_study
     from tissue.evaluation.study.plan import TrialKey
     from tissue.evaluation.study.trial import run_trial
@@ -127,20 +126,20 @@ def run(
         return
     out = out or Path("studies/paper")
     wanted = list(plan.all_trials())
-    there = list(filter(StudyFolder(out).has, wanted))
-    if there:
-        problems.print(f"already run: {len(there)} of {counted(len(wanted), 'trial')}")
-    # A continued study begins here, and the remaining time is estimated from the pace since then.
-    begun = cost(plan, there) / cost(plan, wanted)
+    if there := sum(map(StudyFolder(out).has, wanted)):
+        problems.print(f"already run: {there} of {counted(len(wanted), 'trial')}")
     with progress(quiet_s=LINES_S) as bar:
+        begun: float | None = None
 
         def report(doing: str, share: float) -> None:
             """Update the progress bar, and print messages that come before the first trial."""
-            bar(doing, max(share, begun))
-            if share == 0.0:
+            nonlocal begun
+            if begun is None:
+                begun = share
+            bar(doing, share)
+            if share == begun:
                 problems.print(doing)
 
-        bar("starting workers", begun)
         folder = run_study(
             plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report
         )

@@ -167,11 +167,14 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
             )
         attempts = []
         for run in runs:
+            assessed = load(run)
             try:
-                found = _assessed(load(run), reference, run)
+                found = assess(assessed, reference)
             except NoSharedContactError as problem:
                 left_out.append(f"{run} {problem.reason}")
                 continue
+            except InputError as refusal:
+                raise InputError(f"{run}: {refusal}") from refusal
             if found.steadiness is None:
                 left_out.append(f"{run} has no score: {found.unscored}")
             else:
@@ -189,16 +192,6 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         )
     people.sort(key=lambda person: -person.mean)
     return Ranking(str(reference.summary.get("scene")), tuple(people), tuple(left_out))
-
-
-def _assessed(run: AssessedRun, reference: AssessedRun, folder: Path) -> Assessment:
-    """Assess one run; a refusal names its folder."""
-    try:
-        return assess(run, reference)
-    except NoSharedContactError:
-        raise
-    except InputError as refusal:
-        raise InputError(f"{folder}: {refusal}") from refusal
 
 
 def ranking_lines(found: Ranking) -> list[str]:

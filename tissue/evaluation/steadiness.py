@@ -19,8 +19,7 @@ Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
 """Band of physiological hand tremor; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
 SMOOTH_HZ = 40.0
-"""Cut-off of the velocity that determines the direction of friction, above the tremor band [Hz].
-"""
+"""Cut-off [Hz] of the velocity that gives the direction of friction; above the tremor band."""
 STICKS_M_S = 0.05
 """Speed below which the friction of the device is treated as viscous [m/s].
 

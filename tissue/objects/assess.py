@@ -91,7 +91,8 @@ def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
     """Order trainees by the mean score of their runs of one scene.
 
     The score measures how steady a hand is; see `Assessment.steadiness`. A trainee with three or
-    more attempts also has a learning curve.
+    more attempts also has a learning curve. Runs without a score, and runs without contact where
+    the reference has contact, are left out (`Ranking.left_out`).
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
     Raises
     ------
     InputError
-        If a folder holds no run, or a run was not made on a device or belongs to another task than
-        the reference run.
+        If a folder holds no run, a run belongs to another task than the reference run, or no run
+        can be ranked.
     """
     return Ranking(**vars(ranking.rank(Path(folder), assessed_run(reference), assessed_run)))

@@ -1,5 +1,6 @@
 """Tremor of a hand from a recorded run: closed form, invariance, and known simulated hands."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -144,6 +145,26 @@ def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
     assert "folder must hold at least one run for each trainee" in refused(
         "assess", "people", "--against", reference
     )
+
+
+def test_a_run_without_contact_is_left_out_and_the_others_are_ranked(runs, tmp_path):
+    people = tmp_path / "people"
+    for name in ("anna", "ben"):
+        shutil.copytree(runs / "expert" / "run0", people / name / "run0")
+    shutil.copytree(runs / "novice" / "run0", people / "ben" / "run1")
+    path = people / "ben" / "run1" / "trace.csv"
+    header, *lines = path.read_text().splitlines()
+    forces = [at for at, name in enumerate(header.split(",")) if name.startswith("model_force_")]
+    assert len(forces) == 3
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        for at in forces:
+            row[at] = "0"
+    path.write_text("\n".join([header, *map(",".join, rows)]) + "\n")
+    found = tissue.rank(people, runs / "expert" / "run1")
+    assert [(each.name, len(each.attempts)) for each in found.people] == [("anna", 1), ("ben", 1)]
+    assert found.left_out == (f"{path.parent} touches nothing",)
+    assert f"left out: {path.parent} touches nothing" in str(found).splitlines()
 
 
 def test_a_report_contains_the_assessment(runs, tmp_path):

@@ -194,6 +194,32 @@ def test_a_trial_file_that_is_cut_short_is_run_again(tmp_path, pool):
     assert table(out) == before and len(folder.table("T2")) == 3 * 3 * len(METHODS)
 
 
+def test_progress_of_a_continued_study_begins_at_the_completed_share(tmp_path, pool):
+    """The remaining time is estimated from the growth of the share, so no report states zero."""
+    out = tmp_path / "study"
+    run_study(SMALL, out)
+    done = len(list(SMALL.all_trials())) - 2
+    (out / "trials" / "T2-novice-0001.json").write_text("{")
+    (out / "trials" / "needle-expert-0002.json").unlink()
+    reported = []
+    run_study(SMALL, out, report=lambda doing, share: reported.append((doing, share)))
+    assert "was cut short" in reported[0][0] and "2 trials will take" in reported[1][0]
+    shares = [share for _, share in reported]
+    # trials of the two tasks take different times
+    assert shares[0] == pytest.approx(done / (done + 2), abs=0.03)
+    assert shares == sorted(shares) and shares[-1] == 1.0
+
+
+def test_the_command_prints_messages_before_the_first_trial(here, pool, command):
+    """A new and a continued study; progress of the trials belongs to the bar alone."""
+    asked = ("study", "run", "--trials", 2, "--tasks", "T2", "--workers", 1, "--out", "study")
+    code, _, err = command(*asked)
+    assert code == 0 and " trials will take " in err and "trial 6 of" not in err
+    (here / "study" / "trials" / "T2-novice-0001.json").write_text("{")
+    code, _, err = command(*asked)
+    assert code == 0 and "T2-novice-0001 was cut short" in err and "1 trial will take " in err
+
+
 @pytest.mark.slow
 def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""

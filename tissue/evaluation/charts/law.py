@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.progress import Progress, silent
 from meshes.paths.toolpath import arc_length, points_along
 from meshes.tets.regions import faces_of
@@ -109,11 +109,12 @@ class LawError:
         on = self.solved
         if not on.any():
             return f"the neo-Hookean law converged at none of {len(on)} instants of this motion"
+        lost = "" if on.all() else f"; {len(on) - on.sum()} more did not converge"
         return (
-            f"the linear law is {100.0 * self.error:.2g} % off a neo-Hookean one on this "
-            "motion, whatever the setting: "
-            f"{on.sum()} instants without friction, up to {1e3 * self.depth_m[on].max():.2g} "
-            "mm deep" + ("" if on.all() else f", {len(on) - on.sum()} more did not converge")
+            f"the force error of the linear law against the neo-Hookean law is "
+            f"{100.0 * self.error:.2g} % on this motion, with every setting "
+            f"({counted(int(on.sum()), 'instant')} without friction, at depths of up to "
+            f"{1e3 * self.depth_m[on].max():.2g} mm{lost})"
         )
 
 
@@ -138,7 +139,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         from tissue.fem.hyperelastic import Law
 
         # the last step of the scene: its share of the progress is nearly complete
-        report(f"{scene.name}: linear law and neo-Hookean one", 0.99)
+        report(f"{scene.name}: linear and neo-Hookean law", 0.99)
         solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
         tips_m, direction = _touching(scene, solvers[0])
         assert isinstance(scene.tool, Probe)
@@ -283,20 +284,22 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     assert isinstance(scene.tool, Probe)
     depth = _largest_depth_mm(scene) / (0.5 * scene.tool.size_mm)
     error = linear_error(depth, needed)
-    off = f"{100.0 * error:.2g} % off"
-    deep = f"{depth:.2g} radii deep"
-    called = "a neo-Hookean" if needed == LAW else "an exponential"
+    amount = f"{100.0 * error:.2g} % at a depth of {depth:.2g} ball radii"
+    of_linear = f"the force error of the linear law is {amount}"
     if error <= wanted.force_error:
-        return changed(scene, {"organ.law": "linear"}), f"; linear law, {off} {called} one {deep}"
+        return (
+            changed(scene, {"organ.law": "linear"}),
+            f"; organ.law = linear: its force error against the {needed} law is {amount}",
+        )
     if organ.law == needed:
-        return scene, f"; organ.law = {needed}, for the linear one is {off} {deep}"
+        return scene, f"; organ.law = {needed}: {of_linear}"
     if key := hindrance(organ):
         return (
             scene,
-            f"; the linear law is {off} {called} one {deep}, which organ.{key} leaves as it is",
+            f"; the linear law is kept, because organ.{key} excludes other laws: {of_linear}",
         )
     lawful = changed(scene, {"organ.law": needed})
-    why = f"; organ.law = {needed}, for the linear one is {off} {deep}"
+    why = f"; organ.law = {needed}: {of_linear}"
     # the ticks of the chosen setting were measured with the linear law
     if wanted.tick_ms is not None:
         run = simulate(lawful)
@@ -310,11 +313,11 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
                 f"be reachable with a law of {scene.name} on this machine",
                 f"force_error = {wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}",
                 (
-                    f"raise one of both: the linear law is {off} {deep}, and organ.law "
-                    f"= {needed} needs tick_ms = {tick_ms:.2g}"
+                    f"raise one of both: {of_linear}, and organ.law = {needed} needs "
+                    f"tick_ms = {tick_ms:.2g}"
                 ),
             )
-        why += f", with which 99 % of the ticks take {tick_ms:.2g} ms"
+        why += f". With organ.law = {needed}, 99 % of the ticks take at most {tick_ms:.2g} ms"
     return lawful, why
 
 

@@ -113,7 +113,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
             law = (
                 each.law.line()
                 if each.law
-                else "all by the linear law, not compared with a neo-Hookean one"
+                else "every setting uses the linear law, not compared with the neo-Hookean law"
             )
             lines.append(f"  {law}")
         if any(point.family == "cutting" for point in each.points):

@@ -390,17 +390,27 @@ def run_study(
     )
     folder = StudyFolder(out)
     with folder.held(plan) as sentences:
-        for sentence in sentences:
-            report(sentence, 0.0)
         if retry:
             folder.forget_failures()
         missing = [key for key in plan.all_trials() if not folder.has(key)]
+        share = _done_share(plan, missing)
+        for sentence in sentences:
+            report(sentence, share)
         # a scheduler's workers are other machines
         if missing and scheduler is None and report is not silent:
-            report(expected_text(plan, missing, workers=count), 0.0)
+            report(expected_text(plan, missing, workers=count), share)
         _run_trials(plan, folder, count, scheduler, report)
         folder.write_tables()
     return folder
+
+
+def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
+    """Return the completed share of a study's work.
+
+    Every report needs it: the remaining time is estimated from the growth of the reported share,
+    and a continued study does not begin at zero.
+    """
+    return 1.0 - cost(plan, missing) / cost(plan, plan.all_trials())
 
 
 def _run_trials(
@@ -418,10 +428,8 @@ def _run_trials(
         folder.write(trial)
         waiting.pop(trial.key, None)
 
-    whole = cost(plan, keys)
-
     def report_share(doing: str) -> None:
-        report(doing, 1.0 - cost(plan, waiting) / whole)
+        report(doing, _done_share(plan, waiting))
 
     while waiting:
         before = len(waiting)

@@ -200,7 +200,7 @@ A percentage is not matched, because it is a threshold that distinguishes two ev
 PEAKS = "_K"
 STRESS = "von_mises_"
 LARGEST_PREFIX = "greatest_"
-"""Prefix of the names of fields whose largest value is a figure. The name of the figure has it too.
+"""Prefix in the name of a figure that is the largest value of a field.
 
 `PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
 """
