@@ -31,6 +31,7 @@ from typing import Any
 import warp as wp
 
 from kernels.cores import CoreThreads, core_count, current_core
+from kernels.mirror import placed
 
 __all__ = [
     "LEAST_GAIN",
@@ -41,6 +42,7 @@ __all__ = [
     "calibrate",
     "launch_counts",
     "recorded",
+    "run_once",
     "run_split",
 ]
 
@@ -258,7 +260,7 @@ def recorded(
     command: wp.Launch = wp.launch(
         kernel,
         dim=dim,
-        inputs=list(inputs),
+        inputs=placed(kernel, inputs, device),
         outputs=list(outputs),
         device=device,
         record_cmd=True,
@@ -281,6 +283,16 @@ def recorded(
     return launch
 
 
+def run_once(kernel: wp.Kernel, dim: int, inputs: Sequence[object], outputs: Sequence[Any]) -> None:
+    """Launch a kernel once, unsplit, on the device of its first output.
+
+    The index of the first thread, 0, is added to the inputs. NumPy arrays are copied to the device.
+    """
+    device = str(outputs[0].device)
+    arguments = [*placed(kernel, inputs, device), 0]
+    wp.launch(kernel, dim=dim, inputs=arguments, outputs=list(outputs), device=device)
+
+
 class SplitLaunch:
     """Kernel launch that is recorded once, as a whole and in parts, and run many times.
 
@@ -291,7 +303,7 @@ class SplitLaunch:
     dim
         Number of threads of the whole launch. If there are several dimensions, the first is split.
     inputs, outputs
-        Arguments of the kernel.
+        Arguments of the kernel. NumPy arrays among the inputs are copied to the device.
     offset_index
         Position in ``inputs`` of the first thread's index. Default: after the inputs.
     device
@@ -314,6 +326,7 @@ class SplitLaunch:
     ) -> None:
         device = device or str(outputs[0].device)
         place = len(inputs) if offset_index is None else offset_index
+        inputs = placed(kernel, inputs, device)
         along, *across = (dim,) if isinstance(dim, int) else dim
         parts = 1 if device != "cpu" else min(cores or core_count(), along)
 

@@ -1,12 +1,13 @@
 """Copies of host arrays on a device, and arrays that host and device exchange in every tick."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Mirror", "put"]
+__all__ = ["Mirror", "filled", "placed", "put"]
 
 
 class Mirror:
@@ -43,3 +44,21 @@ class Mirror:
 def put(values: ArrayLike, dtype: type, device: str) -> Any:
     """Return a copy of an array on a device."""
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+
+def placed(kernel: wp.Kernel, inputs: Sequence[object], device: str) -> list[Any]:
+    """Return the inputs of a kernel; NumPy arrays are copied to a device in the declared types."""
+    return [
+        put(value, argument.type.dtype, device) if isinstance(value, np.ndarray) else value
+        for value, argument in zip(inputs, kernel.adj.args, strict=False)
+    ]
+
+
+def filled(struct: Any, device: str, **members: Any) -> Any:
+    """Return a Warp structure with members; NumPy arrays are copied to a device."""
+    found = struct()
+    for name, value in members.items():
+        if isinstance(value, np.ndarray):
+            value = put(value, struct.vars[name].type.dtype, device)
+        setattr(found, name, value)
+    return found

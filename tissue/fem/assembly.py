@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike
 from scipy.sparse import bsr_array
 
 from kernels.launcher import SplitLaunch
-from kernels.mirror import put
 from kernels.tetrahedra import pair_stiffness, pair_stiffness_isotropic
 from meshes.base.arrays import Array, Int32s, Ints
 from tissue.fem.space import (
@@ -91,28 +90,14 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
         If the elasticity has another shape or is not positive definite.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
-    device = space.device
     pattern = space.pattern
-
-    corners, weights, means = pair_tables(space.order)
     less = _softening(rows) if softened else np.zeros(1)
-    blocks = wp.empty(len(pattern.column), wp.mat33d, device)
-    inputs = [
-        *(
-            put(part, wp.int32, device)
-            for part in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
-        ),
-        put(corners, wp.int32, device),
-        put(weights, wp.float64, device),
-        put(means, wp.float64, device),
-        *space.gradients,
-        put(rows, wp.float64, device),
-        put(less, wp.float64, device),
-    ]
+    blocks = wp.empty(len(pattern.column), wp.mat33d, space.device)
+    places = [pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror]
     SplitLaunch(
         pair_stiffness_isotropic if rows.ndim == 2 else pair_stiffness,
         dim=len(pattern.place),
-        inputs=inputs,
+        inputs=[*places, *pair_tables(space.order), *space.gradients, rows, less],
         outputs=[blocks],
     )()
     return bsr_array(
@@ -132,7 +117,7 @@ def _softening(rows: Array) -> Array:
     uniform = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     bulk = 1.0 / np.linalg.solve(rows, uniform[:, None])[..., 0].dot(uniform)
     shear = np.diagonal(rows, axis1=1, axis2=2)[:, 3:].max(axis=1)
-    return np.asarray(np.maximum(bulk - (SOFTENED_RATIO + 2.0 / 3.0) * shear, 0.0))
+    return np.maximum(bulk - (SOFTENED_RATIO + 2.0 / 3.0) * shear, 0.0)
 
 
 @cache
@@ -155,7 +140,7 @@ def pair_tables(order: int) -> tuple[Int32s, Array, Array]:
 
     def weights(of: Array) -> Array:
         each = [of[a, b, p, q] for p, q in ((i, k), (i, n), (j, k), (j, n))]
-        return np.asarray(np.stack(each, axis=1) * once)
+        return np.stack(each, axis=1) * once
 
     return (
         corners.astype(np.int32),

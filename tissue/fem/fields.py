@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from kernels import tetrahedra
 from kernels.launcher import SplitLaunch
-from kernels.mirror import put
 from meshes.base.arrays import Array, Bytes, Int32s, Ints, Singles
 from tissue.fem.space import Space, gradient_slopes
 from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
@@ -128,14 +127,14 @@ def group_stress(
     count = len(start) - 1
     device = space.device
     inputs = [
-        put(start, wp.int32, device),
-        put(member, wp.int32, device),
-        put(places, wp.vec4d, device),
-        put(gradient_slopes(4, space.order), wp.vec4d, device),
-        put(space.cell_nodes.astype(np.int32), wp.int32, device),
+        start,
+        member,
+        places,
+        gradient_slopes(4, space.order),
+        space.cell_nodes,
         *space.gradients,
-        put(stiffness, wp.float64, device),
-        put(displacement_m, wp.vec3d, device),
+        stiffness,
+        displacement_m,
     ]
     strain, stress = (wp.empty((count, 6), wp.float64, device) for _ in range(2))
     von_mises = wp.empty(count, wp.float64, device)

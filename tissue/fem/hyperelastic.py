@@ -15,7 +15,7 @@ from scipy.sparse import bsr_array, csr_array
 
 from kernels import tet_hyperelastic, tet_nonlinear
 from kernels.launcher import SplitLaunch
-from kernels.mirror import put
+from kernels.mirror import placed
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.space import Space, gauss_points, gradient_slopes, local_pairs
@@ -105,33 +105,23 @@ class NonlinearBody:
         if isinstance(law, Hyperelastic):
             force = tet_hyperelastic.stretch_force
             stiffness = tet_hyperelastic.stretch_stiffness
-        constants = [
-            put(part, wp.float64, device) if isinstance(part, np.ndarray) else part
-            for part in _constants(lame_Pa, law, count, cell_factors)
-        ]
-        model: list[object] = [
-            put(space.cell_nodes, wp.int32, device),
-            *space.gradients,
-            put(reference, wp.float64, device),
-            put(np.full(len(at), 1.0 / len(at)), wp.float64, device),
-            *constants,
-            self._displacement,
-        ]
-        places = [
-            put(each, wp.int32, device)
-            for each in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
-        ]
-        node_places = [put(each, wp.int32, device) for each in (node_start, node_place)]
+        constants = _constants(lame_Pa, law, count, cell_factors)
+        points = [reference, np.full(len(at), 1.0 / len(at))]
+        model = placed(
+            force,
+            [space.cell_nodes, *space.gradients, *points, *constants, self._displacement],
+            device,
+        )
         self._force_launches = (
             launch(force, count, model, [self._energy, shares]),
             launch(
                 tet_nonlinear.gather_forces,
                 space.node_count,
-                [*node_places, shares.flatten()],
+                [node_start, node_place, shares.flatten()],
                 [self._force],
             ),
         )
-        ends = [put(each, wp.int32, device) for each in (first, second)]
+        places = [pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror]
         gather = launch(
             tet_nonlinear.gather_blocks,
             len(pattern.place),
@@ -141,7 +131,7 @@ class NonlinearBody:
         # A tangent that is made positive definite exists only for a hyperelastic law.
         variants: list[list[object]] = [[0], [1]] if isinstance(law, Hyperelastic) else [[]]
         self._stiffness_launches = [
-            (launch(stiffness, count, [*ends, *variant, *model], [squares]), gather)
+            (launch(stiffness, count, [first, second, *variant, *model], [squares]), gather)
             for variant in variants
         ]
 

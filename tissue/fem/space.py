@@ -27,7 +27,6 @@ import warp as wp
 from scipy.sparse import csr_array
 
 from kernels.launcher import SplitLaunch
-from kernels.mirror import put
 from kernels.tetrahedra import cell_gradients
 from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError
@@ -140,7 +139,7 @@ def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
 def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
     """Return `order` sorted stably by keys below `count`, in linear time."""
     row = csr_array((order, key[order], np.array([0, len(order)], np.int32)), shape=(1, count))
-    return np.asarray(row.tocsc().data)
+    return row.tocsc().data
 
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -186,13 +185,13 @@ def gradient_products(corners: int, order: int) -> Array:
     """
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
-    return np.asarray(np.einsum("aci,bdj,ij->abcd", slope, slope, mean))
+    return np.einsum("aci,bdj,ij->abcd", slope, slope, mean)
 
 
 def mean_gradient_products(corners: int, order: int) -> Array:
     """Return products of mean gradients, with the shape of `gradient_products`."""
     slope = gradient_slopes(corners, order).mean(axis=2)
-    return np.asarray(np.einsum("ac,bd->abcd", slope, slope))
+    return np.einsum("ac,bd->abcd", slope, slope)
 
 
 def mean_shape(corners: int, order: int) -> Array:
@@ -313,19 +312,18 @@ class Space:
         The gradients are vectors of shape (m, 4), the volumes have shape (m,).
         """
         count = self.cell_count
-        nodes: wp.array[object] = put(self.mesh.nodes_m, wp.vec3d, self.device)
-        cells: wp.array[object] = put(self.mesh.cells.astype(np.int32), wp.int32, self.device)
         outputs = [
             wp.empty((count, 4), wp.vec3d, self.device),
             wp.empty(count, wp.float64, self.device),
         ]
-        SplitLaunch(cell_gradients, dim=count, inputs=[nodes, cells], outputs=outputs)()
+        inputs = [self.mesh.nodes_m, self.mesh.cells]
+        SplitLaunch(cell_gradients, dim=count, inputs=inputs, outputs=outputs)()
         return outputs[0], outputs[1]
 
     @cached_property
     def volumes_m3(self) -> Array:
         """Volume of each cell [m3], shape (m,)."""
-        return np.asarray(self.gradients[1].numpy())
+        return self.gradients[1].numpy()
 
     @cached_property
     def _edges(self) -> tuple[Ints, Ints]:

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror, filled, put
 from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import Outline
@@ -122,7 +122,7 @@ class KeepClear:
         self.notices = list[str]()
         self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
-        outline = _outline(profile)
+        outline = filled(Outline, DEVICE, **vars(outline_table(profile)))
         medial = _medial(profile)
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
@@ -233,7 +233,7 @@ class _Search:
                 self._mesh.id,
                 self._motion.device,
                 medial,
-                put([tree.first_leaf], wp.int32, DEVICE),
+                np.array([tree.first_leaf]),
                 wp.zeros(NODES, wp.int32, DEVICE),
                 wp.zeros(NODES, wp.float64, DEVICE),
                 wp.zeros((TRIANGLES, 3), wp.vec3d, DEVICE),
@@ -257,33 +257,26 @@ class _Search:
         return float(self._distance.host[0]) - self._slack_m
 
 
-def _outline(profile: Profile) -> Any:
-    """Return the tool's outline in the format of the kernel."""
-    table = outline_table(profile)
-    outline: Any = Outline()
-    outline.kind = put(table.kind, wp.int32, DEVICE)
-    outline.shape = put(table.shape, wp.float64, DEVICE)
-    outline.first = put(table.first, wp.int32, DEVICE)
-    outline.convex = put(table.convex, wp.int32, DEVICE)
-    return outline
-
-
 def _medial(profile: Profile) -> Any:
     """Return the tool's medial axis in the format of the kernel."""
     axis = medial_axis(profile)
-    medial: Any = MedialAxis()
-    medial.starts = put(axis.starts_m, wp.vec3d, DEVICE)
-    medial.ends = put(axis.ends_m, wp.vec3d, DEVICE)
-    medial.across = put(axis.across, wp.int32, DEVICE)
-    medial.slack = MEDIAL_TOLERANCE_M
-    return medial
+    return filled(
+        MedialAxis,
+        DEVICE,
+        starts=axis.starts_m,
+        ends=axis.ends_m,
+        across=axis.across,
+        slack=MEDIAL_TOLERANCE_M,
+    )
 
 
 def _tree(made: BoxTree) -> Any:
     """Return a tree in the format of the kernel."""
-    tree: Any = Tree()
-    tree.centre = put(made.centres_m, wp.vec3d, DEVICE)
-    tree.half = put(made.halves_m, wp.vec3d, DEVICE)
-    tree.corners = put(made.corners_m, wp.vec3d, DEVICE)
-    tree.first_leaf = made.first_leaf
-    return tree
+    return filled(
+        Tree,
+        DEVICE,
+        centre=made.centres_m,
+        half=made.halves_m,
+        corners=made.corners_m,
+        first_leaf=made.first_leaf,
+    )

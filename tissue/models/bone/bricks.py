@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL, LOST, REACHED, sample
-from kernels.mirror import put
+from kernels.mirror import placed, put
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.base.errors import InputError
 from meshes.voxels.distances import OUTSIDE, near_the_surface
@@ -364,10 +364,9 @@ class BrickStore:
         voxels = (np.asarray(points_m, np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
         found = wp.zeros(len(voxels), wp.float32, device)
-        at = put(voxels, wp.vec3, device)
-        inputs = [at, 0, self.brick_of, self.remaining]
+        inputs = placed(sample, [voxels, 0, self.brick_of, self.remaining], device)
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
-        return np.asarray(found.numpy())
+        return found.numpy()
 
     def write_fraction(self, fraction: Bytes, rows: Ints) -> None:
         """Write the remaining fraction of some bricks into an array, 255 = full.

@@ -8,7 +8,7 @@ present pose.
 
 from dataclasses import dataclass
 from math import ceil, sqrt
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import warp as wp
@@ -30,7 +30,7 @@ from kernels.carving import (
     carve,
 )
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror, filled
 from kernels.revolution import Revolution
 from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
@@ -345,18 +345,8 @@ class Carver:
 
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
     """Return the cutter's distance table on a device."""
-    tool: Any = Revolution()
-    tool.distance = put(table.distance, wp.float32, device)
-    tool.slope = put(table.slope, wp.vec2, device)
-    tool.bend = put(table.bend, wp.float32, device)
-    tool.height_min = table.height_min
-    tool.cells_per_voxel = table.cells_per_voxel
-    tool.radius = table.radius
-    tool.low = table.low
-    tool.high = table.high
-    tool.convex = int(profile.convex)
-    tool.round = int(len(profile.pieces) == 1)
-    return tool
+    form = {"convex": int(profile.convex), "round": int(len(profile.pieces) == 1)}
+    return filled(Revolution, device, **vars(table), **form)
 
 
 class CarvingReplay:

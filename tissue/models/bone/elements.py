@@ -10,7 +10,7 @@ from kernels.cutting import AREA, cutting_forces
 from kernels.elements import CHUNK, LANES, Elements, lanes8
 from kernels.engagement import FOUND, Coefficients, find_bone
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror, filled
 from kernels.older_cuts import SLOTS
 from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array
@@ -35,32 +35,36 @@ torque.
 
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
     """Return the cutter's point shell on a device."""
-    elements = Elements()
-    elements.point = put(shell.points_m, wp.vec3, device)
-    missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not cut
-    eights = (
-        np.pad(np.hstack([shell.points_m, shell.normals]), missing)
-        .reshape(-1, LANES, 6)
-        .transpose(0, 2, 1)
-    )
-    elements.lanes = put(eights, lanes8, device)
-    elements.normal = put(shell.normals, wp.vec3, device)
-    levers = np.pad(levers_of(shell, cutter)[:, LEVER], missing).reshape(-1, LANES, len(LEVER))
-    elements.lever = put(levers.transpose(0, 2, 1), lanes8, device)
-    elements.area = put(shell.areas_m2, wp.float32, device)
-    elements.areas = put(np.pad(shell.areas_m2, missing[0]).reshape(-1, LANES), lanes8, device)
     bend = cutter.table(spacing_m=spacing_m).bend_at(
         shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m
     )
-    elements.bend = put(bend, wp.float32, device)
     # see `Revolution`
     curvature = np.where(bend < EDGE_BEND, 3.0 * bend / spacing_m, 0.0)
-    elements.curvature = put(np.pad(curvature, missing[0]).reshape(-1, LANES), lanes8, device)
-    elements.edge_length = put(edge_lengths_m(shell, cutter), wp.float32, device)
     balls, cones = _chunk_bounds(shell)
-    elements.chunk_ball = put(balls, wp.vec4, device)
-    elements.chunk_cone = put(cones, wp.vec4, device)
-    return elements
+    return filled(
+        Elements,
+        device,
+        point=shell.points_m,
+        lanes=_in_lanes(np.hstack([shell.points_m, shell.normals])),
+        normal=shell.normals,
+        lever=_in_lanes(levers_of(shell, cutter)[:, LEVER]),
+        area=shell.areas_m2,
+        areas=_in_lanes(shell.areas_m2[:, None])[:, 0],
+        bend=bend,
+        curvature=_in_lanes(curvature[:, None])[:, 0],
+        edge_length=edge_lengths_m(shell, cutter),
+        chunk_ball=balls,
+        chunk_cone=cones,
+    )
+
+
+def _in_lanes(rows: Array) -> Array:
+    """Return values of elements, shape (n, k), as groups of lanes, shape (groups, k, LANES).
+
+    Missing elements of the last group are 0: elements without a normal do not cut.
+    """
+    padded = np.pad(rows, ((0, -len(rows) % LANES), (0, 0)))
+    return padded.reshape(-1, LANES, rows.shape[1]).transpose(0, 2, 1)
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
@@ -88,7 +92,7 @@ def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
 
     It is N A / (2 pi r), with N flutes, the element's area A and its radius r.
     """
-    return np.asarray(cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m))
+    return cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
 
 
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
@@ -219,4 +223,4 @@ class CuttingForces:
         self._sum()
         self._sums.pull()
         # Chunks without bone have the factor 0.
-        return np.asarray(engaged @ self._sums.host[:, :rows])
+        return engaged @ self._sums.host[:, :rows]

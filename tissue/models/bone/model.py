@@ -1,14 +1,12 @@
 """Bone that a rotating cutter mills: removal of voxels, and forces on the cutting elements."""
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
 from kernels.bricks import FULL
 from kernels.cutting import AREA, MOTION_ROWS, RATE
 from kernels.engagement import DENSITIES, FOUND, POSE_ROWS, Coefficients
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror, filled
 from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
@@ -148,12 +146,12 @@ class BoneModel:
     @property
     def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return np.asarray(self.store.start_steps * self.step_m3, np.float64)
+        return self.store.start_steps * self.step_m3
 
     @property
     def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
-        return np.asarray(self.removed_steps * self.step_m3, np.float64)
+        return self.removed_steps * self.step_m3
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
@@ -319,7 +317,7 @@ class BoneModel:
         """
         self._find_along(motion)
         found = self._forces.found.numpy()
-        return np.asarray(found.transpose(1, 0, 2).reshape(FOUND, -1))
+        return found.transpose(1, 0, 2).reshape(FOUND, -1)
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""
@@ -332,20 +330,21 @@ class BoneModel:
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Return cutting coefficients on a device, one entry a layer."""
-    arrays: Any = Coefficients()
-    for name, keys in (("chip", CuttingCoefficients.CHIP), ("edge", CuttingCoefficients.EDGE)):
-        values = [[getattr(layer, key) for key in keys] for layer in coefficients]
-        setattr(arrays, name, put(np.array(values), wp.vec3, device))
     density = np.arange(DENSITIES)
     strength = [
         (density / layer.reference_density_kg_m3) ** layer.density_exponent
         for layer in coefficients
     ]
-    arrays.strength = put(np.array(strength), wp.float32, device)
-    size = [
-        (layer.size_exponent, layer.minimum_chip_m, layer.reference_chip_m)
-        for layer in coefficients
-    ]
-    arrays.size = put(np.array(size), wp.vec3, device)
-    arrays.has_size_effect = int(any(layer.size_exponent for layer in coefficients))
-    return arrays
+
+    def rows(*keys: str) -> Array:
+        return np.array([[getattr(layer, key) for key in keys] for layer in coefficients])
+
+    return filled(
+        Coefficients,
+        device,
+        chip=rows(*CuttingCoefficients.CHIP),
+        edge=rows(*CuttingCoefficients.EDGE),
+        strength=np.array(strength),
+        size=rows("size_exponent", "minimum_chip_m", "reference_chip_m"),
+        has_size_effect=int(any(layer.size_exponent for layer in coefficients)),
+    )

@@ -4,11 +4,10 @@ from math import pi
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from kernels.cutting import AREA
 from kernels.engagement import Coefficients
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror, filled
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import Line
 from tissue.models.bone.bricks import BrickStore
@@ -92,12 +91,15 @@ class SmoothSurface:
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
         # A pressure takes the place of a force per length of edge.
         elements.edge_length = elements.area
-        rubbing = Coefficients()
-        rubbing.chip = wp.zeros(layers, wp.vec3, device)
         pressure = [FRICTION * HARDNESS_Pa * (cutter.spin_rad_s != 0.0), HARDNESS_Pa, 0.0]
-        rubbing.edge = put(np.tile(pressure, (layers, 1)), wp.vec3, device)
-        rubbing.strength = strength
-        rubbing.size = put(np.tile([0.0, SINK_M_S, 1.0], (layers, 1)), wp.vec3, device)
+        rubbing = filled(
+            Coefficients,
+            device,
+            chip=np.zeros((layers, 3)),
+            edge=np.tile(pressure, (layers, 1)),
+            strength=strength,
+            size=np.tile([0.0, SINK_M_S, 1.0], (layers, 1)),
+        )
         # The velocity takes the place of the chip thickness.
         self.forces = CuttingForces(
             store, tool, elements, rubbing, pose, recent, motion, chip_per_speed_s=1.0, cores=1

@@ -25,7 +25,7 @@ from kernels.contact_state import (
     Points,
 )
 from kernels.launcher import SplitLaunch, recorded
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror, filled
 from kernels.near_compliance import gather_all_again, new_patch
 from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
@@ -124,17 +124,20 @@ def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str)
 
     On a CPU the compliance is not copied.
     """
-    body = Body()
-    body.free = put(nodes_m, wp.vec3d, device)
-    body.last_free = put(nodes_m, wp.vec3d, device)
-    body.scale = wp.float64(1.0)
-    body.compliance = wp.array(
+    compliance: Any = wp.array(
         compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu"
     )
-    body.corners = put(faces, wp.int32, device)
-    for name in ("force", "moved"):
-        setattr(body, name, wp.zeros(len(nodes_m), wp.vec3d, device))
-    return body
+    return filled(
+        Body,
+        device,
+        free=nodes_m,
+        last_free=nodes_m,
+        scale=wp.float64(1.0),
+        compliance=compliance,
+        corners=faces,
+        force=np.zeros_like(nodes_m),
+        moved=np.zeros_like(nodes_m),
+    )
 
 
 def point_arrays(
@@ -154,26 +157,25 @@ def point_arrays(
         following = np.append(np.where(np.diff(face) == 0, np.arange(1, len(face)), -1), -1)
     first = np.full(len(faces), -1)
     first[face[::-1]] = np.arange(len(face))[::-1]
-    points = Points()
     count = len(weights)
-    points.first = put(first, wp.int32, device)
-    points.following = put(following, wp.int32, device)
-    points.weight = put(weights, wp.vec3d, device)
-    points.area = put(areas, wp.float64, device)
-    for name in ("tool_point", "tool_normal", "force", "anchor"):
-        setattr(points, name, wp.zeros(count, wp.vec3d, device))
-    points.response = wp.zeros((count, 5), wp.mat33d, device)
-    points.ready = wp.zeros(count, wp.int32, device)
-    return points
+    none = dict.fromkeys(("tool_point", "tool_normal", "force", "anchor"), np.zeros((count, 3)))
+    return filled(
+        Points,
+        device,
+        first=first,
+        following=following,
+        weight=weights,
+        area=areas,
+        response=np.zeros((count, 5, 3, 3)),
+        ready=np.zeros(count),
+        **none,
+    )
 
 
 def list_arrays(triangles: int, device: str) -> Lists:
     """Return empty lists of near and working triangles."""
-    lists = Lists()
-    lists.count = wp.zeros(3, wp.int32, device)
-    for name in ("near", "working", "working_mark"):
-        setattr(lists, name, wp.zeros(triangles, wp.int32, device))
-    return lists
+    none = np.zeros(triangles)
+    return filled(Lists, device, count=np.zeros(3), near=none, working=none, working_mark=none)
 
 
 class ContactOutcome(Enum):
@@ -329,7 +331,6 @@ class SurfaceContact:
         self._points = point_arrays(nodes_m, faces, probe, spacing_m, device)
         self._lists = list_arrays(len(faces), device)
         self._patch = new_patch(len(nodes_m), device)
-        self._spheres = put(self._centres, wp.vec3d, device), put(self._radii, wp.float64, device)
         self._stages = self._recorded()
         self._on_host = device == "cpu"
         self.result = ContactResult(
@@ -352,16 +353,12 @@ class SurfaceContact:
         def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], object]:
             return recorded(kernel, dim=1, inputs=inputs, device=device)
 
-        stages = [
-            record(
-                find_near,
-                [*self._spheres, probe.kind, size, pose, REACH_M, results, body, lists, patch],
-            )
-        ]
+        near = [self._centres, self._radii, probe.kind, size, pose, REACH_M]
+        stages = [record(find_near, [*near, results, body, lists, patch])]
         if isinstance(probe, ShellProbe):
             count = len(probe.points_m)
             home = wp.zeros(count, wp.int32, device)
-            shell = [put(probe.points_m, wp.vec3d, device), put(probe.normals, wp.vec3d, device)]
+            shell = [probe.points_m, probe.normals]
             project = SplitLaunch(
                 project_shell,
                 dim=count,

@@ -13,7 +13,7 @@ from scipy.sparse import bsr_matrix
 
 from kernels.grid_transfer import assemble_rows, invert_diagonal, to_single
 from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
-from kernels.launcher import SplitLaunch
+from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.grid import HexGrid, NodeSupports
@@ -95,13 +95,7 @@ class NodeBlocks:
             (to_single, [self.row_start, self.block], [self.single]),
             (invert_diagonal, [self.diagonal], [self.inverse]),
         ):
-            wp.launch(
-                kernel,
-                dim=len(nodes),
-                inputs=[rows, *inputs, 0],
-                outputs=outputs,
-                device=self.device,
-            )
+            run_once(kernel, len(nodes), [rows, *inputs], outputs)
 
     def matrix(self) -> bsr_matrix:
         """Return the assembled matrix [N/m], shape (3 n, 3 n).
@@ -208,21 +202,17 @@ class FinestLevel:
         """Update the diagonal of these nodes."""
         if len(nodes) == 0:
             return
-        rows = put(nodes, wp.int32, self.device)
         inputs = [
-            rows,
+            nodes,
             self._cells.node_cells_on,
             self.live,
             self.stiffness,
             self.free,
             self._cells.strips.slot_on,
             self._largest,
-            0,
         ]
         outputs = [self.diagonal, self._inverse.single]
-        wp.launch(
-            node_diagonals, dim=len(nodes), inputs=inputs, outputs=outputs, device=self.device
-        )
+        run_once(node_diagonals, len(nodes), inputs, outputs)
 
     def bound_eigenvalues(self) -> None:
         """Compute the largest eigenvalue of D^-1 K by the power method.
@@ -274,7 +264,7 @@ class FinestLevel:
         self._smooth()
         self._steps[2]()
         self._give_found()
-        return np.asarray(self.vector.numpy().astype(np.float64))
+        return self.vector.numpy().astype(np.float64)
 
     def _smooth(self) -> None:
         self._steps[0]()

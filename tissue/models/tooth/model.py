@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from kernels.elements import CHUNK
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror, put
+from kernels.mirror import Mirror
 from kernels.structure_distance import clearance
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.base.errors import InputError
@@ -118,7 +118,7 @@ class ToothModel:
                 milling.motion_rows,
                 volume.spacing_m,
                 0,
-                put(distance, wp.float32, device),
+                distance,
             ],
             outputs=[self._nearest.device],
             offset_index=3,

@@ -22,7 +22,7 @@ from kernels.grid_transfer import (
     sweep_colour,
 )
 from kernels.hexahedra import BLOCKS
-from kernels.launcher import SplitLaunch
+from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
@@ -53,7 +53,6 @@ class GridTransfer:
     def __init__(
         self, fine: "FinestLevel | GridLevel", coarse: "GridLevel", parent: Int32s
     ) -> None:
-        device = fine.device
         grid = fine.grid
         coarse_grid = coarse.grid
 
@@ -65,13 +64,12 @@ class GridTransfer:
             grid.cell_count, dtype=np.int32
         )
         self._parent = parent
-        self._device = device
         self._inputs = [
             fine.cell_nodes,
             fine.live,
             fine.stiffness,
             fine.free,
-            put(children, wp.int32, device),
+            put(children, wp.int32, fine.device),
         ]
         self._outputs = [coarse.stiffness, coarse.live]
         place = grid.node_place
@@ -83,14 +81,14 @@ class GridTransfer:
         for corner, step in enumerate(CORNERS):
             wanted = (step <= odd).all(axis=1)
             coarse_of[wanted, corner] = coarse_grid.find_nodes((place[wanted] >> 1) + step)
-        free = put(fine.free.numpy(), wp.vec3f, device)
-        inputs = [put(fine_of, wp.int32, device), free, fine.residual]
+        free = put(fine.free.numpy(), wp.vec3f, fine.device)
+        inputs = [fine_of, free, fine.residual]
         self.down = launch(restrict, coarse_grid.node_count, inputs, [coarse.load])
         inputs = [
-            put(coarse_of, wp.int32, device),
+            coarse_of,
             # The value at a node in the middle of a coarse edge, face or cell is the mean of 2, 4
             # or 8 coarse nodes.
-            put(0.5 ** odd.sum(axis=1), wp.float32, device),
+            0.5 ** odd.sum(axis=1),
             free,
             coarse.vector,
         ]
@@ -99,14 +97,7 @@ class GridTransfer:
     def project(self, changed: Int32s) -> Int32s:
         """Sum the coarse cells that contain changed cells again, and return these coarse cells."""
         cells = np.unique(self._parent[changed])
-        arrays = [*self._inputs, put(cells, wp.int32, self._device), 0]
-        wp.launch(
-            coarse_stiffness,
-            dim=len(cells),
-            inputs=arrays,
-            outputs=self._outputs,
-            device=self._device,
-        )
+        run_once(coarse_stiffness, len(cells), [*self._inputs, cells], self._outputs)
         return cells
 
 
@@ -175,18 +166,19 @@ class GridLevel:
             nodes = np.flatnonzero(self.grid.node_colour == colour).astype(np.int32)
             if len(nodes) == 0:
                 continue
-            on = put(nodes, wp.int32, self.device)
             rows = [blocks.column, blocks.single, blocks.inverse, self.load]
             first.append(
                 self._launch(
                     first_sweep,
-                    [on, blocks.row_start, blocks.diagonal_block, *rows],
+                    [nodes, blocks.row_start, blocks.diagonal_block, *rows],
                     [self.vector],
                     len(nodes),
                 )
             )
             last.append(
-                self._launch(sweep_colour, [on, blocks.row_start, *rows], [self.vector], len(nodes))
+                self._launch(
+                    sweep_colour, [nodes, blocks.row_start, *rows], [self.vector], len(nodes)
+                )
             )
         return first, last[::-1]
 
@@ -244,7 +236,7 @@ class GridHierarchy:
 
     def diagonal(self) -> Array:
         """Return the diagonal of the finest stiffness [N/m], shape (n, 3)."""
-        return np.asarray(self.finest.diagonal.numpy())
+        return self.finest.diagonal.numpy()
 
     def refresh(self) -> None:
         """Decompose the stiffness of the coarsest grid anew after a change."""

@@ -12,7 +12,7 @@ import warp as wp
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from kernels.mirror import put
+from kernels.launcher import SplitLaunch, run_once
 from kernels.particle_stiffness import invariants, point_stress
 from meshes.base.arrays import Array, Integers
 from tissue.fem.conjugate_gradients import Solution, dot
@@ -42,27 +42,23 @@ class StressPoints:
     row
         Row of each point in the next three arrays, shape (n,).
     cell, place, lame_Pa
-        Warp arrays: cell of each row, position in the cell, 0 to 1 along each edge, and Lame
-        constants [Pa], shape (rows, 2).
+        NumPy or Warp arrays: cell of each row, position in the cell, 0 to 1 along each edge, and
+        Lame constants [Pa], shape (rows, 2).
     """
 
     def __init__(
         self, cells: CellStiffness, row: Integers, cell: Any, place: Any, lame_Pa: Any
     ) -> None:
         self._cells = cells
-        self._count = len(row)
-        on = put(row.astype(np.int32), wp.int32, cells.device)
-        self._inputs = [
-            on,
-            cell,
-            place,
-            lame_Pa,
-            cells.cell_nodes_on,
-            cells.displacement,
-            cells.grid.edge_m,
-            0,
-        ]
-        self._stress = wp.empty((self._count, 6), wp.float64, cells.device)
+        self._stress = wp.empty((len(row), 6), wp.float64, cells.device)
+        at_corners = [cells.cell_nodes_on, cells.displacement, cells.grid.edge_m]
+        self._launch = SplitLaunch(
+            point_stress,
+            dim=len(row),
+            inputs=[row, cell, place, lame_Pa, *at_corners],
+            outputs=[self._stress],
+            cores=1,
+        )
 
     def __call__(self, displacement_m: Array) -> Array:
         """Return the stress xx, yy, zz, yz, xz, xy [Pa], (n, 6), for nodal displacements [m].
@@ -70,8 +66,8 @@ class StressPoints:
         The next call overwrites the returned array.
         """
         self._cells.displacement.assign(displacement_m)
-        self._cells.run(point_stress, self._count, self._inputs, [self._stress])
-        return np.asarray(self._stress.numpy())
+        self._launch()
+        return self._stress.numpy()
 
 
 def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
@@ -80,12 +76,9 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
     For stresses of shape (n, 6) the shapes are (n,) and (n, 3).
     """
     count = len(stress_Pa)
-    given = put(stress_Pa, wp.float64, device)
     von_mises = wp.empty(count, wp.float64, device)
     principal = wp.empty(count, wp.vec3d, device)
-    wp.launch(
-        invariants, dim=count, inputs=[given, 0], outputs=[von_mises, principal], device=device
-    )
+    run_once(invariants, count, [stress_Pa], [von_mises, principal])
     return von_mises.numpy(), principal.numpy()
 
 
@@ -155,9 +148,9 @@ class StressRecovery:
         self._points = StressPoints(
             cells,
             np.arange(len(at)),
-            put(self._cell, wp.int32, cells.device),
-            put(mean(cells.place.numpy()), wp.vec3d, cells.device),
-            put(mean(cells.lame.numpy()), wp.float64, cells.device),
+            self._cell,
+            mean(cells.place.numpy()),
+            mean(cells.lame.numpy()),
         )
         rows = []
         columns = []
@@ -175,7 +168,7 @@ class StressRecovery:
         self._near = csr_matrix(entries, shape=(len(place_m), len(at)))
 
     def _total(self, values: Array) -> Array:
-        return np.asarray(np.bincount(self._group, weights=values))
+        return np.bincount(self._group, weights=values)
 
     def __call__(self, displacement_m: Array) -> Array:
         """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] for nodal displacements [m].

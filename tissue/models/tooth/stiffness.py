@@ -7,6 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.hexahedra import BLOCKS
+from kernels.launcher import run_once
 from kernels.mirror import put
 from kernels.particle_stiffness import particle_stiffness
 from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
@@ -71,7 +72,6 @@ class CellStiffness:
         self.rank = np.empty_like(self.order)
         self.rank[self.order] = np.arange(len(self.order))
         self.particle_cell = cell[self.order]
-        self.particle_cell_on = put(self.particle_cell, wp.int32, device)
         self.cell_start = np.searchsorted(
             self.particle_cell, np.arange(grid.cell_count + 1)
         ).astype(np.int32)
@@ -80,14 +80,8 @@ class CellStiffness:
         self.volume = put(particles.volume_m3[self.order], wp.float64, device)
         self.lame = put(particles.lame_Pa[self.order], wp.float64, device)
         self.remaining_on = put(particles.remaining[self.order], wp.uint16, device)
-        self.cell_start_on = put(self.cell_start, wp.int32, device)
-        self._particles = [
-            self.place,
-            self.volume,
-            self.lame,
-            self.remaining_on,
-            self.cell_start_on,
-        ]
+        start = put(self.cell_start, wp.int32, device)
+        self._particles = [self.place, self.volume, self.lame, self.remaining_on, start]
         self.cell_nodes_on = put(grid.cell_nodes, wp.int32, device)
         self.node_cells_on = put(grid.node_cells, wp.int32, device)
         self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
@@ -130,17 +124,17 @@ class CellStiffness:
     @property
     def remaining(self) -> NDArray[np.uint16]:
         """Remaining fraction of each sorted particle, in steps of 1/65535."""
-        return np.asarray(self.remaining_on.numpy())
+        return self.remaining_on.numpy()
 
     @property
     def fill(self) -> Array:
         """Volume of each cell's particles divided by the volume of the cell."""
-        return np.asarray(self.fill_on.numpy())
+        return self.fill_on.numpy()
 
     @property
     def live(self) -> Bytes:
         """1 for each cell that carries load, otherwise 0."""
-        return np.asarray(self.live_on.numpy())
+        return self.live_on.numpy()
 
     def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
         """Set the remaining fraction of sorted particles. `update` of their cells applies it."""
@@ -155,36 +149,22 @@ class CellStiffness:
         self.live_on.assign(live.astype(np.uint8))
         self._weigh(changed)
 
-    def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel once; the last input is the index of the first thread."""
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
-
     def update(self, cells: Int32s) -> None:
         """Sum the stiffness of these cells over their particles again."""
         if len(cells) == 0:
             return
-        changed = put(cells, wp.int32, self.device)
-        inputs = [
-            *self._particles,
-            changed,
-            self.grid.edge_m,
-            self._strength,
-            self._inner,
-            *self._springs,
-            0,
-        ]
-        outputs = [self.stiffness, self.fill_on]
-        self.run(particle_stiffness, len(cells), inputs, outputs)
+        size = [self.grid.edge_m, self._strength]
+        inputs = [*self._particles, cells, *size, self._inner, *self._springs]
+        run_once(particle_stiffness, len(cells), inputs, [self.stiffness, self.fill_on])
 
         self._weigh(cells)
 
     def _weigh(self, cells: Int32s) -> None:
         if len(cells):
-            changed = put(cells, wp.int32, self.device)
             self.strips.update(
                 self._particles,
                 self.live_on,
-                changed,
+                cells,
                 edge_m=self.grid.edge_m,
                 strength=self._strength,
             )
@@ -265,7 +245,7 @@ def _inner_stiffness(edge_m: float) -> Array:
     centre = full_cell_stiffness(
         edge_m, CENTRE[None], np.array([volume]), first_Pa=1.0, shear_Pa=1.0
     )
-    return np.asarray(full - centre)
+    return full - centre
 
 
 def _pairs() -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ import warp as wp
 from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
 from kernels.hexahedra import cell_products, gather_cells
 from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
-from kernels.launcher import SplitLaunch
+from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s, Integers, Ints
 from tissue.models.tooth.grid import HexGrid
@@ -51,27 +51,21 @@ class PackedProduct:
         force: Any,
         cores: int | None,
     ) -> None:
-        device = str(vector.device)
-
         place = np.full(grid.cell_count + 1, -1)
         place[cells] = np.arange(len(cells))
         nodes = np.unique(grid.cell_nodes[cells])
-        corner_force = wp.zeros((len(cells), 8), wp.vec3d, device)
-        which, row, corners, chosen, gathered = (
-            put(each, wp.int32, device)
-            for each in (cells, rows, grid.cell_nodes, nodes, place[grid.node_cells[nodes]])
-        )
+        corner_force = wp.zeros((len(cells), 8), wp.vec3d, vector.device)
         self._cells = SplitLaunch(
             cell_products,
             dim=len(cells),
-            inputs=[which, row, corners, live, stiffness, vector],
+            inputs=[cells, rows, grid.cell_nodes, live, stiffness, vector],
             outputs=[corner_force],
             cores=cores,
         )
         self._nodes = SplitLaunch(
             gather_cells,
             dim=len(nodes),
-            inputs=[chosen, gathered, corner_force],
+            inputs=[nodes, place[grid.node_cells[nodes]], corner_force],
             outputs=[force],
             cores=cores,
         )
@@ -208,7 +202,7 @@ class StripProduct:
                 strip_products(vector.scalar),
                 dim=len(pencils),
                 cores=cores,
-                inputs=[put(pencils, wp.int32, device), start, base, lanes, vector.from_each],
+                inputs=[pencils, start, base, lanes, vector.from_each],
                 outputs=[force.from_each],
             )
             for pencils in layout.colours
@@ -247,7 +241,6 @@ class CellStrips:
         self, grid: HexGrid, place: Array, particle_cell: Int32s, *, device: str, cores: int | None
     ) -> None:
         self.layout = StripLayout(grid)
-        self.device = device
         # The cubes have half the cell's edge, so their centres lie at 1/4 and 3/4.
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
         self.regular = np.ones(grid.cell_count, np.bool_)
@@ -265,15 +258,11 @@ class CellStrips:
         )
 
     def update(
-        self, particles: list[Any], live: Any, cells: Any, *, edge_m: float, strength: float
+        self, particles: list[Any], live: Any, cells: Int32s, *, edge_m: float, strength: float
     ) -> None:
-        """Sum the weights of some cells over their particles again, see `kernels.lane_vectors`.
-
-        `cells` is a Warp array.
-        """
-        inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength, 0]
-        outputs = [self.weight, self.single]
-        wp.launch(cube_weights, dim=len(cells), inputs=inputs, outputs=outputs, device=self.device)
+        """Sum the weights of some cells over their particles again, see `kernels.lane_vectors`."""
+        inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength]
+        run_once(cube_weights, len(cells), inputs, [self.weight, self.single])
 
     def product(self, vector: Any, force_out: Any) -> None:
         """Compute the product of the double-precision weights with a vector of nodes.
@@ -281,14 +270,10 @@ class CellStrips:
         Both vectors are Warp arrays of vec3d, shape (n,).
         """
         count = len(vector)
-        into = [self.slot_on, vector, 0]
-        out = [self.slot_on, self._force.single, 0]
-        wp.launch(
-            to_lanes, dim=count, inputs=into, outputs=[self._vector.single], device=self.device
-        )
+        run_once(to_lanes, count, [self.slot_on, vector], [self._vector.single])
         self._force.single.zero_()
         self._product()
-        wp.launch(from_lanes, dim=count, inputs=out, outputs=[force_out], device=self.device)
+        run_once(from_lanes, count, [self.slot_on, self._force.single], [force_out])
 
 
 def _pencil_keys(place: Int32s, width: int) -> Ints:
