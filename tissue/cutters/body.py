@@ -68,7 +68,7 @@ def _inside(profile: Profile, spacing: float) -> Array:
     across = pitch * np.arange(-ceil(reach / pitch), ceil(reach / pitch) + 1)
     grid = lattice(across, across, np.arange(low, high, pitch))
     half = np.column_stack([np.hypot(grid[:, 0], grid[:, 1]), grid[:, 2]])
-    return np.asarray(grid[profile.distance(half)[0] < -0.5 * pitch])
+    return grid[profile.distance(half)[0] < -0.5 * pitch]
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +305,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
     # 1e-30: the two ends of a segment may coincide.
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     share = np.clip(np.einsum("ij,ij->i", balls - starts, along) / squared, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(balls - starts - share[:, None] * along, axis=1))
+    return np.linalg.norm(balls - starts - share[:, None] * along, axis=1)
 
 
 def _merged(balls: Array) -> Ints:

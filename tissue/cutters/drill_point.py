@@ -69,7 +69,7 @@ class DrillPoint:
         web = np.arcsin(0.5 * self.web_m / radii_m)
         helix = radii_m / self.radius_m * tan(self.helix_rad)
         flute = helix * np.cos(web) / (sin(half) - helix * np.sin(web) * cos(half))
-        return np.asarray(np.arctan(flute) - np.arctan(np.tan(web) * cos(half)))
+        return np.arctan(flute) - np.arctan(np.tan(web) * cos(half))
 
     def load_factors(self, radii_m: Array) -> Array:
         """Return factors of tangential and radial loads at radii of the point [m], shape (n, 2).
@@ -106,4 +106,4 @@ def _merchant(angles: Array) -> Array:
     The arguments are the differences of friction angle and rake.
     """
     loads = 2.0 * np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.asarray(loads / (1.0 - np.sin(angles))[:, None])
+    return loads / (1.0 - np.sin(angles))[:, None]

@@ -311,7 +311,7 @@ class NewtonSolver:
 
         def product(step: Array) -> Array:
             full[free] = step
-            return np.asarray((whole @ full)[free])
+            return (whole @ full)[free]
 
         found = conjugate_gradients(
             product,

@@ -128,8 +128,7 @@ class Springs:
 
     def product(self, change_m: Array) -> Array:
         """Compute the change of the restoring forces for a change of displacement [N], (n, 3)."""
-        force: Array = self.root.T @ (self.root @ change_m.ravel())
-        return force.reshape(-1, 3)
+        return (self.root.T @ (self.root @ change_m.ravel())).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -259,5 +259,4 @@ def _are_among(faces: Ints, others: Ints) -> Flags:
     """Return a mask of the triangles that are among other triangles, shape (f,)."""
     rows = np.vstack([np.sort(faces, axis=1), np.sort(others, axis=1)])
     places = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
-    found: Flags = np.isin(places[: len(faces)], places[len(faces) :])
-    return found
+    return np.isin(places[: len(faces)], places[len(faces) :])

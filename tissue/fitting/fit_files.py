@@ -1,7 +1,7 @@
 """Folder of a fit: constants for scenes, numbers, pictures, and a report as one file."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from html import escape
@@ -14,6 +14,7 @@ from meshes.base.arrays import Array
 from meshes.base.whole_file import package_version, whole_file, write_columns
 from tissue.fitting.fit import ConstantFit, SceneFit, TableFit
 from tissue.fitting.laws import LawMisfit, law_sentences
+from tissue.fitting.probe_fit import ProbeFit
 from tissue.fitting.problem import SD_PER_MAD
 from tissue.show.figures.fit_pictures import (
     FittedConstant,
@@ -25,7 +26,15 @@ from tissue.show.figures.fit_pictures import (
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = ["FILES", "FittedEntry", "shown_constant", "unit_of", "write_fit", "write_fitted"]
+__all__ = [
+    "FILES",
+    "FittedEntry",
+    "html_list",
+    "unit_of",
+    "write_fit",
+    "write_fitted",
+    "write_results",
+]
 
 
 DIGITS = 9
@@ -125,7 +134,7 @@ For a single constant, a gain of 0.1 nats narrows the interval by 10 %.
 """
 
 
-def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
+def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> None:
     """Write the files of a fit.
 
     Parameters
@@ -149,13 +158,12 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
             _write_table_loads(fit, folder)
         else:
             _write_log_loads(fit, folder)
-        constants = [shown_constant(each) for each in fit.constants]
-        draw_constants(constants, folder / "constants.png", source=fit.source)
-        with whole_file(folder / "fit.json") as temporary:
-            temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
-        with whole_file(folder / "report.html") as temporary:
-            temporary.write_text(_page(fit, folder), "utf-8")
-    return [folder / name for name in FILES if (folder / name).exists()]
+        pictures = {
+            "Constants before and after, 90 % intervals": "constants.png",
+            "Measured and simulated": "measured.png",
+            "What is left": "residuals.png",
+        }
+        write_results(fit, folder, _numbers(fit, digest), _above(fit), pictures, _next_logs(fit))
 
 
 def _write_log_loads(fit: SceneFit, folder: Path) -> None:
@@ -258,7 +266,7 @@ def _autocorrelation(values: Array) -> Array:
     known = np.nan_to_num(np.clip(values, middle - away, middle + away))
     found = [np.correlate(each, each, "full")[len(each) - 1 :][: LAGS + 1] for each in known.T]
     # a channel of zeros has no autocorrelation: 1e-300 avoids a division by zero
-    return np.asarray(np.mean([each / max(float(each[0]), 1e-300) for each in found], axis=0))
+    return np.mean([each / max(float(each[0]), 1e-300) for each in found], axis=0)
 
 
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
@@ -307,8 +315,7 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         found["noise_scale"] = each.scale.tolist()
         found["noise_correlation"] = each.correlation.tolist()
         found["noise_freedom"] = each.freedom.tolist()
-    found["notes"] = list(fit.sentences)
-    return found
+    return found | {"notes": list(fit.sentences)}
 
 
 def verdicts(fit: SceneFit) -> list[str]:
@@ -347,42 +354,67 @@ def verdicts(fit: SceneFit) -> list[str]:
     return found
 
 
-def _page(fit: SceneFit, folder: Path) -> str:
-    """Return the report page."""
+def write_results(
+    fit: SceneFit | ProbeFit,
+    folder: Path,
+    numbers: Mapping[str, object],
+    above: str,
+    pictures: Mapping[str, str],
+    below: str = "",
+) -> None:
+    """Write the picture of the constants, the numbers for programs and the report page.
 
-    def picture(title: str, name: str) -> str:
-        file = folder / name
-        return f"<h2>{title}</h2>{html_picture(title, file.read_bytes())}" if file.exists() else ""
+    Parameters
+    ----------
+    above, below
+        Content of the report above and below its pictures, as HTML.
+    pictures
+        File names of the pictures by their titles. A missing file is left out.
+    """
+    constants = [shown_constant(each) for each in fit.constants]
+    draw_constants(constants, folder / "constants.png", source=fit.source)
+    with whole_file(folder / "fit.json") as temporary:
+        temporary.write_text(json.dumps(numbers, indent=1) + "\n", "utf-8")
+    shown = "".join(
+        f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"
+        for title, name in pictures.items()
+        if (folder / name).exists()
+    )
+    body = f"{above}{shown}{below}<h2>Notes</h2>{html_list(fit.sentences)}"
+    with whole_file(folder / "report.html") as temporary:
+        temporary.write_text(html_page(f"Fit of {fit.name}", body), "utf-8")
 
-    def listed(lines: list[str]) -> str:
-        return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
-    better = ""
-    if fit.gains:
-        rows = "".join(
-            f"<tr><td>{escape(one.label)}</td><td>{one.nats:.2g}</td>"
-            f"<td>{one.shrinks_to:.0%}</td></tr>"
-            for one in fit.gains[:SHOWN_GAINS]
-        )
-        widest = escape(unit_of(fit.gains[0].widest)[0])
-        better = (
-            "<h2>What to measure next</h2><table><tr><th>log of a second</th>"
-            "<th>expected information / nats</th>"
-            f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
-        )
-    body = (
+def html_list(lines: Iterable[str]) -> str:
+    """Return sentences as an HTML list."""
+    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
+
+
+def _above(fit: SceneFit) -> str:
+    """Return the content of the report above its pictures."""
+    return (
         f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, tissue "
         f"{package_version()}. A scene "
         'takes the result by <code>materials = "fitted.toml"</code>.</p>'
-        f"<h2>What the {fit.source} determines</h2>{listed(verdicts(fit))}"
+        f"<h2>What the {fit.source} determines</h2>{html_list(verdicts(fit))}"
         + (_law_table(fit.laws) if isinstance(fit, TableFit) else "")
-        + picture("Constants before and after, 90 % intervals", "constants.png")
-        + picture("Measured and simulated", "measured.png")
-        + picture("What is left", "residuals.png")
-        + better
-        + f"<h2>Notes</h2>{listed(list(fit.sentences))}"
     )
-    return html_page(f"Fit of {fit.name}", body)
+
+
+def _next_logs(fit: SceneFit) -> str:
+    """Return the section of a report on the next measurement; empty without candidates."""
+    if not fit.gains:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(one.label)}</td><td>{one.nats:.2g}</td><td>{one.shrinks_to:.0%}</td></tr>"
+        for one in fit.gains[:SHOWN_GAINS]
+    )
+    widest = escape(unit_of(fit.gains[0].widest)[0])
+    return (
+        "<h2>What to measure next</h2><table><tr><th>log of a second</th>"
+        "<th>expected information / nats</th>"
+        f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
+    )
 
 
 def _law_table(laws: Sequence[LawMisfit]) -> str:

@@ -122,20 +122,12 @@ class Identified:
     @property
     def determined(self) -> tuple[str, ...]:
         """Constants that the log determines one by one."""
-        return tuple(
-            name
-            for name, share in zip(self.names, self.contraction, strict=True)
-            if share < DETERMINED
-        )
+        return tuple(np.array(self.names)[self.contraction < DETERMINED].tolist())
 
     @property
     def at_prior(self) -> tuple[str, ...]:
         """Constants whose own interval the log does not narrow."""
-        return tuple(
-            name
-            for name, share in zip(self.names, self.contraction, strict=True)
-            if share > AT_PRIOR
-        )
+        return tuple(np.array(self.names)[self.contraction > AT_PRIOR].tolist())
 
     @property
     def is_empty(self) -> bool:
@@ -161,7 +153,7 @@ def identified(posterior: Posterior) -> Identified:
     free = nuisances.T @ nuisances + np.eye(nuisances.shape[1])
     measured = of_z - nuisances @ np.linalg.solve(free, nuisances.T @ of_z)
     values, vectors = np.linalg.eigh(of_z.T @ measured)
-    eigenvalues = np.asarray(np.maximum(values, 0.0)[::-1], dtype=np.float64)
+    eigenvalues = np.maximum(values, 0.0)[::-1]
     directions = [
         (value, vector)
         for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
@@ -323,4 +315,4 @@ def _information(posterior: Posterior, forward: Forward) -> Array:
     rows = columns.reshape(-1, columns.shape[2])
     p = len(slopes)
     whole = rows.T @ rows + np.diag([0.0] * p + [1.0] * (len(places) + 1))
-    return np.asarray(whole[:p, :p] - whole[:p, p:] @ np.linalg.solve(whole[p:, p:], whole[p:, :p]))
+    return whole[:p, :p] - whole[:p, p:] @ np.linalg.solve(whole[p:, p:], whole[p:, :p])

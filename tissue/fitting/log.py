@@ -267,10 +267,10 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
                 f"a zero quaternion in {path.name}",
                 "leave that row out",
             )
-        return np.asarray(quaternions / sizes)
+        return quaternions / sizes
     if taken.keys() >= set(ROTATION_VECTOR):
         vectors = np.column_stack([taken[name] for name in ROTATION_VECTOR])
-        return np.asarray(Rotation.from_rotvec(vectors).as_quat())
+        return Rotation.from_rotvec(vectors).as_quat()
     return None
 
 

@@ -249,7 +249,7 @@ def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[flo
 @cache
 def _uniform(count: int) -> Array:
     """Quasi-random points of the unit cube, shape (POINTS, count)."""
-    return np.asarray(Sobol(count, scramble=True, rng=0).random(POINTS))
+    return Sobol(count, scramble=True, rng=0).random(POINTS)
 
 
 def _walked(

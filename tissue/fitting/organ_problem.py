@@ -126,7 +126,7 @@ class OrganForward:
 
     def distance(self, x: Array) -> Array:
         """Return the distance from the constants of the run to other constants, shape (p,)."""
-        return np.asarray(np.where(self._logarithmic, np.log(x / self.at), x - self.at))
+        return np.where(self._logarithmic, np.log(x / self.at), x - self.at)
 
     @cached_property
     def _logarithmic(self) -> Array:

@@ -112,13 +112,13 @@ class Posterior:
     @property
     def mean_z(self) -> Array:
         """Most probable standard normal numbers of the constants, shape (p,)."""
-        return np.asarray(self.maximum[: self.target.constants])
+        return self.maximum[: self.target.constants]
 
     @property
     def covariance_z(self) -> Array:
         """Covariance of these numbers with free nuisance parameters, shape (p, p)."""
         p = self.target.constants
-        found = np.asarray(self.covariance[:p, :p])
+        found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
 
     @property
@@ -235,7 +235,7 @@ def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
     root = np.linalg.inv(np.linalg.cholesky(target.information(start)))
 
     def place(v: Array) -> Array:
-        return np.asarray(np.clip(start + v @ root, -FARTHEST, FARTHEST))
+        return np.clip(start + v @ root, -FARTHEST, FARTHEST)
 
     def downwards(v: Array) -> tuple[float, Array]:
         value, gradient = target.value_and_gradient(place(v))

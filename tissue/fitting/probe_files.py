@@ -1,6 +1,5 @@
 """Folder of a fit to presses: constants for scenes, numbers, pictures and a report."""
 
-import json
 from collections.abc import Mapping
 from hashlib import sha256
 from html import escape
@@ -8,11 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.whole_file import package_version, whole_file, write_columns
-from tissue.fitting.fit_files import FILES, FittedEntry, shown_constant, unit_of, write_fitted
+from meshes.base.whole_file import package_version, write_columns
+from tissue.fitting.fit_files import (
+    FILES,
+    FittedEntry,
+    html_list,
+    unit_of,
+    write_fitted,
+    write_results,
+)
 from tissue.fitting.probe_fit import ProbeFit
-from tissue.show.figures.fit_pictures import draw_constants, draw_presses
-from tissue.system.html import html_page, html_picture
+from tissue.show.figures.fit_pictures import draw_presses
 from tissue.system.owned_folder import OwnedFolder
 
 __all__ = ["probe_verdicts", "write_probe_fit"]
@@ -28,7 +33,7 @@ def probe_verdicts(fit: ProbeFit) -> list[str]:
     return found
 
 
-def write_probe_fit(fit: ProbeFit, folder: Path, *, overwrite: bool) -> list[Path]:
+def write_probe_fit(fit: ProbeFit, folder: Path, *, overwrite: bool) -> None:
     """Write the files of a fit to presses; see `tissue.fitting.fit_files.write_fit`."""
     digest = sha256(fit.path.read_bytes()).hexdigest()
     depths_mm = 1e3 * fit.table.depths_m
@@ -47,19 +52,19 @@ def write_probe_fit(fit: ProbeFit, folder: Path, *, overwrite: bool) -> list[Pat
         )
         write_fitted(folder / "fitted.toml", entries, np.eye(len(entries)), remark=remark)
         draw_presses(depths_mm, forces, fit.force_N, folder / "measured.png", law=fit.law)
-        draw_constants(
-            [shown_constant(each) for each in fit.constants],
-            folder / "constants.png",
-            source=fit.source,
-        )
         low, middle, high = np.quantile(forces, [0.05, 0.5, 0.95], axis=0)
         columns = {"depth_mm": depths_mm, "median_N": middle, "p05_N": low, "p95_N": high}
         write_columns(folder / "loads.csv", columns | {"fitted_N": fit.force_N})
-        with whole_file(folder / "fit.json") as temporary:
-            temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
-        with whole_file(folder / "report.html") as temporary:
-            temporary.write_text(_page(fit, folder), "utf-8")
-    return [folder / name for name in FILES if (folder / name).exists()]
+        above = (
+            f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, law {fit.law}, tissue "
+            f"{package_version()}.</p>"
+            f"<h2>What the presses determine</h2>{html_list(probe_verdicts(fit))}"
+        )
+        pictures = {
+            "Presses and fitted force": "measured.png",
+            "Constants before and after, 90 % intervals": "constants.png",
+        }
+        write_results(fit, folder, _numbers(fit, digest), above, pictures)
 
 
 def _settings(keys: Mapping[str, float]) -> str:
@@ -86,23 +91,3 @@ def _numbers(fit: ProbeFit, digest: str) -> dict[str, object]:
         "bias_N": fit.bias_N,
         "notes": list(fit.sentences),
     }
-
-
-def _page(fit: ProbeFit, folder: Path) -> str:
-    """Return the report page."""
-
-    def picture(title: str, name: str) -> str:
-        return f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"
-
-    def listed(lines: list[str]) -> str:
-        return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
-
-    body = (
-        f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, law {fit.law}, tissue "
-        f"{package_version()}.</p>"
-        f"<h2>What the presses determine</h2>{listed(probe_verdicts(fit))}"
-        + picture("Presses and fitted force", "measured.png")
-        + picture("Constants before and after, 90 % intervals", "constants.png")
-        + f"<h2>Notes</h2>{listed(list(fit.sentences))}"
-    )
-    return html_page(f"Fit of {fit.name}", body)

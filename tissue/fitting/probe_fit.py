@@ -78,7 +78,7 @@ class FittedCurve:
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
     """Return the median of presses at each depth, shape (d,); with draws, one row for each draw."""
     chosen = forces_N if draws is None else forces_N[draws]
-    return np.asarray(np.median(chosen, axis=-2))
+    return np.median(chosen, axis=-2)
 
 
 def fit_curves(curves: ProbeCurves, forces_N: Array) -> FittedCurve:

@@ -198,8 +198,7 @@ def _curve(mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_
     found = law_of(layer.organ.model_copy(update=shape), table)
     first, shear = table[0].tolist()
     law = LinearLaw(first, shear) if found is None else found[0]
-    forces: Array = press_forces(mesh, law, SHARES * deepest_m) / UNIT_PA
-    return forces
+    return press_forces(mesh, law, SHARES * deepest_m) / UNIT_PA
 
 
 def _require(curves: Array) -> None:
@@ -248,7 +247,7 @@ def _between(curve: Array, deepest_m: float, depths_m: Array) -> Array:
     # Towards a vanishing depth the force is Hertz's, so the ratio is constant.
     smooth = PchipInterpolator(np.concatenate([[0.0], solved]), np.concatenate([ratio[:1], ratio]))
     depth = np.maximum(depths_m, 0.0)
-    return np.asarray(smooth(depth) * depth**1.5)
+    return smooth(depth) * depth**1.5
 
 
 def shape_keys(organ: Organ) -> tuple[str, ...]:

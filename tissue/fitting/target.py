@@ -126,7 +126,7 @@ def freedom_information(freedom: Array) -> tuple[Array, Array]:
     """
     curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
     of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
-    return np.asarray(of_freedom), -2.0 / ((freedom + 1.0) * (freedom + 3.0))
+    return of_freedom, -2.0 / ((freedom + 1.0) * (freedom + 3.0))
 
 
 def _previous(residuals: Array) -> tuple[Array, Array]:
@@ -263,7 +263,7 @@ class Target:
         The constants are given in their own units.
         """
         values, _ = self._shifted(offset_s)
-        return np.asarray(values @ self.forward.loads(x)[:, self._places])
+        return values @ self.forward.loads(x)[:, self._places]
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
         """Return `simulated` and its derivatives, shape (m, channels, p + 1 + c).
@@ -291,8 +291,8 @@ class Target:
         loads = self.forward.loads(x)[:, self._places]
         jacobian = self.forward.jacobian(x)[:, self._places] * self.slopes(each.z)
         by_z = (values @ jacobian.reshape(len(jacobian), -1)).reshape(-1, c, self.constants)
-        by_offset = OFFSET_S * np.asarray(rates @ loads)
-        return np.asarray(values @ loads), np.concatenate([by_z, by_offset[:, :, None]], axis=2)
+        by_offset = OFFSET_S * (rates @ loads)
+        return values @ loads, np.concatenate([by_z, by_offset[:, :, None]], axis=2)
 
     def whitened(self, moved: Array, noise: Unpacked) -> Array:
         """Return derivatives (m, channels, k) as whitened rows, shape (m * channels, k).
@@ -302,7 +302,7 @@ class Target:
         known = np.isfinite(self.log.values)[:, :, None]
         each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
         rows = np.sqrt(place_information(noise.freedom))[:, None] * np.nan_to_num(each)
-        return np.asarray(rows.reshape(-1, moved.shape[2]))
+        return rows.reshape(-1, moved.shape[2])
 
     def information(self, u: Array) -> Array:
         """Return the expected information of the log and the priors about all numbers.
@@ -395,7 +395,7 @@ class Target:
 
     def _by_noise(self, each: Unpacked) -> Array:
         """Return the derivative of ln scale of each channel by u, shape (channels,)."""
-        return np.asarray(NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale))
+        return NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale)
 
     def start(self, offset_s: float) -> Array:
         """Return the start of an optimiser.
@@ -504,4 +504,4 @@ def _products(left: Array, right: Array) -> Array:
 
     The result has shape (channels, k, k).
     """
-    return np.asarray(np.einsum("tci,tcj->cij", left, right, optimize=True))
+    return np.einsum("tci,tcj->cij", left, right, optimize=True)

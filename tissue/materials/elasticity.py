@@ -318,4 +318,4 @@ def _turned(matrix: Array, rotation: Array) -> Array:
     bond = rotation[:, i, k] * rotation[:, j, n]
     bond[:, :, 3:] += (rotation[:, i, n] * rotation[:, j, k])[:, :, 3:]
     turned = bond @ matrix @ bond.transpose(0, 2, 1)
-    return np.asarray(0.5 * (turned + turned.transpose(0, 2, 1)))
+    return 0.5 * (turned + turned.transpose(0, 2, 1))

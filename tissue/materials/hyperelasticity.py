@@ -114,7 +114,7 @@ class Hyperelastic:
                 "a shorter step"
             )
         u, stretch, v = np.linalg.svd(f)
-        return np.asarray((u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v)
+        return (u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v
 
     def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
         """Compute energy density and its derivatives by the logarithms of the stretches [Pa].

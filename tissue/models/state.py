@@ -19,8 +19,7 @@ def copied(owner: object, names: Iterable[str]) -> State:
 
     The attributes are copied together: attributes that share an object share its copy.
     """
-    found: State = deepcopy({name: getattr(owner, name) for name in names})
-    return found
+    return deepcopy({name: getattr(owner, name) for name in names})
 
 
 def put_back(owner: object, state: State) -> None:

@@ -80,7 +80,7 @@ def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
 def _touches(graph: csr_array, nodes: Ints, marked: Flags) -> Flags:
     """Return a mask of the nodes that have a marked neighbour."""
     rows = graph[nodes]
-    return np.asarray(rows @ marked.astype(np.int32) > 0)
+    return rows @ marked.astype(np.int32) > 0
 
 
 def _along_curve(nodes_m: Array) -> Ints:
@@ -289,8 +289,7 @@ class DirectSolver:
             return self.columns(unknowns)[unknowns]
         at = np.searchsorted(self.last, nodes)
         rows = components_of(at)
-        between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
-        return between
+        return self._compliance_of_last_m_N[np.ix_(rows, rows)]
 
     @cached_property
     def _compliance_of_last_m_N(self) -> Array:

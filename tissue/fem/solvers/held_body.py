@@ -135,7 +135,7 @@ class HeldBody:
     @cached_property
     def carrying(self) -> Flags:
         """Mask of the nodes that belong to a cell, shape (n,)."""
-        return np.asarray(self.stiffness.diagonal().reshape(-1, 3).any(axis=1))
+        return self.stiffness.diagonal().reshape(-1, 3).any(axis=1)
 
     @cached_property
     def free(self) -> Ints:
@@ -165,7 +165,7 @@ class HeldBody:
                 "forces on other nodes",
                 "apply the forces to nodes of the body",
             )
-        return np.asarray(load.ravel()[self.free])
+        return load.ravel()[self.free]
 
     def whole(self, free_m: Array) -> Array:
         """Return the displacements of all nodes [m], shape (n, 3), from the free unknowns."""

@@ -95,7 +95,7 @@ class Ranges:
 
     @cached_property
     def _factor(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.correlation))
+        return np.linalg.cholesky(self.correlation)
 
 
 def ranges_of(
@@ -160,7 +160,7 @@ def normals(count: int, width: int, *, seed: int) -> Array:
         )
     points = qmc.Sobol(width, scramble=True, seed=seed).random(count)
     # a point of exactly 0 or 1 would give an infinite number; 1e-12 is 7 standard deviations away
-    return np.asarray(ndtri(np.clip(points, 1e-12, 1.0 - 1e-12)))
+    return ndtri(np.clip(points, 1e-12, 1.0 - 1e-12))
 
 
 SOURCE = "a sample of a band"
@@ -358,8 +358,8 @@ def _product(free: Array, term: tuple[int, ...]) -> Array:
     # normalised Hermite polynomials of degree two: (z**2 - 1) / sqrt(2) of one number, else a
     # product
     if len(term) == 2 and term[0] == term[1]:
-        return np.asarray((free[:, term[0]] ** 2 - 1.0) / np.sqrt(2.0))
-    return np.asarray(free[:, list(term)].prod(axis=1))
+        return (free[:, term[0]] ** 2 - 1.0) / np.sqrt(2.0)
+    return free[:, list(term)].prod(axis=1)
 
 
 def _fitted(basis: Array, values: Array, ridge: float) -> Array:
@@ -367,7 +367,7 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
     centred = basis - basis.mean(axis=0)
     kernel = centred @ centred.T
     kernel[np.diag_indices_from(kernel)] += ridge * len(basis)
-    return np.asarray(centred.T @ np.linalg.solve(kernel, values - values.mean()))
+    return centred.T @ np.linalg.solve(kernel, values - values.mean())
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:

@@ -101,14 +101,14 @@ class DensityNodes:
         The weighted sum of the M_j is the sum of w (factor density / reference) ** exponent.
         """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
-        return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
+        return (factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt
 
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
         """Return ln(factor density / reference) at the nodes, shape (k,).
 
         The derivative with respect to the exponent has this factor.
         """
-        return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
+        return np.log(factor * self.densities_kg_m3 / reference_kg_m3)
 
 
 def _count(a: float) -> int:
@@ -343,7 +343,7 @@ def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) 
     columns = shares[:, :, None] * levers[:, None, :]
     columns = columns.reshape(len(levers), shares.shape[1] * levers.shape[1])
     sums = (weights @ columns).reshape(weights.shape[0], shares.shape[1], DIRECTIONS, 2, 3)
-    loads = np.asarray(sums @ motion.rotation.T).transpose(1, 0, 2, 3, 4)
+    loads = (sums @ motion.rotation.T).transpose(1, 0, 2, 3, 4)
     return loads.reshape(shares.shape[1], DIRECTIONS * weights.shape[0], 6)
 
 

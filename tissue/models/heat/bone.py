@@ -212,7 +212,7 @@ class HeatedBone:
             for origin, count in zip(volume.origin_m, volume.shape, strict=True)
         ]
         sampled = RegularGridInterpolator(axes, depth, bounds_error=False, fill_value=np.inf)
-        return np.asarray(sampled(self._centres_m))
+        return sampled(self._centres_m)
 
 
 def _largest_at(depth_m: Array, wanted_m: float, values: Array, is_left: Flags) -> float:

@@ -124,7 +124,7 @@ class HeatGrid:
     def volumes_m3(self) -> Array:
         """Volumes of the cells [m3], shape (nx, ny, nz)."""
         x, y, z = self.widths_m
-        return np.asarray(x[:, None, None] * y[:, None] * z)
+        return x[:, None, None] * y[:, None] * z
 
     def conductances_W_K(self) -> tuple[Array, ...]:
         """Return the conductances between neighbouring full cells along x, y and z [W/K].
@@ -321,7 +321,7 @@ class Conduction:
     @property
     def rise_K(self) -> Singles:
         """Temperature rise of every cell [K], shape of the grid; 0 in an empty cell."""
-        return np.asarray(self._temperature[0].numpy())
+        return self._temperature[0].numpy()
 
     @property
     def stored_J(self) -> float:

@@ -106,8 +106,7 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
     def away(points_m: Array) -> Array:
         arm = points_m - track.entry_m
         along = np.clip(-arm @ track.outward, 0.0, track.deepest_m)
-        distance: Array = np.linalg.norm(arm + along[:, None] * track.outward, axis=1)
-        return distance
+        return np.linalg.norm(arm + along[:, None] * track.outward, axis=1)
 
     mesh = bisected(
         replace(block, nodes_m=nodes, part_names=("parenchyma",)),

@@ -81,8 +81,7 @@ class Factor:
         found = self.solver.solve(load_N)
         if not found.converged:
             raise RuntimeError(f"the organ could not be solved: {found.outcome.value}")
-        displacement: Array = found.displacement_m
-        return displacement
+        return found.displacement_m
 
 
 def compliance_of(
@@ -154,7 +153,7 @@ class KeptColumns:
             missing = [int(node) for node in nodes]
         self._find(missing)
         rows = components_of(np.searchsorted(self._surface, nodes))
-        matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
+        matrix = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
         # Rounding differs between columns, but the contact solver needs a symmetric matrix.
         return 0.5 * (matrix + matrix.T)
 
@@ -169,8 +168,7 @@ class KeptColumns:
         parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
 
         def find(part: list[int]) -> Array:
-            found: Array = solve(components_of(np.array(part)))[self._rows]
-            return found
+            return solve(components_of(np.array(part)))[self._rows]
 
         # A back-substitution releases the interpreter lock.
         with (

@@ -237,10 +237,8 @@ class ContactResult:
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = components_of(loaded)
-        moved: Array = self.compliance_scale * (
-            self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel()
-        )
-        return moved.reshape(-1, 3)
+        moved = self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel()
+        return (self.compliance_scale * moved).reshape(-1, 3)
 
 
 STATE_ARRAYS = {

@@ -9,6 +9,7 @@ from meshes.base.arrays import Array, Ints, Singles
 from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
 from tissue.fem.quasi_newton import Followed
 from tissue.fem.space import EDGES, Space, gauss_points, gradient_slopes
+from tissue.materials.elasticity import VOIGT
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.law_window import LawWindow, LawWindows
 from tissue.models.organ.soft_organ import SoftOrgan
@@ -23,8 +24,6 @@ The residual is the largest unbalanced force divided by the largest force of the
 than in the solves between ticks (`tissue.models.organ.law`), because frames are solved after the
 run.
 """
-PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
-"""Rows and columns of the components xx, yy, zz, yz, xz, xy."""
 BATCH = 16
 """Number of frames that are solved at once. It limits the memory for their displacements."""
 
@@ -242,7 +241,7 @@ def cauchy_stress(
     law, cell_factors
         The law, and the factor of its moduli in each cell, shape (m,).
     """
-    corners = np.asarray(space.gradients[0].numpy())
+    corners = space.gradients[0].numpy()
     points = gauss_points(space.order)
     stress = np.zeros((space.cell_count, 3, 3))
     strain = np.zeros_like(stress)
@@ -259,7 +258,7 @@ def cauchy_stress(
     stress /= len(points)
     strain /= len(points)
     deviator = stress - np.eye(3) * (np.trace(stress, axis1=1, axis2=2) / 3.0)[:, None, None]
-    row, column = PLACES.T
+    row, column = VOIGT.T
     return StressState(
         strain[:, row, column],
         stress[:, row, column],
@@ -284,7 +283,4 @@ def _equivalent_strain(strain: Array) -> Array:
     """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean
-    value: Array = np.sqrt(
-        2.0 / 3.0 * ((deviator**2).sum(axis=1) + 2.0 * (strain[:, 3:] ** 2).sum(axis=1))
-    )
-    return value
+    return np.sqrt(2.0 / 3.0 * ((deviator**2).sum(axis=1) + 2.0 * (strain[:, 3:] ** 2).sum(axis=1)))

@@ -169,8 +169,7 @@ class TickState:
 
 def _displaced(contact: TickState, forces_N: Array) -> Array:
     """Return the displacement [m] of the touchable nodes by the contact's compliance, (t, 3)."""
-    moved: Array = contact.compliance_m_N @ forces_N.ravel()
-    return moved.reshape(-1, 3)
+    return (contact.compliance_m_N @ forces_N.ravel()).reshape(-1, 3)
 
 
 class LawOffset:

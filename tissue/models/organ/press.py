@@ -225,5 +225,4 @@ def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation
         middle = 0.5 * (before + after)
         before, after = (before, middle) if touches(middle) else (middle, after)
     contact.forget()
-    touch: Array = start_m + before * (end_m - start_m)
-    return touch
+    return start_m + before * (end_m - start_m)

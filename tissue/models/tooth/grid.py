@@ -135,7 +135,7 @@ class HexGrid:
         colour.
         """
         # The colour depends on whether the position is even or odd along each axis.
-        return np.asarray((self.node_place & 1) @ (4, 2, 1))
+        return (self.node_place & 1) @ (4, 2, 1)
 
     @cached_property
     def face_pairs(self) -> Int32s:
@@ -183,7 +183,7 @@ class HexGrid:
 
 def ball_weight(distance_m: Array, reach_m: float) -> Array:
     """Return the weight 1 - (d / R)^2 of points in a ball, 0 outside."""
-    return np.asarray(np.maximum(1.0 - (distance_m / reach_m) ** 2, 0.0))
+    return np.maximum(1.0 - (distance_m / reach_m) ** 2, 0.0)
 
 
 def shape_values(place: Array) -> Array:
@@ -192,12 +192,12 @@ def shape_values(place: Array) -> Array:
     Points of shape (n, 3) give values of shape (n, 8).
     """
     factors = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
-    return np.asarray(factors.prod(axis=2))
+    return factors.prod(axis=2)
 
 
 def _keys(place: Integers, shape: Integers) -> Ints:
     x, y, z = place.astype(np.int64).T
-    return np.asarray((x * int(shape[1]) + y) * int(shape[2]) + z)
+    return (x * int(shape[1]) + y) * int(shape[2]) + z
 
 
 def _unique_places(place: Integers, shape: Integers) -> Int32s:
@@ -337,7 +337,7 @@ class PointSprings:
         Rotations are multiplied by ``length_m``.
         """
         motion = rigid_modes((self.position_m - centre_m) / length_m, np.zeros(3))
-        return np.asarray(np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion))
+        return np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion)
 
     def by_cell(self, grid: HexGrid) -> tuple[Int32s, Array]:
         """Return the cells with springs, int32, (m,), and the stiffness of their springs.

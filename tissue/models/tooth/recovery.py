@@ -227,7 +227,6 @@ def support_compliance(
     weights: Array,
     reference_m: Array,
     tolerance: float = 1e-4,
-    start: SupportCompliance | None = None,
 ) -> SupportCompliance:
     """Return the compliance of the part of a body with nonzero ``weights``, shape (n,).
 
@@ -245,8 +244,6 @@ def support_compliance(
         Reference point of torque and rotation [m], shape (3,).
     tolerance
         Allowed relative error of each solve in the energy norm.
-    start
-        Earlier result. The solves start from its displacements.
     """
     used = np.where(body.carrying, weights, 0.0)
     motions = rigid_modes(body.grid.node_position_m, reference_m)
@@ -258,8 +255,7 @@ def support_compliance(
     matrix = np.zeros((6, 6))
     kept = body.displacement_m
     for column in range(6):
-        guess = None if start is None else start.solutions[column].displacement_m
-        found = body.solve(loads[column], tolerance=tolerance, cold=start is None, start_m=guess)
+        found = body.solve(loads[column], tolerance=tolerance, cold=True)
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept

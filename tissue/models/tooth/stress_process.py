@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kernels.bricks import BRICK_VOXELS
 from kernels.cores import limit_cores
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
@@ -164,9 +163,8 @@ class StressProcess:
 
     def begin(self, state: Drilled) -> None:
         """Send the input of a solve to the other process."""
-        arrays = (state.rows, state.left, state.force_N, state.point_m)
         self._helper.priority.step_back()
-        self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
+        self._helper.send(state)
         self._begun = True
 
     def wait(self) -> SolveRecord | None:
@@ -193,18 +191,6 @@ StressSolver = InlineStressSolver | StressProcess
 """Solver whose solves start in a tick, and which is waited for between ticks."""
 
 
-def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
-    """Return the input of a solve from the bytes of its arrays; bytes are faster to send."""
-    steps = np.frombuffer(left, dtype=np.uint16).reshape(-1, BRICK_VOXELS)
-    return Drilled(
-        time_s,
-        np.frombuffer(rows, dtype=np.intp),
-        steps,
-        np.frombuffer(force_N),
-        np.frombuffer(point_m),
-    )
-
-
 def _serve() -> None:
     """Solve for every input that is read from the standard input, until it ends.
 
@@ -225,7 +211,7 @@ def _serve() -> None:
             (here.compliance, here.reference_m, here.root_guessed, replace(here.series, frames=[]))
         )
         while (sent := pickle.load(sys.stdin.buffer)) is not None:
-            here.begin(_drilled(*sent))
+            here.begin(sent)
             answer(here.wait())
         answer(here.series.frames)
     except (EOFError, BrokenPipeError):
