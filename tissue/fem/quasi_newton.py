@@ -223,13 +223,13 @@ class QuasiNewton:
         self._factorise = factorise
         self.factor = at_rest
         self._tangent: _Tangent | None = None
-        self._displacement = np.zeros(fixed.shape)
-        self._energy, self._internal = body.energy_and_force(self._displacement)
+        self._last = self._state_at(np.zeros(fixed.shape))
         self._largest_N = 0.0
         self.indefinite = 0
         self._memory: deque[tuple[Array, Array]] = deque(maxlen=MEMORY)
         self._pairs: list[tuple[Array, Array, float]] = []
         self._springs = Springs.none(fixed.size)
+        # Factor with springs. It is made when it is needed.
         self._held: DirectSolver | None = None
 
     def follow(
@@ -247,8 +247,8 @@ class QuasiNewton:
             Springs that act in addition to the load; default: no springs.
         """
         wanted = springs or Springs.none(self._fixed.size)
-        start = self._state()
-        carried = np.where(self._fixed, 0.0, self._internal)
+        start = self._last
+        carried = np.where(self._fixed, 0.0, start.internal_N)
         now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
         self._largest_N = max(self._largest_N, now_N)
         allowed_N = tolerance * max(now_N, SMALL * self._largest_N)
@@ -264,29 +264,28 @@ class QuasiNewton:
             # change.
             limit = step_limit if reached or part < 1.0 else (step_limit + 1) // 2
             steps += self._reach(load, allowed_N, min(limit, step_limit - steps))
-            if self._unbalanced_N(load) <= allowed_N:
+            if float(np.abs(self._left(load)[1]).max()) <= allowed_N:
                 reached = goal
-                followed = self._state()
+                followed = self._last
                 continue
-            self._return_to(followed)
+            self._last = followed
             part *= 0.5
             self.take_stiffness()
         self._spring_up(wanted)
         acting, left = self._left(load_N)
         size = allowed_N / tolerance
         residual = float(np.abs(left).max()) / size if size else 0.0
-        return Followed(self._displacement, self._internal, acting, residual, steps, reached)
+        last = self._last
+        return Followed(last.displacement_m, last.internal_N, acting, residual, steps, reached)
 
     def restart(self, displacement_m: Array) -> None:
         """Start the next solve from a displacement [m], shape (n, 3).
 
         If the displacement inverts a cell, the next solve starts from zero displacement.
         """
-        energy, internal = self._body.energy_and_force(displacement_m)
-        if not np.isfinite(energy):
-            displacement_m = np.zeros_like(displacement_m)
-            energy, internal = self._body.energy_and_force(displacement_m)
-        self._return_to(_State(displacement_m, energy, internal))
+        self._last = self._state_at(displacement_m)
+        if not np.isfinite(self._last.energy_J):
+            self._last = self._state_at(np.zeros_like(displacement_m))
         self._take_factor(self.at_rest)
         self._tangent = None
 
@@ -295,7 +294,7 @@ class QuasiNewton:
 
         Nothing is copied, because a solve replaces these arrays and does not write to them.
         """
-        return {"last": self._state(), "memory": list(self._memory), "tangent": self._tangent}
+        return {"last": self._last, "memory": list(self._memory), "tangent": self._tangent}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Return to an earlier state, of this solver or of an equal one."""
@@ -307,7 +306,7 @@ class QuasiNewton:
                 stiffness = self._body.stiffness(at_m, definite=tangent.is_definite)
                 tangent.factor = self._factorise(stiffness)
             factor = tangent.factor
-        self._return_to(state["last"])
+        self._last = state["last"]
         self._take_factor(factor)
         self._tangent = tangent
         self._memory.extend(state["memory"])
@@ -315,7 +314,7 @@ class QuasiNewton:
     @property
     def displacement_m(self) -> Array:
         """Displacement of the last solution [m], shape (n, 3)."""
-        return self._displacement
+        return self._last.displacement_m
 
     def _reach(self, load_N: Array, allowed_N: float, limit: int) -> int:
         """Take steps towards the equilibrium under a load and return their number."""
@@ -334,22 +333,13 @@ class QuasiNewton:
                 self.take_stiffness()
         return steps
 
-    def _state(self) -> "_State":
-        return _State(self._displacement, self._energy, self._internal)
-
-    def _return_to(self, state: "_State") -> None:
-        self._displacement = state.displacement_m
-        self._energy = state.energy_J
-        self._internal = state.internal_N
-
-    def _unbalanced_N(self, load_N: Array) -> float:
-        """Return the largest unbalanced force under a load and the springs [N]."""
-        return float(np.abs(self._left(load_N)[1]).max())
+    def _state_at(self, displacement_m: Array) -> _State:
+        return _State(displacement_m, *self._body.energy_and_force(displacement_m))
 
     def _left(self, load_N: Array) -> tuple[Array, Array]:
         """Return load plus spring forces, and their unbalanced part [N], each of shape (n, 3)."""
-        acting = load_N + self._springs.energy_and_force(self._displacement)[1]
-        return acting, np.where(self._fixed, 0.0, acting - self._internal)
+        acting = load_N + self._springs.energy_and_force(self.displacement_m)[1]
+        return acting, np.where(self._fixed, 0.0, acting - self._last.internal_N)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
         """Take a step, shortened until the energy decreases.
@@ -358,29 +348,29 @@ class QuasiNewton:
         """
         if slope <= 0.0:
             return False
-        before = self._energy + self._outer(self._displacement, load_N)
+        last = self._last
+        before = self._energy_J(last, load_N)
         share = 1.0
         for _ in range(HALVINGS):
-            moved = self._displacement + share * step
-            energy, internal = self._body.energy_and_force(moved)
-            allowed = before - ARMIJO * share * slope + ROUNDING * abs(self._energy)
-            if np.isfinite(energy) and energy + self._outer(moved, load_N) <= allowed:
+            moved = self._state_at(last.displacement_m + share * step)
+            allowed = before - ARMIJO * share * slope + ROUNDING * abs(last.energy_J)
+            if np.isfinite(moved.energy_J) and self._energy_J(moved, load_N) <= allowed:
                 break
             share *= 0.5
         else:
             return False
         change = share * step
-        force = np.where(self._fixed, 0.0, internal - self._internal)
+        force = np.where(self._fixed, 0.0, moved.internal_N - last.internal_N)
         self._memory.append((change, force))
         self._pair(change, force)
-        self._displacement = moved
-        self._energy = energy
-        self._internal = internal
+        self._last = moved
         return True
 
-    def _outer(self, moved_m: Array, load_N: Array) -> float:
-        """Compute the energy of the load and of the springs [J]."""
-        return self._springs.energy_and_force(moved_m)[0] - float(np.sum(load_N * moved_m))
+    def _energy_J(self, state: _State, load_N: Array) -> float:
+        """Compute the energy of the body, the load and the springs [J]."""
+        moved_m = state.displacement_m
+        outer = self._springs.energy_and_force(moved_m)[0] - float(np.sum(load_N * moved_m))
+        return state.energy_J + outer
 
     def take_stiffness(self) -> None:
         """Factorise the tangent at the present displacement.
@@ -388,7 +378,7 @@ class QuasiNewton:
         A tangent that is not positive definite is replaced by one with positive eigenvalues at
         each quadrature point.
         """
-        at_m = self._displacement
+        at_m = self.displacement_m
         is_definite = False
         try:
             factor = self._factorise(self._body.stiffness(at_m))
@@ -404,12 +394,12 @@ class QuasiNewton:
         self.factor = factor
         self._memory.clear()
         self._pairs.clear()
-        self._hold_back()
+        self._held = None
 
     def _spring_up(self, springs: Springs) -> None:
         """Replace the springs and keep the curvature pairs of the body."""
         self._springs = springs
-        self._hold_back()
+        self._held = None
         self._pairs.clear()
         for change, force in self._memory:
             self._pair(change, force)
@@ -424,10 +414,6 @@ class QuasiNewton:
         if curved > 0.0:
             self._pairs.append((change, whole, 1.0 / curved))
             del self._pairs[:-MEMORY]
-
-    def _hold_back(self) -> None:
-        """Discard the factor with springs; it is made again when it is needed."""
-        self._held = None
 
     def _solve(self, forces_N: Array) -> Array:
         """Solve with the factor and the springs [m], shape (n, 3)."""

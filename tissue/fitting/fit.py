@@ -256,7 +256,7 @@ def fit_table(
     table: SteadyTable,
     *,
     free: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> TableFit:
     """Fit the constants of a scene's bone to a table of steady loads, and compare cutting laws.
 
@@ -264,13 +264,12 @@ def fit_table(
     rows are assumed independent and normal. Parameters and errors are those of
     `tissue.fitting.table.table_forward`.
     """
-    report = progress or silent
-    report("computing the loads of the drill", 0.0)
+    progress("computing the loads of the drill", 0.0)
     forward = table_forward(scene, table, free)
-    report("fitting", 0.1)
+    progress("fitting", 0.1)
     posterior = maximum_of(TableTarget(forward, table))
     found = identified(posterior)
-    report("comparing laws", 0.7)
+    progress("comparing laws", 0.7)
     return TableFit(
         scene.name,
         table.path,
@@ -291,7 +290,7 @@ def fit_scene(
     *,
     free: Sequence[str] = (),
     cores: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> SceneFit:
     """Fit the constants of a scene's material to a log of forces and poses.
 
@@ -320,17 +319,16 @@ def fit_scene(
         If this kind of scene cannot be fitted, the tool never cuts along the log, or the log
         determines no constant.
     """
-    report = progress or silent
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
         raise InputError("scene", "contain tissue", f"a {scene.anatomy.kind}", FITTED)
     of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
-    problem = of_tissue(scene, log, free, cores=cores, progress=report)
+    problem = of_tissue(scene, log, free, cores=cores, progress=progress)
     # recording the geometry, or the runs of an organ, takes most of the time
-    report("fitting", 0.8)
+    progress("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     of_this_mesh = posterior
     if problem.finer is not None:
-        report("fitting on a finer mesh", 0.85)
+        progress("fitting on a finer mesh", 0.85)
         whole, *parts = (maximum_posterior(each, problem.measured) for each in problem.finer)
         posterior = posterior.with_mesh(whole, parts, problem.mesh_factor)
     found = identified(posterior)
@@ -346,7 +344,7 @@ def fit_scene(
             raise InputError(f"measured: {'. '.join(doubts)}.")
         raise _determines_nothing(posterior, log, is_mesh=not rough.is_empty)
     # between the start of the search, at 0.8, and the end
-    report("what to measure next", 0.9)
+    progress("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(), among=material)
     return replace(fit, gains=tuple(gains))

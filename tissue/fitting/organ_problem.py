@@ -313,7 +313,7 @@ def settled(
         for tried in range(TRIES + 1):
             posterior = maximum_posterior(forward, measured)
             spread = np.sqrt(np.diag(posterior.covariance_z))
-            at, away = _next(forward, posterior.mean_z, spread)
+            at, away = _next(forward, posterior, spread)
             if away < SETTLED or tried == TRIES:
                 break
             progress(f"run {runs.count + 1} of the organ", 0.25 * (number + (tried + 1) / TRIES))
@@ -324,21 +324,18 @@ def settled(
     return Settled(forward, posterior, away)
 
 
-def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]:
+def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[Array, float]:
     """Return the constants of the next run and their distance from the last run's constants.
 
     The distance is in standard deviations.
     """
-    priors = [each.prior for each in forward.parameters]
-    _, same = forward.reduced(
-        np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)])
-    )
+    x_of = posterior.target.x
+    _, same = forward.reduced(x_of(posterior.mean_z))
     wanted, last = (
-        np.array([float(prior.z(x)) for prior, x in zip(priors, of, strict=True)])
+        np.array([float(prior.z(x)) for prior, x in zip(posterior.priors, of, strict=True)])
         for of in (same, forward.at)
     )
-    near = np.clip(wanted, -FARTHEST, FARTHEST)
-    at = np.array([float(prior.x(each)) for prior, each in zip(priors, near, strict=True)])
+    at = x_of(np.clip(wanted, -FARTHEST, FARTHEST))
     return at, float(np.max(np.abs(wanted - last) / spread))
 
 

@@ -213,7 +213,7 @@ def fit_probes(
     table: ProbeTable,
     *,
     free: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> ProbeFit:
     """Fit Young's modulus and the shape of a law to presses on a slab.
 
@@ -234,19 +234,18 @@ def fit_probes(
     InputError
         If the scene is not such a slab, or `free` names another constant.
     """
-    report = progress or silent
     layer = layer_scene(scene)
     keys = _free_keys(scene, layer, free)
     curves = probe_curves(
-        layer, table.depths_m, keys, progress=lambda doing, share: report(doing, 0.8 * share)
+        layer, table.depths_m, keys, progress=lambda doing, share: progress(doing, 0.8 * share)
     )
-    report("drawing presses again", 0.8)
+    progress("drawing presses again", 0.8)
     forces = table.forces_N
     best = fit_curves(curves, median_curve(forces)[None])
     random = np.random.default_rng(SEED)
     draws = random.integers(0, len(forces), (RESAMPLES, len(forces)))
     drawn = fit_curves(curves, median_curve(forces, draws))
-    report("estimating the error of the mesh", 0.9)
+    progress("estimating the error of the mesh", 0.9)
     fixed = _with_shape(layer, keys, best.shape[0])
     finer = probe_curves(fixed, table.depths_m, (), first=FIRST / FINER)
     shifted = fit_curves(curves, best.modulus_Pa[:, None] * finer.unit_N_Pa)

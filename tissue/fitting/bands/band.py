@@ -167,7 +167,7 @@ def band_of(
     each_run: bool = False,
     compute: str = "cpu",
     cores: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Band:
     """Compute the band of a scene's loads and figures.
 
@@ -196,19 +196,18 @@ def band_of(
         For the reasons that `require_band` lists, if no constant has a range, or if more than a
         tenth of the samples fail.
     """
-    report = progress or silent
     require_band(scene, asked, workers, scheduler, each_run=each_run)
     seed = scene.seed if seed is None else seed
     if each_run or why_not_linear(scene):
         where = Workers(workers or 1, scheduler, compute)
-        return _rerun(scene, asked, seed, workers=where, cores=cores, report=report)
+        return _rerun(scene, asked, seed, workers=where, cores=cores, report=progress)
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
     ranges = reweighed.ranges
     record = reweighed.record
     values, files = _samples(scene, ranges, asked, seed)[1:]
-    report("reweighing the loads", 0.0)
+    progress("reweighing the loads", 0.0)
     figures = reweighed.figures(values)
-    report("computing Sobol indices", 0.5)
+    progress("computing Sobol indices", 0.5)
     indices = sobol_indices(
         lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed
     )

@@ -11,7 +11,6 @@ from kernels.bricks import BRICK, LOST
 from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.shapes.anatomy import Anatomy
-from meshes.shapes.sdf import Shape
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
 from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
@@ -45,10 +44,6 @@ class BricksOnDemand:
         The bone.
     spacing_m
         Edge of a voxel [m].
-    minus
-        Solid that is removed from the bone first, such as a pilot hole.
-    device
-        Warp device name.
 
     Attributes
     ----------
@@ -61,11 +56,8 @@ class BricksOnDemand:
         If the lattice alone would not fit memory.
     """
 
-    def __init__(
-        self, anatomy: Anatomy, *, spacing_m: float, minus: Shape | None = None, device: str = "cpu"
-    ) -> None:
+    def __init__(self, anatomy: Anatomy, *, spacing_m: float) -> None:
         self.anatomy = anatomy
-        self._minus = minus
         self._brick_m = BRICK * spacing_m
         around = AROUND_VOXELS * spacing_m
         low = np.floor((np.array(anatomy.shape.lower_m) - around) / self._brick_m)
@@ -77,7 +69,7 @@ class BricksOnDemand:
             raise _too_fine(spacing_m, share, f"give at most {MOST_BRICKS:g} blocks of voxels")
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
-        self.store = BrickStore(grid, device=device)
+        self.store = BrickStore(grid, device="cpu")
         self._made = np.zeros(self._patches, bool)
 
     def make(self, boxes: Boxes) -> bool:
@@ -175,7 +167,7 @@ class BricksOnDemand:
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m
-        return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region, minus=self._minus)
+        return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region)
 
     def _wanted(self, boxes: Boxes) -> Flags:
         """Return the patches that boxes touch and that are not made yet."""

@@ -182,10 +182,7 @@ class HeatGrid:
 
         For a point outside the grid it is the nearest cell.
         """
-        at = [
-            np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
-            for edges, points in zip(self.edges_m, points_m.T, strict=True)
-        ]
+        at = [_cells(*each) for each in zip(self.edges_m, points_m.T, strict=True)]
         return np.ravel_multi_index(at, self.filled.shape)
 
     def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
@@ -207,7 +204,7 @@ class HeatGrid:
         first = []
         share = []
         for edges, low in zip(self.edges_m, corners_m.T, strict=True):
-            at = np.clip(np.searchsorted(edges, low, side="right") - 1, 0, len(edges) - 2)
+            at = _cells(edges, low)
             inside = np.clip((edges[at + 1] - low) / size_m, 0.0, 1.0)
             # Beyond the last cell there is no cell that could take the rest.
             inside[at == len(edges) - 2] = 1.0
@@ -223,6 +220,11 @@ class HeatGrid:
                 np.ravel_multi_index(at, self.filled.shape), part[there], minlength=len(found)
             )
         return found
+
+
+def _cells(edges_m: Array, places_m: Array) -> Ints:
+    """Return the cell along an axis that holds each place; the nearest cell outside the grid."""
+    return np.clip(np.searchsorted(edges_m, places_m, side="right") - 1, 0, len(edges_m) - 2)
 
 
 def _index(names: tuple[str, ...], name: str) -> int:

@@ -6,6 +6,7 @@ ground.
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ __all__ = [
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """Corners of a cell, in units of its edge, shape (8, 3)."""
+CORNER_PAIRS = list(combinations_with_replacement(range(8), 2))
+"""Pairs a <= b of corners, in the order of the blocks of a cell's stiffness."""
 NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 """Offsets to the nodes around a node; the node itself is in the middle, shape (27, 3)."""
 
@@ -349,9 +352,8 @@ class PointSprings:
         share = shape_values(place[order])
         stiffness = self.stiffness_N_m[order]
         cells, first = np.unique(cell[order], return_index=True)
-        pairs = [(a, b) for a in range(8) for b in range(a, 8)]
-        blocks = np.zeros((len(cells), len(pairs), 3, 3))
-        for row, (a, b) in enumerate(pairs if len(cells) else []):
+        blocks = np.zeros((len(cells), len(CORNER_PAIRS), 3, 3))
+        for row, (a, b) in enumerate(CORNER_PAIRS if len(cells) else []):
             blocks[:, row] = np.add.reduceat(
                 (share[:, a] * share[:, b])[:, None, None] * stiffness, first, axis=0
             )

@@ -11,7 +11,7 @@ from kernels.launcher import run_once
 from kernels.mirror import put
 from kernels.particle_stiffness import particle_stiffness
 from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
-from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet, PointSprings
+from tissue.models.tooth.grid import CORNER_PAIRS, CORNERS, HexGrid, ParticleSet, PointSprings
 from tissue.models.tooth.strips import CellStrips, PackedProduct
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
@@ -185,7 +185,7 @@ class CellStiffness:
         """Return the full stiffness of every cell [N/m], shape (c, 24, 24)."""
         packed = self.stiffness.numpy()
         full = np.zeros((len(packed), 8, 3, 8, 3))
-        for block, (a, b) in enumerate(_pairs()):
+        for block, (a, b) in enumerate(CORNER_PAIRS):
             full[:, a, :, b, :] = packed[:, block]
             full[:, b, :, a, :] = packed[:, block].transpose(0, 2, 1)
         return full.reshape(-1, 24, 24)
@@ -248,10 +248,6 @@ def _inner_stiffness(edge_m: float) -> Array:
     return full - centre
 
 
-def _pairs() -> list[tuple[int, int]]:
-    return [(a, b) for a in range(8) for b in range(a, 8)]
-
-
 def _packed(matrix: Array) -> Array:
     blocks = matrix.reshape(8, 3, 8, 3)
-    return np.stack([blocks[a, :, b, :] for a, b in _pairs()])
+    return np.stack([blocks[a, :, b, :] for a, b in CORNER_PAIRS])
