@@ -74,9 +74,8 @@ def slope():
     It is the root mean square over seeds.
     """
     names = ("tangential_edge_N_mm", "radial_edge_N_mm", "radial_chip_N_mm2")
-    ranges = Ranges.independent(
-        {name: Prior.of(constants("cutting", "bone")[name], name) for name in names}
-    )
+    priors = tuple(Prior.of(constants("cutting", "bone")[name], name) for name in names)
+    ranges = Ranges(names, priors, np.eye(len(names)))
     weights = np.array([1.0, 1.0, 0.02])
     z = np.linspace(-9.0, 9.0, 20001)
     share = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()

@@ -251,7 +251,7 @@ def _on_finer_mesh(
     """
     forward = found.forward
     try:
-        (base,) = runs.on(finer_scene(scene))([_named(forward.parameters, forward.at)])
+        base = runs.of(finer_scene(scene), _named(forward.parameters, forward.at))
     except InputError as refusal:
         return None, f"intervals are without the error of the mesh: {refusal}"
     share = float(np.linalg.norm(base - forward.base) / np.linalg.norm(base))

@@ -227,11 +227,9 @@ class OrganRuns:
         self._ends = ExitStack()
         self._longest_s = 0.0
 
-    def on(self, scene: Scene) -> "OrganRuns":
-        """Return runs of another scene along the same poses, in this process."""
-        found = OrganRuns(scene, self.poses)
-        found._run = partial(_loads, scene, *self._run.args[1:])
-        return found
+    def of(self, scene: Scene, sample: Mapping[str, float]) -> Array:
+        """Return the loads of one run of another scene along the same poses."""
+        return _loads(scene, *self._run.args[1:], sample)
 
     def __enter__(self) -> "OrganRuns":
         return self

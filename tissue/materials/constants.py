@@ -29,7 +29,6 @@ __all__ = [
     "cutting_coefficients",
     "effective_chip",
     "listed",
-    "remove_material",
     "thermal_material",
 ]
 
@@ -181,12 +180,6 @@ def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
             "material", f"not be one of {', '.join(known)}", material, "choose another name"
         )
     known[material] = entries
-
-
-def remove_material(table: str, material: str) -> None:
-    """Remove a material that `add_material` added."""
-    del _table(table)[material]
-    constants.cache_clear()
 
 
 @cache

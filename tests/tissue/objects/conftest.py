@@ -21,7 +21,9 @@ def tables_as_they_were():
     for table in tables:
         for name in set(table.known) - set(before[id(table)]):
             if table in (CUTTING_MATERIALS, ORGAN_MATERIALS):
-                constants.remove_material(*table[name])
+                material_table, material = table[name]
+                del constants._table(material_table)[material]
+                constants.constants.cache_clear()
             table.remove(name)
 
 

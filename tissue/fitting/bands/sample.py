@@ -65,12 +65,6 @@ class Ranges:
     priors: tuple[Prior, ...]
     correlation: Array
 
-    @classmethod
-    def independent(cls, priors: dict[str, Prior]) -> "Ranges":
-        """Return constants that vary independently, without the constants that have no range."""
-        kept = {name: prior for name, prior in priors.items() if not prior.fixed}
-        return cls(tuple(kept), tuple(kept.values()), np.eye(len(kept)))
-
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """Indices of constants that are correlated with each other, directly or through others."""

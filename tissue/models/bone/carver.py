@@ -6,13 +6,11 @@ are divided into groups. A tick visits some of the groups in turn: it carves the
 present pose.
 """
 
-from dataclasses import dataclass
 from math import ceil, sqrt
 from typing import Literal
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.bricks import BRICK, FULL
 from kernels.carving import (
@@ -36,10 +34,11 @@ from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter, DistanceTable
 from tissue.cutters.profile import Profile
-from tissue.models.bone.bricks import BrickState, BrickStore, voxels_of
+from tissue.models.bone.bricks import BrickStore, voxels_of
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["Carver", "CarverState", "CarvingReplay", "Removal"]
+__all__ = ["Carver", "CarvingReplay", "Removal"]
 
 Removal = Literal["subvoxel", "binary"]
 
@@ -82,36 +81,8 @@ WORKERS_GPU = 2048
 """Number of workers that share a carving launch on a GPU; chosen."""
 
 
-@dataclass(frozen=True, eq=False)
-class CarverState:
-    """Copy of the state that later carving depends on, see :meth:`Carver.state`.
-
-    Attributes
-    ----------
-    bricks
-        Bricks that the tool has reached.
-    poses
-        Present pose. Then, for each group of bricks: the pose at its last visit, the pose at which
-        its cuts last became older cuts, and its motion at the last change of direction. Shape (1 +
-        3 groups, 6).
-    marks
-        Travel of the tool at the time the cuts in each group of bricks last became older cuts
-        [voxel], shape (groups,).
-    travelled
-        Travel of the tool so far [voxel].
-    turned
-        True for each group whose last motion was a change of direction, shape (groups,).
-    counts
-        Next group to visit, number of visits due, and number of groups not yet visited at the
-        present pose.
-    """
-
-    bricks: BrickState
-    poses: Array
-    marks: Array
-    travelled: float
-    turned: NDArray[np.bool_]
-    counts: tuple[int, float, int]
+STATE = ("_motions", "_marks", "_travelled", "_turned", "_next_group", "_debt", "_behind")
+"""Attributes of a carver's state between two motions, in addition to bricks and poses."""
 
 
 class Carver:
@@ -283,27 +254,17 @@ class Carver:
         if self._behind > 0:
             self._visit(PHASES)
 
-    def state(self) -> CarverState:
+    def state(self) -> State:
         """Copy the state between two motions."""
-        return CarverState(
-            self.store.state(self),
-            np.vstack([self._pose.host, self._motions]),
-            self._marks.copy(),
-            self._travelled,
-            self._turned.copy(),
-            (self._next_group, self._debt, self._behind),
-        )
+        poses = self._pose.host.copy()
+        return {"bricks": self.store.state(self), "poses": poses, "own": copied(self, STATE)}
 
-    def restore(self, state: CarverState) -> None:
+    def restore(self, state: State) -> None:
         """Return to a copied state; `removed_steps` keeps its value."""
-        self.store.restore(state.bricks, self)
+        self.store.restore(state["bricks"], self)
         self.changes += 1
-        self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
-        self._motions[:] = state.poses[1 + 2 * PHASES :]
-        self._marks[:] = state.marks
-        self._travelled = state.travelled
-        self._turned[:] = state.turned
-        self._next_group, self._debt, self._behind = state.counts
+        self._pose.host[:] = state["poses"]
+        put_back(self, state["own"])
 
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
         """Carve the next groups of bricks at the present pose, and add up the removed material."""

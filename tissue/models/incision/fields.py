@@ -19,7 +19,6 @@ from meshes.base.errors import by
 from meshes.tets.structured import graded, grid
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.fem.solvers.direct import DirectSolver
 from tissue.materials.elasticity import lame
 from tissue.models.incision.cut import COLUMNS, Cut
 from tissue.models.incision.parameters import Blade, IncisedTissue
@@ -143,11 +142,8 @@ class IncisionFields:
         free = ~np.isin(nodes, held)
         self._nodes = nodes[free]
         self._areas = areas[free]
-        organ.factor.expect(self._nodes)
-        solver = organ.factor.solver
-        assert isinstance(solver, DirectSolver), "the block is small"
         count = len(self._nodes)
-        between = solver.compliance_between(self._nodes).reshape(count, 3, count, 3)
+        between = organ.compliance_between(self._nodes).reshape(count, 3, count, 3)
         self._compliance = between[:, 1, :, 1]
         self._traction_Pa = tissue.young_Pa / (1.0 - ratio**2) * tissue.prestrain
         self._fields = OrganFields(organ, self._nodes, interval_s=interval_s)

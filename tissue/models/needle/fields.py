@@ -19,7 +19,6 @@ from meshes.organs.liver import slab, slab_base
 from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.fields import FieldSeries
-from tissue.fem.solvers.direct import DirectSolver
 from tissue.materials.elasticity import lame
 from tissue.materials.scene_constants import Materials
 from tissue.models.needle.parameters import LEAST_COSINE
@@ -151,10 +150,7 @@ class NeedleFields:
         self.track = track
         self._inward = -track.outward
         self._near_m = near_m
-        organ.factor.expect(self.nodes)
-        solver = organ.factor.solver
-        assert isinstance(solver, DirectSolver), "the block is small"
-        between = solver.compliance_between(self.nodes)
+        between = organ.compliance_between(self.nodes)
         count = len(self.nodes)
         self._compliance = np.einsum(
             "i,aibj,j->ab", self._inward, between.reshape(count, 3, count, 3), self._inward

@@ -293,6 +293,11 @@ class SoftOrgan:
             )
         return touchable, faces
 
+    def compliance_between(self, nodes: Ints) -> Array:
+        """Return the compliance between nodes of the surface [m/N], shape (3 n, 3 n)."""
+        self.factor.expect(nodes)
+        return self._columns.between(nodes)
+
     def compliance(
         self, touchable: Ints, path: CompliancePath | None, *, basis_size: int, report: Progress
     ) -> tuple[Array, LazyCompliance | None]:
@@ -306,11 +311,11 @@ class SoftOrgan:
         InputError
             If the compliance would not fit into memory.
         """
-        if path is None or path == "condensed":
-            self.factor.expect(touchable)
         report(CONDENSING, 0.0)
         if path is None:
-            return self._columns.between(touchable), None
+            return self.compliance_between(touchable), None
+        if path == "condensed":
+            self.factor.expect(touchable)
         return compliance_of(
             self.body, touchable, self.factor, path=path, basis_size=basis_size, report=report
         )
