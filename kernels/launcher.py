@@ -316,10 +316,10 @@ class SplitLaunch:
     def __init__(
         self,
         kernel: wp.Kernel,
-        *,
         dim: int | tuple[int, ...],
         inputs: Sequence[object],
         outputs: Sequence[Any],
+        *,
         offset_index: int | None = None,
         device: str | None = None,
         cores: int | None = None,

@@ -23,7 +23,7 @@ class Mirror:
         Warp device name.
     """
 
-    def __init__(self, shape: int | tuple[int, ...], *, dtype: type, device: str) -> None:
+    def __init__(self, shape: int | tuple[int, ...], dtype: type, device: str) -> None:
         self.device = wp.zeros(shape, dtype=dtype, device=device)
         self._shared = device == "cpu"
         self.host: NDArray[Any] = (

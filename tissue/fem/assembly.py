@@ -96,9 +96,9 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
     places = [pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror]
     SplitLaunch(
         pair_stiffness_isotropic if rows.ndim == 2 else pair_stiffness,
-        dim=len(pattern.place),
-        inputs=[*places, *pair_tables(space.order), *space.gradients, rows, less],
-        outputs=[blocks],
+        len(pattern.place),
+        [*places, *pair_tables(space.order), *space.gradients, rows, less],
+        [blocks],
     )()
     return bsr_array(
         (blocks.numpy(), pattern.column, pattern.row_start), shape=(space.unknown_count,) * 2

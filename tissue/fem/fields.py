@@ -140,5 +140,5 @@ def group_stress(
     von_mises = wp.empty(count, wp.float64, device)
     principal = wp.empty(count, wp.vec3d, device)
     outputs = [strain, stress, von_mises, principal]
-    SplitLaunch(tetrahedra.group_stress, dim=count, inputs=inputs, outputs=outputs)()
+    SplitLaunch(tetrahedra.group_stress, count, inputs, outputs)()
     return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

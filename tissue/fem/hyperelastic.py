@@ -89,11 +89,6 @@ class NonlinearBody:
         def out(shape: int | tuple[int, int], dtype: type) -> Any:
             return wp.zeros(shape, dtype, device)
 
-        def launch(
-            kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[Any]
-        ) -> SplitLaunch:
-            return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs)
-
         self._displacement = out(space.node_count, wp.vec3d)
         self._energy = out(count, wp.float64)
         self._force = out(space.node_count, wp.vec3d)
@@ -113,8 +108,8 @@ class NonlinearBody:
             device,
         )
         self._force_launches = (
-            launch(force, count, model, [self._energy, shares]),
-            launch(
+            SplitLaunch(force, count, model, [self._energy, shares]),
+            SplitLaunch(
                 tet_nonlinear.gather_forces,
                 space.node_count,
                 [node_start, node_place, shares.flatten()],
@@ -122,7 +117,7 @@ class NonlinearBody:
             ),
         )
         places = [pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror]
-        gather = launch(
+        gather = SplitLaunch(
             tet_nonlinear.gather_blocks,
             len(pattern.place),
             [*places, squares.flatten()],
@@ -131,7 +126,7 @@ class NonlinearBody:
         # A tangent that is made positive definite exists only for a hyperelastic law.
         variants: list[list[object]] = [[0], [1]] if isinstance(law, Hyperelastic) else [[]]
         self._stiffness_launches = [
-            (launch(stiffness, count, [first, second, *variant, *model], [squares]), gather)
+            (SplitLaunch(stiffness, count, [first, second, *variant, *model], [squares]), gather)
             for variant in variants
         ]
 

@@ -317,7 +317,7 @@ class Space:
             wp.empty(count, wp.float64, self.device),
         ]
         inputs = [self.mesh.nodes_m, self.mesh.cells]
-        SplitLaunch(cell_gradients, dim=count, inputs=inputs, outputs=outputs)()
+        SplitLaunch(cell_gradients, count, inputs, outputs)()
         return outputs[0], outputs[1]
 
     @cached_property

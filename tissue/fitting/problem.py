@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -164,28 +164,12 @@ class MeasuredLoads:
     within_s
         Times relative to the time of a sample, shape (k,) [s]. A sample is the mean of the loads
         read at these times.
-
-    Raises
-    ------
-    InputError
-        If a channel has fewer than 50 samples.
     """
 
     times_s: Array
     values: Array
     channels: tuple[str, ...]
     within_s: tuple[float, ...] = (0.0,)
-    fewest: ClassVar[int] = FEWEST
-
-    def __post_init__(self) -> None:
-        counts = np.isfinite(self.values).sum(axis=0)
-        if len(counts) and counts.min() < self.fewest:
-            raise InputError(
-                "values",
-                f"hold at least {self.fewest} samples of each channel",
-                f"{counts.min()} of {self.channels[int(np.argmin(counts))]}",
-                "leave the channel out or give a longer log",
-            )
 
     def sizes(self) -> Array:
         """Robust root mean square of each channel's unit [N or N m], shape (channels,).
@@ -293,6 +277,11 @@ def block_averages(
         Names of the channels.
     ticks
         Ticks of a block.
+
+    Raises
+    ------
+    InputError
+        If a channel has fewer than 50 blocks with a mean.
     """
     block_s = ticks * TICK_S
     # a sample at the start of a block may lie before it by rounding
@@ -313,6 +302,14 @@ def block_averages(
     shift = float(np.median((middles / seen - starts)[enough.any(axis=1)]))
     each = max(round(block_s / rate), 1)
     within_s = tuple((rate * (np.arange(each) - 0.5 * (each - 1))).tolist())
+    samples = np.isfinite(averages).sum(axis=0)
+    if len(samples) and samples.min() < FEWEST:
+        raise InputError(
+            "values",
+            f"hold at least {FEWEST} samples of each channel",
+            f"{samples.min()} of {channels[int(np.argmin(samples))]}",
+            "leave the channel out or give a longer log",
+        )
     return MeasuredLoads(starts + shift, averages, channels, within_s)
 
 

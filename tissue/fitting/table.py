@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array
@@ -82,12 +81,6 @@ class SteadyTable:
         if self.scatter is not None:
             return self.scatter
         return np.broadcast_to(self.loads.mean(axis=0), self.loads.shape)
-
-
-class SteadyLoads(MeasuredLoads):
-    """Loads of the rows of a table, each divided by its unit."""
-
-    fewest: ClassVar[int] = FEWEST_ROWS
 
 
 def is_table(names: Sequence[str]) -> bool:
@@ -264,7 +257,7 @@ class TableTarget(Target):
     """
 
     def __init__(self, forward: CuttingForward, table: SteadyTable) -> None:
-        measured = SteadyLoads(forward.times_s, table.loads / table.units, table.channels)
+        measured = MeasuredLoads(forward.times_s, table.loads / table.units, table.channels)
         super().__init__(forward, measured)
         self._has_scatter = table.scatter is not None
 

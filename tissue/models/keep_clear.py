@@ -216,8 +216,8 @@ class _Search:
         tree = box_tree((corners - self._origin) @ self._turn)
         vertices = (vertices - self._origin) @ self._turn
         self._slack_m = structure.slack_m
-        self._motion = Mirror((4, 3), dtype=wp.float64, device=DEVICE)
-        self._distance = Mirror(1, dtype=wp.float64, device=DEVICE)
+        self._motion = Mirror((4, 3), wp.float64, DEVICE)
+        self._distance = Mirror(1, wp.float64, DEVICE)
         self._mesh = wp.Mesh(
             points=put(vertices, wp.vec3, DEVICE),
             indices=put(structure.faces.ravel(), wp.int32, DEVICE),
@@ -225,8 +225,8 @@ class _Search:
         )
         self._launch = SplitLaunch(
             distance_to_structure,
-            dim=1,
-            inputs=[
+            1,
+            [
                 0,
                 outline,
                 _tree(tree),
@@ -241,7 +241,7 @@ class _Search:
                 wp.zeros(1, wp.int32, DEVICE),
                 wp.zeros((CELLS, CELL_COLUMNS), wp.float64, DEVICE),
             ],
-            outputs=[self._distance.device],
+            [self._distance.device],
             offset_index=0,
             device=DEVICE,
             # The search runs in one thread, so dim is 1.

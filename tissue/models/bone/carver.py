@@ -156,9 +156,9 @@ class Carver:
         self._behind = 0  # groups not visited at the present pose
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
-        self._pose = Mirror((1 + 2 * PHASES, 6), dtype=wp.float64, device=device)
-        self._plan = Mirror(PLAN, dtype=wp.int64, device=device)
-        self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
+        self._pose = Mirror((1 + 2 * PHASES, 6), wp.float64, device)
+        self._plan = Mirror(PLAN, wp.int64, device)
+        self._removed = Mirror((workers, layers), wp.int64, device)
         self._workers = workers
         self._cores = cores
         self.record()
@@ -168,8 +168,8 @@ class Carver:
         store = self.store
         self._carve = SplitLaunch(
             carve,
-            dim=self._workers,
-            inputs=[
+            self._workers,
+            [
                 self.tool,
                 self._pose.device,
                 self._plan.device,
@@ -178,7 +178,7 @@ class Carver:
                 store.brick_of,
                 store.material,
             ],
-            outputs=[
+            [
                 store.remaining,
                 store.swept,
                 store.middle,

@@ -173,10 +173,10 @@ class CuttingForces:
         self.slopes = AREA + len(store.grid.layer_names)
         # 36: derivatives of force and torque by six unknowns
         shape = (self._chunks, self.slopes + 36)
-        self._sums = Mirror(shape, dtype=wp.float64, device=device)
+        self._sums = Mirror(shape, wp.float64, device)
         lanes = wp.zeros(shape, lanes8, device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
-        self._engaged = Mirror(self._chunks, dtype=wp.float64, device=device)
+        self._engaged = Mirror(self._chunks, wp.float64, device)
         # The value 1 makes the first search write the widths of all elements.
         self._engaged.device.fill_(1)
         self._motion = motion
@@ -194,9 +194,9 @@ class CuttingForces:
         given = [elements, coefficients, self.found, self._engaged.device]
         self._sum = SplitLaunch(
             cutting_forces,
-            dim=self._chunks,
-            inputs=[*given, motion.device, chip_per_speed_s, 0],
-            outputs=[lanes, self._sums.device],
+            self._chunks,
+            [*given, motion.device, chip_per_speed_s, 0],
+            [lanes, self._sums.device],
             cores=cores,
             offset_index=len(given) + 2,
         )
@@ -206,9 +206,9 @@ class CuttingForces:
         """Record the kernel launch of the search on the present arrays of the store."""
         self.find_bone = SplitLaunch(
             find_bone,
-            dim=self._chunks,
-            inputs=[*self._given, 0, *self._store.read_by_forces],
-            outputs=[self._scratch, self.found, self._engaged.device],
+            self._chunks,
+            [*self._given, 0, *self._store.read_by_forces],
+            [self._scratch, self.found, self._engaged.device],
             offset_index=len(self._given),
             cores=self._cores,
         )

@@ -60,7 +60,7 @@ class RecentPoses:
         self._rings = [[first, first, last] for first, last in pairwise(ends)]
         self.turns = False
         self._moved = np.zeros((KEPT_POSES, 3))
-        self.mirror = Mirror((1 + KEPT_POSES, 6), dtype=wp.float32, device=device)
+        self.mirror = Mirror((1 + KEPT_POSES, 6), wp.float32, device)
 
     def place(self, motion: ToolMotion) -> None:
         """Start at a pose."""

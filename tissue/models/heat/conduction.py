@@ -395,9 +395,9 @@ class Conduction:
         self._launches = [
             SplitLaunch(
                 conduct,
-                dim=self.filled.shape,
-                inputs=[source, self._filled, *self._along, self._capacity, self._power, step_s],
-                outputs=[target],
+                self.filled.shape,
+                [source, self._filled, *self._along, self._capacity, self._power, step_s],
+                [target],
                 # Number of parts, chosen: on two busy cores, 1 to 4 parts take the same time.
                 cores=min(self.filled.shape[0], 4),
             )

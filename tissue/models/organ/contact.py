@@ -41,7 +41,6 @@ __all__ = [
     "SurfaceContact",
     "body_arrays",
     "contact_points",
-    "list_arrays",
     "point_arrays",
 ]
 
@@ -170,12 +169,6 @@ def point_arrays(
         ready=np.zeros(count),
         **none,
     )
-
-
-def list_arrays(triangles: int, device: str) -> Lists:
-    """Return empty lists of near and working triangles."""
-    none = np.zeros(triangles)
-    return filled(Lists, device, count=np.zeros(3), near=none, working=none, working_mark=none)
 
 
 class ContactOutcome(Enum):
@@ -322,12 +315,15 @@ class SurfaceContact:
         corners = nodes_m[faces]
         self._centres = corners.mean(axis=1)
         self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
-        self._pose = Mirror((8, 3), dtype=wp.float64, device=device)
-        self._results = Mirror(RESULTS, dtype=wp.float64, device=device)
+        self._pose = Mirror((8, 3), wp.float64, device)
+        self._results = Mirror(RESULTS, wp.float64, device)
         self._placed = self._shifted = False
         self._body = body_arrays(nodes_m, faces, compliance_m_N, device)
         self._points = point_arrays(nodes_m, faces, probe, spacing_m, device)
-        self._lists = list_arrays(len(faces), device)
+        none = np.zeros(len(faces))
+        self._lists = filled(
+            Lists, device, count=np.zeros(3), near=none, working=none, working_mark=none
+        )
         self._patch = new_patch(len(nodes_m), device)
         self._stages = self._recorded()
         self._on_host = device == "cpu"
@@ -359,9 +355,9 @@ class SurfaceContact:
             shell = [probe.points_m, probe.normals]
             project = SplitLaunch(
                 project_shell,
-                dim=count,
-                inputs=[*shell, pose, float(self._radii.max()), 0, body, lists],
-                outputs=[points, home],
+                count,
+                [*shell, pose, float(self._radii.max()), 0, body, lists],
+                [points, home],
                 offset_index=4,
                 device=device,
                 cores=self._cores,

@@ -5,6 +5,7 @@ the coarser grids is assembled.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -178,9 +179,7 @@ class FinestLevel:
             cores=cells.cores,
         )
 
-        def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
-            return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=cells.cores)
-
+        launch = partial(SplitLaunch, cores=cells.cores)
         self._steps = [
             launch(smooth, vectors[0].shape[1], [inverse, *step], vectors)
             # The last step adds the last direction and starts no new one.

@@ -109,18 +109,18 @@ class ToothModel:
         self._load = np.zeros(6)
         self._radius_m = milling.cutter.profile.radius_m
         chunks = -(-len(milling.shell.areas_m2) // CHUNK)
-        self._nearest = Mirror(chunks, dtype=wp.float32, device=device)
+        self._nearest = Mirror(chunks, wp.float32, device)
         self._clearance = SplitLaunch(
             clearance,
-            dim=chunks,
-            inputs=[
+            chunks,
+            [
                 milling.elements,
                 milling.motion_rows,
                 volume.spacing_m,
                 0,
                 distance,
             ],
-            outputs=[self._nearest.device],
+            [self._nearest.device],
             offset_index=3,
             device=device,
         )

@@ -8,7 +8,8 @@ After the coarse correction the colours run in reverse order. (Trottenberg, Oost
 2001, Multigrid, ch. 2.)
 """
 
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -56,9 +57,7 @@ class GridTransfer:
         grid = fine.grid
         coarse_grid = coarse.grid
 
-        def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
-            return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=fine.cores)
-
+        launch = partial(SplitLaunch, cores=fine.cores)
         children = np.full((coarse_grid.cell_count, 8), -1, dtype=np.int32)
         children[parent, (grid.cell_place & 1) @ (4, 2, 1)] = np.arange(
             grid.cell_count, dtype=np.int32
@@ -146,18 +145,18 @@ class GridLevel:
         self.load = wp.zeros(grid.node_count, wp.vec3f, device)
         self.vector = wp.zeros(grid.node_count, wp.vec3f, device)
         self.residual = wp.zeros(grid.node_count, wp.vec3f, device)
-        self._first, self._last = self._sweeps()
+        split = cores if grid.node_count > SPLIT_NODES else 1
+        launch = partial(SplitLaunch, cores=split)
+        self._first, self._last = self._sweeps(launch)
         blocks = self.blocks
         rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
-        self._leave_residual = self._launch(
-            first_residuals, [*rows, self.vector], [self.residual], grid.node_count
+        self._leave_residual = launch(
+            first_residuals, grid.node_count, [*rows, self.vector], [self.residual]
         )
 
-    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], dim: int) -> SplitLaunch:
-        cores = self.cores if self.grid.node_count > SPLIT_NODES else 1
-        return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=cores)
-
-    def _sweeps(self) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
+    def _sweeps(
+        self, launch: Callable[..., SplitLaunch]
+    ) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
         """Return two Gauss-Seidel sweeps: from zero, and in reverse colour order."""
         blocks = self.blocks
         first = []
@@ -167,19 +166,9 @@ class GridLevel:
             if len(nodes) == 0:
                 continue
             rows = [blocks.column, blocks.single, blocks.inverse, self.load]
-            first.append(
-                self._launch(
-                    first_sweep,
-                    [nodes, blocks.row_start, blocks.diagonal_block, *rows],
-                    [self.vector],
-                    len(nodes),
-                )
-            )
-            last.append(
-                self._launch(
-                    sweep_colour, [nodes, blocks.row_start, *rows], [self.vector], len(nodes)
-                )
-            )
+            own = [nodes, blocks.row_start, blocks.diagonal_block]
+            first.append(launch(first_sweep, len(nodes), [*own, *rows], [self.vector]))
+            last.append(launch(sweep_colour, len(nodes), [*own[:2], *rows], [self.vector]))
         return first, last[::-1]
 
     def relax_first(self) -> None:

@@ -54,9 +54,9 @@ class StressPoints:
         at_corners = [cells.cell_nodes_on, cells.displacement, cells.grid.edge_m]
         self._launch = SplitLaunch(
             point_stress,
-            dim=len(row),
-            inputs=[row, cell, place, lame_Pa, *at_corners],
-            outputs=[self._stress],
+            len(row),
+            [row, cell, place, lame_Pa, *at_corners],
+            [self._stress],
             cores=1,
         )
 

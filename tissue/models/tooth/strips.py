@@ -57,16 +57,16 @@ class PackedProduct:
         corner_force = wp.zeros((len(cells), 8), wp.vec3d, vector.device)
         self._cells = SplitLaunch(
             cell_products,
-            dim=len(cells),
-            inputs=[cells, rows, grid.cell_nodes, live, stiffness, vector],
-            outputs=[corner_force],
+            len(cells),
+            [cells, rows, grid.cell_nodes, live, stiffness, vector],
+            [corner_force],
             cores=cores,
         )
         self._nodes = SplitLaunch(
             gather_cells,
-            dim=len(nodes),
-            inputs=[nodes, place[grid.node_cells[nodes]], corner_force],
-            outputs=[force],
+            len(nodes),
+            [nodes, place[grid.node_cells[nodes]], corner_force],
+            [force],
             cores=cores,
         )
 
@@ -200,10 +200,10 @@ class StripProduct:
         self._launches = [
             SplitLaunch(
                 strip_products(vector.scalar),
-                dim=len(pencils),
+                len(pencils),
+                [pencils, start, base, lanes, vector.from_each],
+                [force.from_each],
                 cores=cores,
-                inputs=[pencils, start, base, lanes, vector.from_each],
-                outputs=[force.from_each],
             )
             for pencils in layout.colours
         ]
