@@ -136,15 +136,16 @@ class Cutter:
         """Area of the cutting surface [m2]."""
         return sum(piece.area_m2 for piece in self.profile.pieces if piece.cutting)
 
-    def shell(self, *, spacing_m: float) -> PointShell:
-        """Return a point shell of the cutting surface, see `PointShell`.
+    def shell(self, *, spacing_m: float, cutting: bool = True) -> PointShell:
+        """Return a point shell of the surface that cuts, or does not cut, see `PointShell`.
 
         The distance between elements is about ``spacing_m``, and less toward the axis. Elements lie
         on golden-angle spirals, a Fibonacci lattice on each piece. No two elements have the same
         height, so the rim of a cut never reaches many elements at once. Sums over part of the
         surface converge almost as fast as sums over the whole surface.
         """
-        return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
+        key = self.profile, spacing_m, cutting
+        return _shells.of(key, lambda: self._shell(spacing_m, cutting))
 
     def load_factors(self, radii_m: Array) -> Array:
         """Return factors of tangential and radial loads at distances from the axis, shape (n, 2).
@@ -159,11 +160,7 @@ class Cutter:
         """True if a part of the surface, such as a peg or a flat top, does not cut."""
         return not all(piece.cutting for piece in self.profile.pieces)
 
-    def smooth_shell(self, *, spacing_m: float) -> PointShell:
-        """Return a point shell of the surface that does not cut; see `shell`."""
-        return self._shell(spacing_m, cutting=False)
-
-    def _shell(self, spacing_m: float, *, cutting: bool = True) -> PointShell:
+    def _shell(self, spacing_m: float, cutting: bool) -> PointShell:
         """Compute the point shell of the cutting or the smooth surface, without the cache."""
         parts = [
             spiral(piece, spacing_m=spacing_m)

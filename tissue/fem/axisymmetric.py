@@ -242,7 +242,7 @@ class _Layer:
         self._edge_places = (2 * edges[:, :, None] + np.arange(2)).reshape(-1, 6)
         self._stiff = PENALTY * law.shear_Pa / float(ends[0, 2] - ends[0, 0])
         stiffest = law.first_Pa if isinstance(law, LinearLaw) else law.bulk_Pa
-        self._rounding_J = ROUNDING * stiffest * float(self._volume.sum())
+        self._rounding_J = ROUNDING * stiffest * self._volume.sum()
         self._pressure = np.zeros_like(self._area)
         self._u = np.zeros(mesh.nodes_m.shape)
         self._centre = mesh.radius_m
@@ -300,8 +300,8 @@ class _Layer:
             pressed, gap, normal = self._contact(self._u)
             push = -np.einsum("eq,qa,eqc->eac", self._area * pressed, self._share, normal)
             left = force + np.bincount(self._edge_places.ravel(), push.ravel(), size)
-            scale = float(np.abs(force).max())
-            worst = float(np.abs(left[self._free]).max())
+            scale = np.abs(force).max()
+            worst = np.abs(left[self._free]).max()
             if worst <= SETTLED * scale or worst == 0.0:
                 return True
             weighted = self._volume[..., None, None] * tangent

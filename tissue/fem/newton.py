@@ -179,9 +179,9 @@ class NewtonSolver:
         # In a rotated body without stress, all forces are rounding errors. There is no larger force
         # to compare them with.
         extent = float(np.ptp(body.nodes_m, axis=0).max())
-        self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
+        self._rounding_N = POSITIONS * self.rest_diagonal.max() * extent
         # 1e-2 is the square of a displacement of a tenth of the body's size.
-        self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
+        self._rounding_J = ROUNDING * 1e-2 * self.rest_diagonal.max() * extent**2
         at_rest = HeldBody(rest, body.nodes_m, held)
         solver = DirectSolver(at_rest)
         self._precondition = lambda force: solver.solve(
@@ -254,7 +254,7 @@ class NewtonSolver:
             # tolerance is not needed.
             accuracy = max(min(0.1, residual), 0.1 * self._tolerance / residual)
             step = self._direction(self._whole(now, sphere), -slope.ravel(), accuracy)
-            downhill = float(np.sum(slope * step))
+            downhill = np.sum(slope * step)
             share = 1.0
             for _ in range(HALVINGS):
                 trial = now + share * step
@@ -265,9 +265,7 @@ class NewtonSolver:
                 )  # near the end only the slope is accurate
                 # Near the end, differences of the energy are rounding errors. Then the slope must
                 # fall to half instead.
-                if lower or (
-                    rounding and abs(float(np.sum(there[2] * step))) <= 0.5 * abs(downhill)
-                ):
+                if lower or (rounding and abs(np.sum(there[2] * step)) <= 0.5 * abs(downhill)):
                     break
                 share *= 0.5
             else:

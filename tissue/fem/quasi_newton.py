@@ -264,7 +264,7 @@ class QuasiNewton:
             # change.
             limit = step_limit if reached or part < 1.0 else (step_limit + 1) // 2
             steps += self._reach(load, allowed_N, min(limit, step_limit - steps))
-            if float(np.abs(self._left(load)[1]).max()) <= allowed_N:
+            if np.abs(self._left(load)[1]).max() <= allowed_N:
                 reached = goal
                 followed = self._last
                 continue
@@ -320,7 +320,7 @@ class QuasiNewton:
         """Take steps towards the equilibrium under a load and return their number."""
         steps = 0
         left = self._left(load_N)[1]
-        while float(np.abs(left).max()) > allowed_N and steps < limit:
+        while np.abs(left).max() > allowed_N and steps < limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
                 # Without curvature pairs, there is no other direction to try.
@@ -410,7 +410,7 @@ class QuasiNewton:
         The pair is stored only if its curvature is positive with the springs.
         """
         whole = force + np.where(self._fixed, 0.0, self._springs.product(change))
-        curved = float(np.sum(change * whole))
+        curved = np.sum(change * whole)
         if curved > 0.0:
             self._pairs.append((change, whole, 1.0 / curved))
             del self._pairs[:-MEMORY]
@@ -428,10 +428,10 @@ class QuasiNewton:
         forces = left_N.copy()
         shares = []
         for change, force, inverse in reversed(self._pairs):
-            share = inverse * float(np.sum(change * forces))
+            share = inverse * np.sum(change * forces)
             shares.append(share)
             forces -= share * force
         step = self._solve(forces)
         for (change, force, inverse), share in zip(self._pairs, reversed(shares), strict=True):
-            step += change * (share - inverse * float(np.sum(force * step)))
+            step += change * (share - inverse * np.sum(force * step))
         return step

@@ -157,7 +157,7 @@ def identified(posterior: Posterior) -> Identified:
     directions = [
         (value, vector)
         for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
-        if 1.0 / (1.0 + value) < DETERMINED**2 and float(np.max(vector**2)) < ALONE
+        if 1.0 / (1.0 + value) < DETERMINED**2 and np.max(vector**2) < ALONE
     ]
     found = [
         _combination(posterior, measured @ vector, vector, value) for value, vector in directions
@@ -189,7 +189,7 @@ def _combination(
         loads = target.loads(constants, noise.offset_s)[:, :, None]
         return float(mean @ target.whitened(loads, noise)[:, 0])
 
-    median = np.array([float(prior.x(0.0)) for prior in posterior.priors])
+    median = np.array([prior.x(0.0) for prior in posterior.priors])
     slopes = information * direction / target.slopes(posterior.mean_z)
     terms = slopes * x
     scales = np.array([name.startswith(DENSITY) or name.endswith(EXPONENT) for name in names])

@@ -169,7 +169,7 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
     log_density, gradient, normal = _reweighted(target, u, others)
     for _ in range(MOST_STEPS):
         step = np.linalg.solve(normal + damping * np.eye(len(others)), gradient)
-        if float(gradient @ step) < NEAR:
+        if gradient @ step < NEAR:
             break
         moved = u.copy()
         moved[others] += step
@@ -240,7 +240,7 @@ def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[flo
     columns = (np.sqrt(terms.weights)[:, :, None] * added).reshape(-1, len(others))
     gradient = -np.tensordot(np.where(known, terms.by_residuals, 0.0), moved, 2)[others] - u[others]
     return (
-        terms.log_density - 0.5 * float(u @ u),
+        terms.log_density - 0.5 * (u @ u),
         gradient,
         columns.T @ columns + np.eye(len(others)),
     )

@@ -114,14 +114,14 @@ class OrganForward:
         """
         distance = self.distance(at)
         middle = np.array([each.prior.value for each in self.parameters])
-        widths = np.array([float(each.prior.slope(0.0)) for each in self.parameters])
+        widths = np.array([each.prior.slope(0.0) for each in self.parameters])
         step = distance / np.where(self._logarithmic, widths / middle, widths)
         slopes = self._slopes_at(distance)
         # a shorter step would explain single nodes that come into contact
-        if float(np.linalg.norm(step)) >= learnt:
+        if np.linalg.norm(step) >= learnt:
             missed = base - self._of_run(distance)
             along = np.divide(step**2, distance, out=np.zeros_like(step), where=distance != 0.0)
-            slopes = slopes + missed[..., None] * along / float(step @ step)
+            slopes = slopes + missed[..., None] * along / (step @ step)
         return replace(self, at=at, base=base, slopes=slopes)
 
     def distance(self, x: Array) -> Array:
@@ -293,7 +293,7 @@ def settled(
     slopes are then computed again at this point, with steps as wide as the uncertainty of the
     constants.
     """
-    at = np.array([float(each.prior.x(0.0)) for each in parameters])
+    at = np.array([each.prior.x(0.0) for each in parameters])
     spread = None
     away = np.inf
     (base,) = runs([_named(parameters, at)])
@@ -332,7 +332,7 @@ def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[A
     x_of = posterior.target.x
     _, same = forward.reduced(x_of(posterior.mean_z))
     wanted, last = (
-        np.array([float(prior.z(x)) for prior, x in zip(posterior.priors, of, strict=True)])
+        np.array([prior.z(x) for prior, x in zip(posterior.priors, of, strict=True)])
         for of in (same, forward.at)
     )
     at = x_of(np.clip(wanted, -FARTHEST, FARTHEST))

@@ -260,7 +260,7 @@ def _shifted(target: Target, u: Array) -> list[Array]:
     at these other offsets.
     """
     places = []
-    for offset_s in NEARBY * float(np.median(np.diff(target.log.times_s))):
+    for offset_s in NEARBY * np.median(np.diff(target.log.times_s)):
         moved = u.copy()
         moved[target.constants] += offset_s / OFFSET_S
         places.append(moved)
@@ -285,7 +285,7 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
     for _ in range(SCORING_STEPS):
         information = target.information(u)
         step = np.linalg.solve(information, gradient)
-        gain = float(gradient @ step)
+        gain = gradient @ step
         if gain < STEEP:
             return u, information, True
         # a full step may overshoot; without any better place the search has stopped short

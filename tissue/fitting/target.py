@@ -244,13 +244,11 @@ class Target:
 
     def x(self, z: Array) -> Array:
         """Return the constants in their own units."""
-        return np.array([float(prior.x(each)) for prior, each in zip(self._priors, z, strict=True)])
+        return np.array([prior.x(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
         """Return the derivative of each constant by its z."""
-        return np.array(
-            [float(prior.slope(each)) for prior, each in zip(self._priors, z, strict=True)]
-        )
+        return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def simulated(self, u: Array) -> Array:
         """Return loads at the times of the log with offset and bias, shape (m, channels)."""
@@ -360,7 +358,7 @@ class Target:
         gradient[p + 1 + c :] += self.noise_gradient(
             each, terms.by_log_scale, terms.by_correlation, terms.by_freedom
         )
-        return terms.log_density - 0.5 * float(u @ u), gradient
+        return terms.log_density - 0.5 * (u @ u), gradient
 
     def value(self, u: Array) -> float:
         """Return the log density, up to a constant.
@@ -369,7 +367,7 @@ class Target:
         """
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
-        return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
+        return self.terms(residuals, each).log_density - 0.5 * (u @ u)
 
     @staticmethod
     def terms(residuals: Array, each: Unpacked) -> NoiseTerms:

@@ -65,7 +65,7 @@ class BricksOnDemand:
         self._first = low.astype(np.int64)
         self._patches = -(-(high - low).astype(np.int64) // PATCH)
         share = float(np.prod(high - low)) / MOST_BRICKS
-        if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
+        if np.prod(PATCH * self._patches) > MOST_BRICKS:
             raise _too_fine(spacing_m, share, f"give at most {MOST_BRICKS:g} blocks of voxels")
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)

@@ -79,7 +79,7 @@ class SmoothSurface:
     ) -> None:
         pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
         total_m2 = sum(piece.area_m2 for piece in pieces)
-        shell = cutter.smooth_shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5)
+        shell = cutter.shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5, cutting=False)
         ends = [
             piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
         ]

@@ -111,7 +111,7 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
         replace(block, nodes_m=nodes, part_names=("parenchyma",)),
         lambda points: FINE_M + GROWTH * away(points),
     )
-    depth = -mesh.nodes_m[:, 2] / float(track.outward[2])
+    depth = -mesh.nodes_m[:, 2] / track.outward[2]
     on = np.flatnonzero((away(mesh.nodes_m) < ON_TRACK_M) & (depth < track.deepest_m + ON_TRACK_M))
     on = on[np.argsort(depth[on])]
     return mesh, on, depth[on]
@@ -187,7 +187,7 @@ class NeedleFields:
     ) -> None:
         """Store the organ's deflection, the needle's inserted length and its entry point [m]."""
         self.next_s += self._fields.interval_s
-        here = float(np.linalg.norm(entry_m - self.track.entry_m)) <= self._near_m
+        here = np.linalg.norm(entry_m - self.track.entry_m) <= self._near_m
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
 
     def compute(self) -> None:

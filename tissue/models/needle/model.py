@@ -406,7 +406,7 @@ class NeedleModel:
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         # The comparison is also true for the first entry, because the entry before it is NaN.
-        if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
+        if not np.linalg.norm(entry - self._entry_m) <= self._diameter_m:
             self.insertion = Insertion(self.tissue)
             self._entry_m[:] = entry
         return self.insertion

@@ -116,7 +116,7 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
     centre = np.concatenate([place, sprung]).mean(axis=0)
     place -= centre
     restraint = springs.restraint(grid.origin_m + grid.edge_m * centre, grid.edge_m)
-    restraint /= max(float(np.trace(restraint[:3, :3])), np.finfo(float).tiny)
+    restraint /= max(np.trace(restraint[:3, :3]), np.finfo(float).tiny)
     rows = rigid_modes(place, np.zeros(3))[held[some]]
     restraint += rows.T @ rows
     values = np.linalg.eigvalsh(restraint)

@@ -178,7 +178,7 @@ class StressRecovery:
         left = self._total(self._volume * self._cells.remaining) * (
             self._cells.live[self._cell] > 0
         )
-        share = left / max(float(left.max()), np.finfo(float).tiny)
+        share = left / max(left.max(), np.finfo(float).tiny)
         weighted = np.empty((len(share), 7), np.float32)
         weighted[:, :6] = share[:, None] * self._points(displacement_m)
         weighted[:, 6] = share
