@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,14 @@ from tissue.fitting.log_columns import (
     quantities,
     suggested,
 )
-from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns, read_columns
+from tissue.fitting.log_files import (
+    CHANNELS,
+    QUATERNION,
+    TIPS,
+    LogColumns,
+    read_columns,
+    refusal,
+)
 from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, block_ticks
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
@@ -161,10 +169,7 @@ def _checked(
     path: Path, taken: dict[str, Array], names: Sequence[str], notes: list[str]
 ) -> MeasuredLog:
     """Return a checked log of the columns that were read."""
-
-    def refuse(requirement: str, found: str, remedy: str) -> InputError:
-        return InputError("measured", requirement, f"{found} in {path.name}", remedy)
-
+    refuse = partial(refusal, path)
     wanted = ["time_s", *TIPS]
     if not taken.keys() & set(FORCES):  # one axis of a sensor is enough
         wanted += FORCES
@@ -261,12 +266,7 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
         sizes = np.linalg.norm(quaternions, axis=1, keepdims=True)
         # a shorter quaternion is a zero with rounding, and has no direction
         if not (sizes > 1e-6).all():
-            raise InputError(
-                "measured",
-                "hold unit quaternions",
-                f"a zero quaternion in {path.name}",
-                "leave that row out",
-            )
+            raise refusal(path, "hold unit quaternions", "a zero quaternion", "leave that row out")
         return quaternions / sizes
     if taken.keys() >= set(ROTATION_VECTOR):
         vectors = np.column_stack([taken[name] for name in ROTATION_VECTOR])

@@ -29,6 +29,7 @@ __all__ = [
     "mat_columns",
     "parquet_columns",
     "read_columns",
+    "refusal",
 ]
 
 
@@ -44,6 +45,11 @@ TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 """Loads on the tool, in the scene's frame, torques about the tip."""
+
+
+def refusal(path: Path, requirement: str, value: str, remedy: str) -> InputError:
+    """Return the error for a measured file with a wrong value."""
+    return InputError("measured", requirement, f"{value} in {path.name}", remedy)
 
 
 @dataclass(frozen=True)
@@ -309,10 +315,10 @@ def mat_columns(file: Path) -> Answer:
 
 def _matlab_object(path: Path, kind: str) -> InputError:
     """Return the error for a file with an object of a MATLAB class, such as timetable."""
-    return InputError(
-        "measured",
+    return refusal(
+        path,
         "hold arrays or structs of numbers",
-        f"the MATLAB object of class {kind} in {path.name}",
+        f"the MATLAB object of class {kind}",
         "write it in MATLAB as CSV, writetimetable(x, 'log.csv') or writetable(x, 'log.csv')",
     )
 

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.units import column_of, name_of, unit_of
 from tissue.fitting.log_columns import TIMES, parsed, quantity
-from tissue.fitting.log_files import LogColumns
+from tissue.fitting.log_files import LogColumns, refusal
 
 __all__ = ["ProbeTable", "is_probe_table", "read_probes"]
 
@@ -90,10 +90,6 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
     InputError
         If a column is missing, a press has too few depths, or there are too few presses.
     """
-
-    def refuse(requirement: str, value: str, remedy: str) -> InputError:
-        return InputError("measured", requirement, f"{value} in {path.name}", remedy)
-
     asked = parsed(columns, tuple(MEASURES))
     notes = [*found.notes]
     values: dict[str, Array] = {}
@@ -105,8 +101,11 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
                 values[name] = numbers
     for name in (DEPTH, FORCE):
         if name not in values:
-            raise refuse(
-                f"hold {name}", ", ".join(found.names[:12]), f"use --column {name}=COLUMN[:UNIT]"
+            raise refusal(
+                path,
+                f"hold {name}",
+                ", ".join(found.names[:12]),
+                f"use --column {name}=COLUMN[:UNIT]",
             )
     depths = values[DEPTH]
     forces = values[FORCE]
@@ -128,19 +127,19 @@ def _at_common_depths(
 ) -> ProbeTable:
     """Return the forces of presses at the medians of their depths."""
     if not presses:
-        raise InputError("measured", "hold presses", f"none in {path.name}", "add rows")
+        raise refusal(path, "hold presses", "none", "add rows")
     largest = np.array([depth[-1] if len(depth) else 0.0 for depth, _ in presses])
     enough = np.array([len(depth) >= FEWEST_STEPS for depth, _ in presses])
     used = enough & (largest >= SHORT * np.median(largest))
     if used.sum() < FEWEST_PROBES:
-        raise InputError(
-            "measured",
+        raise refusal(
+            path,
             (
                 f"hold at least {FEWEST_PROBES} presses, each with {FEWEST_STEPS} depths or "
                 f"more and a largest depth of at least {SHORT:.0%} of the median of all "
                 "largest depths"
             ),
-            f"{used.sum()} in {path.name}",
+            f"{used.sum()}",
             (
                 "repeat the press at several places: the scatter between places determines "
                 "the intervals"

@@ -1,7 +1,8 @@
 """Tables of steady loads on a drill, by feed and speed, and their log density for a fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.sparse import csr_array, eye_array
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fitting.cutting import CuttingForward, forward_of
-from tissue.fitting.log_files import LogColumns
+from tissue.fitting.log_files import LogColumns, refusal
 from tissue.fitting.problem import MeasuredLoads
 from tissue.fitting.target import Target, Unpacked
 from tissue.models.bone.engagement import DensityNodes, plunge_unit_loads
@@ -70,7 +71,7 @@ class SteadyTable:
     scatter: Array | None
     names: tuple[str, ...]
     channels: tuple[str, ...]
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     @property
     def units(self) -> Array:
@@ -109,10 +110,7 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
     InputError
         If a column is missing or unknown, or a number is not above zero.
     """
-
-    def refuse(requirement: str, value: str, remedy: str) -> InputError:
-        return InputError("measured", requirement, f"{value} in {path.name}", remedy)
-
+    refuse = partial(refusal, path)
     if unknown := [name for name in found.names if name not in COLUMNS]:
         raise refuse(
             f"hold columns named {', '.join(COLUMNS)}",
@@ -219,10 +217,10 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
     cutter = cutter_of(tool.model_copy(update={"spin_rpm": 1000.0, "length_mm": length_mm}))
     thickest_m = float(table.feeds_per_turn_m.max()) / cutter.flute_count
     if thickest_m > cutter.profile.radius_m:
-        raise InputError(
-            "measured",
+        raise refusal(
+            table.path,
             f"hold feeds below the drill's radius per tooth ({tool.diameter_mm / 2.0:g} mm)",
-            f"{1e3 * thickest_m:.3g} mm in {table.path.name}",
+            f"{1e3 * thickest_m:.3g} mm",
             f"give the unit of the feed by the name of its column, one of {', '.join(FEEDS)}",
         )
     notes = table.notes
