@@ -263,19 +263,14 @@ class DirectSolver:
         found._factor = self._factor.with_last(at[at >= 0], near.T @ near.copy())
         return found
 
-    def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
+    def columns(self, unknowns: Ints) -> Array:
         """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
 
         Rows of held unknowns are zero.
         """
-        answers = np.zeros((len(self._order.position), len(unknowns)))
-        for start in range(0, len(unknowns), together):
-            at = self._order.position[unknowns[start : start + together]]
-            right = np.zeros((len(self._order.unknowns), len(at)))
-            pushed = np.flatnonzero(at >= 0)
-            right[at[pushed], pushed] = 1.0
-            answers[self._order.unknowns, start : start + len(at)] = self._factor.solve(right)
-        return answers
+        loads = np.zeros((len(self._order.position), len(unknowns)))
+        loads[unknowns, np.arange(len(unknowns))] = 1.0
+        return self.displacements_m(loads)
 
     def compliance_between(self, nodes: Ints) -> Array:
         """Compute the compliance between nodes [m/N], x, y, z node by node, shape (3k, 3k).

@@ -5,7 +5,7 @@ reduced basis.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -146,29 +146,25 @@ class KeptColumns:
         solver = self._factor.solver
         if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
             return solver.compliance_between(nodes)
-        missing = [int(node) for node in nodes if int(node) not in self._columns]
+        wanted = nodes.tolist()
+        missing = [node for node in wanted if node not in self._columns]
         # Three columns of 8-byte numbers for each node.
         if 8 * 3 * len(self._rows) * (len(self._columns) + len(missing)) > LIMIT_BYTES:
             self._columns.clear()
-            missing = [int(node) for node in nodes]
+            missing = wanted
         self._find(missing)
         rows = components_of(np.searchsorted(self._surface, nodes))
-        matrix = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
+        matrix = np.concatenate([self._columns[node][rows] for node in wanted], axis=1)
         # Rounding differs between columns, but the contact solver needs a symmetric matrix.
         return 0.5 * (matrix + matrix.T)
 
     def _find(self, nodes: list[int]) -> None:
         solver = self._factor.solver
         each = TOGETHER // 3
-        solve = (
-            partial(solver.columns, together=TOGETHER)
-            if isinstance(solver, DirectSolver)
-            else solver.columns
-        )
         parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
 
         def find(part: list[int]) -> Array:
-            return solve(components_of(np.array(part)))[self._rows]
+            return solver.columns(components_of(np.array(part)))[self._rows]
 
         # A back-substitution releases the interpreter lock.
         with (
