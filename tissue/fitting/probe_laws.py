@@ -130,7 +130,7 @@ def layer_scene(scene: Scene) -> LayerScene:
         )
     ratio = organ.poisson_ratio
     if ratio is None:
-        ratio = scene.constants.constants("soft", organ.material)["poisson_ratio"].value
+        ratio = scene.constants.values("soft", organ.material)["poisson_ratio"]
     return LayerScene(organ, 0.5e-3 * tool.size_mm, 1e-3 * anatomy.size_mm[2], ratio)
 
 

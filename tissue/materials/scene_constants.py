@@ -115,6 +115,10 @@ class Materials:
         start = f"{table}.{material}."
         return {name: self.given.get(start + name, one) for name, one in found.items()}
 
+    def values(self, table: str, material: str) -> dict[str, float]:
+        """Return the values of a material's constants; see `constants`."""
+        return {name: one.value for name, one in self.constants(table, material).items()}
+
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
         """Return the cutting constants of a layer.
 

@@ -87,10 +87,10 @@ class HeatGrid:
         conductivity = np.zeros(tissue.shape)
         capacity = np.zeros(tissue.shape)
         for index, name in enumerate(tissue.layer_names):
-            table = constants.constants("tooth", thermal_material(name))
+            table = constants.values("tooth", thermal_material(name))
             here = tissue.layer == index
-            conductivity[here] = table["conductivity_W_mK"].value
-            capacity[here] = table["heat_capacity_J_kgK"].value * table["density_kg_m3"].value
+            conductivity[here] = table["conductivity_W_mK"]
+            capacity[here] = table["heat_capacity_J_kgK"] * table["density_kg_m3"]
         fraction = tissue.fraction / float(FULL)
         is_pulp = tissue.layer == _index(tissue.layer_names, "pulp")
         low, high = ((corner - tissue.origin_m) / tissue.spacing_m for corner in reach_m)

@@ -96,7 +96,7 @@ class CuttingHeat:
         self.field = Conduction(self.grid, device=device)
         self.cutting_J = 0.0
         self._name = name
-        self._share = constants.constants("tooth", "bur")["heat_share"].value
+        self._share = constants.values("tooth", "bur")["heat_share"]
         self._cell_m = tissue.spacing_m
         self._volume_m3 = self.grid.volumes_m3.reshape(-1)
         self._conductivity = self.grid.conductivity_W_mK.reshape(-1)

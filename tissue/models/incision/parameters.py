@@ -104,10 +104,8 @@ def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
     The small-strain modulus of liver is not used. Under a blade, a half space with this modulus
     would deflect by centimetres, several times as much as the liver under the needle.
     """
-    liver = constants.constants("needle", "liver")
-    deflection = positive_root(
-        1e6 * liver["quadratic_N_mm2"].value, 1e3 * liver["linear_N_mm"].value, force_N
-    )
+    liver = constants.values("needle", "liver")
+    deflection = positive_root(1e6 * liver["quadratic_N_mm2"], 1e3 * liver["linear_N_mm"], force_N)
     return force_N / deflection
 
 
@@ -119,7 +117,7 @@ def incised_tissue(
     Skin has the stiffness of a half space. Liver has the stiffness of the liver in the needle
     model, at the force that cuts along the whole width of the blade.
     """
-    found = {key: entry.value for key, entry in constants.constants("soft", name).items()}
+    found = constants.values("soft", name)
     young = 1e3 * found["modulus_kPa"]
     toughness = found["toughness_J_m2"]
     if name == "liver":

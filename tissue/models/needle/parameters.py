@@ -218,7 +218,7 @@ def vessel_wall(
     Forces that are None are taken from the constants. The constants of a vessel's wall have no
     source.
     """
-    wall = {key: entry.value for key, entry in constants.constants("needle", "vessel_wall").items()}
+    wall = constants.values("needle", "vessel_wall")
     return Membrane(
         name=name,
         depth_m=depth_m,
@@ -239,7 +239,7 @@ def needle_tissue(
     InputError
         If a membrane does not lie below the capsule, or below the membrane before it.
     """
-    liver = {name: entry.value for name, entry in constants.constants("needle", "liver").items()}
+    liver = constants.values("needle", "liver")
     keys = {f"{name} of the capsule": f"capsule_{name}" for name in ("puncture_N", "hold_N")}
     with names_of_caller(keys):
         capsule = Membrane(

@@ -268,12 +268,12 @@ def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> Partic
     for index, name in enumerate(tooth.layer_names):
         chosen = layer == index
         # Ligament and bone have no particles, so the table chosen for them has no effect.
-        table = constants.constants("tooth", name if name in TOOTH else "dentin")
-        modulus[chosen] = 1e9 * table["modulus_GPa"].value
-        ratio[chosen] = table["poisson_ratio"].value
+        table = constants.values("tooth", name if name in TOOTH else "dentin")
+        modulus[chosen] = 1e9 * table["modulus_GPa"]
+        ratio[chosen] = table["poisson_ratio"]
         if name == "caries":
             softness = caries_softness(tooth.density_kg_m3[at][chosen].astype(np.float64))
-            sound = 1e9 * constants.constants("tooth", "dentin")["modulus_GPa"].value
+            sound = 1e9 * constants.values("tooth", "dentin")["modulus_GPa"]
             modulus[chosen] = sound * INFECTED_SHARE**softness
     position = tooth.origin_m + tooth.spacing_m * (places + 0.5)
     volume = fraction / 255.0 * tooth.spacing_m**3
@@ -293,10 +293,8 @@ def _ligament_springs(
 
     If the data hold neither ligament nor bone, the springs act on the tooth's lower third.
     """
-    table = constants.constants("tooth", "ligament")
-    across, along = bed_stiffness(
-        1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m
-    )
+    table = constants.values("tooth", "ligament")
+    across, along = bed_stiffness(1e9 * table["modulus_GPa"], table["poisson_ratio"], thickness_m)
     bed = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))
     origin_m = tooth.origin_m
     if not bed.any():
