@@ -168,7 +168,7 @@ class StressRecovery:
         self._near = csr_matrix(entries, shape=(len(place_m), len(at)))
 
     def _total(self, values: Array) -> Array:
-        return np.bincount(self._group, weights=values)
+        return np.asarray(np.bincount(self._group, weights=values))
 
     def __call__(self, displacement_m: Array) -> Array:
         """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] for nodal displacements [m].
