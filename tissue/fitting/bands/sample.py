@@ -89,7 +89,7 @@ class Ranges:
 
     @cached_property
     def _factor(self) -> Array:
-        return np.linalg.cholesky(self.correlation)
+        return np.asarray(np.linalg.cholesky(self.correlation))
 
 
 def ranges_of(
