@@ -146,12 +146,12 @@ class BoneModel:
     @property
     def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return self.store.start_steps * self.step_m3
+        return np.asarray(self.store.start_steps * self.step_m3)
 
     @property
     def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
-        return self.removed_steps * self.step_m3
+        return np.asarray(self.removed_steps * self.step_m3)
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
