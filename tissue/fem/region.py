@@ -178,7 +178,7 @@ class RegionBody:
         force[: len(self._inner)] = nodal[self._inner]
         on_modes = self._modes.T @ nodal[self._border].ravel() + pull
         force[len(self._inner) :] = on_modes.reshape(-1, 3)
-        return energy + 0.5 * (shares @ pull), force
+        return energy + 0.5 * float(shares @ pull), force
 
     def stiffness(self, unknowns_m: Array, *, definite: bool = False) -> bsr_array:
         """Return the tangent stiffness [N/m], (3n + 3p, 3n + 3p), see `NonlinearBody`."""

@@ -204,11 +204,11 @@ class HeatGrid:
         first = []
         share = []
         for edges, low in zip(self.edges_m, corners_m.T, strict=True):
-            at = _cells(edges, low)
-            inside = np.clip((edges[at + 1] - low) / size_m, 0.0, 1.0)
+            cell = _cells(edges, low)
+            inside = np.clip((edges[cell + 1] - low) / size_m, 0.0, 1.0)
             # Beyond the last cell there is no cell that could take the rest.
-            inside[at == len(edges) - 2] = 1.0
-            first.append(at)
+            inside[cell == len(edges) - 2] = 1.0
+            first.append(cell)
             share.append((inside, 1.0 - inside))
         found = np.zeros(self.filled.size)
         for corner in range(8):
