@@ -240,7 +240,7 @@ def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[flo
     columns = (np.sqrt(terms.weights)[:, :, None] * added).reshape(-1, len(others))
     gradient = -np.tensordot(np.where(known, terms.by_residuals, 0.0), moved, 2)[others] - u[others]
     return (
-        terms.log_density - 0.5 * (u @ u),
+        terms.log_density - 0.5 * float(u @ u),
         gradient,
         columns.T @ columns + np.eye(len(others)),
     )

@@ -358,7 +358,7 @@ class Target:
         gradient[p + 1 + c :] += self.noise_gradient(
             each, terms.by_log_scale, terms.by_correlation, terms.by_freedom
         )
-        return terms.log_density - 0.5 * (u @ u), gradient
+        return terms.log_density - 0.5 * float(u @ u), gradient
 
     def value(self, u: Array) -> float:
         """Return the log density, up to a constant.
@@ -367,7 +367,7 @@ class Target:
         """
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
-        return self.terms(residuals, each).log_density - 0.5 * (u @ u)
+        return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
 
     @staticmethod
     def terms(residuals: Array, each: Unpacked) -> NoiseTerms:
