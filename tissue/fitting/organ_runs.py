@@ -229,7 +229,7 @@ class OrganRuns:
 
     def of(self, scene: Scene, sample: Mapping[str, float]) -> Array:
         """Return the loads of one run of another scene along the same poses."""
-        return _loads(scene, *self._run.args[1:], sample)
+        return partial(_loads, scene, *self._run.args[1:])(sample)
 
     def __enter__(self) -> "OrganRuns":
         return self
