@@ -221,7 +221,8 @@ class OrganRuns:
     ) -> None:
         self.poses = poses
         self.count = 0
-        self._run = partial(_loads, scene, poses, tuple(channels), every)
+        self._settings = poses, tuple(channels), every
+        self._run = partial(_loads, scene, *self._settings)
         self._cores = cores
         self._pool: Executor | None = None
         self._ends = ExitStack()
@@ -229,7 +230,7 @@ class OrganRuns:
 
     def of(self, scene: Scene, sample: Mapping[str, float]) -> Array:
         """Return the loads of one run of another scene along the same poses."""
-        return partial(_loads, scene, *self._run.args[1:])(sample)
+        return _loads(scene, *self._settings, sample)
 
     def __enter__(self) -> "OrganRuns":
         return self
