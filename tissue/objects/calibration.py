@@ -66,11 +66,9 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
         raise InputError("truth", f"hold only {', '.join(names)}", strange[0], "use one of these")
-    alpha, beta, kappa, offset, lapse, sigma = (
-        np.full(count, truth.get(name, getattr(typical, name)), dtype=np.float64) for name in names
-    )
+    known = {name: truth.get(name, getattr(typical, name)) for name in names}
     return SimulatedObservers(
-        alpha=alpha, beta=beta, kappa=kappa, offset_N=offset, lapse=lapse, sigma=sigma
+        **{name: np.full(count, value, dtype=np.float64) for name, value in known.items()}
     )
 
 
