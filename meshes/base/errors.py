@@ -5,7 +5,7 @@ should start fast.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -217,7 +217,7 @@ def as_vector(value: object) -> "Array | None":
     return vector if vector.shape == (3,) and np.isfinite(vector).all() else None
 
 
-def require_vector(name: str, value: "Sequence[float] | Array") -> "Array":
+def require_vector(name: str, value: object) -> "Array":
     """Return `value` as three floats.
 
     Raises
@@ -233,7 +233,7 @@ def require_vector(name: str, value: "Sequence[float] | Array") -> "Array":
 
 def require_direction(
     name: str,
-    value: "Sequence[float] | Array",
+    value: object,
     remedy: str = "use for example (0, 0, 1)",
 ) -> "Array":
     """Return the unit vector along `value`, shape (3,).

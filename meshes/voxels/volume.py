@@ -99,6 +99,13 @@ class VoxelVolume:
         """Lowest and highest corner of the block [m], each shape (3,)."""
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
+    @property
+    def bone_bounds_m(self) -> tuple[Array, Array]:
+        """Lowest and highest corner of a box around the bone [m], each shape (3,)."""
+        held = np.argwhere(self.fraction)
+        low, high = held.min(axis=0), held.max(axis=0) + 1
+        return self.origin_m + self.spacing_m * low, self.origin_m + self.spacing_m * high
+
     def volume_m3(self, layer: str | None = None) -> float:
         """Compute the bone volume [m3] of one layer or of all layers.
 
@@ -198,7 +205,7 @@ def density_volume(
             "name every layer in layer_names",
         )
     spacing_m = 1e-3 * require_positive("spacing_mm", spacing_mm, "use about 0.1")
-    origin_m = 1e-3 * require_vector("origin_mm", np.asarray(origin_mm, dtype=np.float64))
+    origin_m = 1e-3 * require_vector("origin_mm", origin_mm)
     density = np.pad(density, margin)
     numbers = np.pad(numbers, margin, mode="edge")
     return VoxelVolume(

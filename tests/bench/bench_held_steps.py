@@ -75,7 +75,7 @@ class Course:
 
 def followed(scene: Scene, rows: Array, steps: int) -> Course:
     """Let the tool of a scene follow a record in a number of steps a tick."""
-    parts = build(scene, step_s=TICK_S, compute="cpu", cores=1, report=silent, allow_unstable=True)
+    parts = build(scene, compute="cpu", cores=1, report=silent, allow_unstable=True)
     motion = parts.motion
     assert isinstance(motion, HandMotion)
     tool, tissue, pose = motion.tool, parts.tissue, ToolMotion()

@@ -43,7 +43,7 @@ def ticks_of(name, raised, loaded):
     busy = [subprocess.Popen([sys.executable, "-c", COUNT]) for _ in range(count if loaded else 0)]
     try:
         scene = load_scene(name, {"duration_s": TURN_S})
-        observer = LiveObserver(scene, None, WallClock(TICK_S))
+        observer = LiveObserver(scene, None, WallClock())
         prioritised = Prioritised()
         run = simulate(scene, observer=Observers(prioritised, observer) if raised else observer)
     finally:

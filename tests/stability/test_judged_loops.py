@@ -314,7 +314,7 @@ def test_the_measured_growth_is_that_of_the_eigenvalues(share, reflex):
     """
     settings = exact_settings("wall", device="touch")
     hand = settings.person.linear_hands[reflex]
-    loop = in_hands(judged_loop(settings, step_s=TICK_S), [hand])[0]
+    loop = in_hands(judged_loop(settings), [hand])[0]
     stiffness = share * critical_stiffness_N_m(loop)
     expected = np.log(spectral_radius(loop.with_stiffness(stiffness))) / TICK_S
     assert on_wall(share, reflex=reflex) == pytest.approx(expected, abs=0.05)

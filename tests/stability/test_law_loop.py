@@ -88,7 +88,7 @@ def growth(tangent, share, *, extra_s, late_ticks):
     settings = loop_settings(load_scene("liver-press", {"device": "touch"}))
     still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
     person = replace(settings.person, **still)
-    judged = judged_loop(settings, step_s=STEP_S)
+    judged = judged_loop(settings)
     hand = person.grip[:3]
     critical = critical_stiffness_N_m(in_hands(judged, [hand])[0])
     exact = replace(judged, delay_s=judged.delay_s - STEP_S + extra_s)

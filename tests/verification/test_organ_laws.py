@@ -11,7 +11,6 @@ import pytest
 from pressed_deep import by_newton, moving_N, scene_of, surface_error
 
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import changed, load_scene
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.simulate import simulate
@@ -74,7 +73,7 @@ def test_a_hand_presses_a_stiffening_organ_without_swinging(law):
         scene_of(**LAWS[law], poisson_ratio=0.45), {"device": "touch", "duration_s": 1.4}
     )
     settings = loop_settings(scene)
-    hands = in_hands(judged_loop(settings, step_s=TICK_S), [settings.person.grip[:3]])
+    hands = in_hands(judged_loop(settings), [settings.person.grip[:3]])
     run = simulate(
         changed(scene, {"coupling.stiffness_N_m": 0.95 * critical_stiffness_N_m(hands[0])}),
         cores=1,

@@ -9,7 +9,6 @@ from meshes.base.errors import InputError
 from meshes.base.whole_file import write_columns
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, settling_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
@@ -49,7 +48,7 @@ def scene_stability(scene: Scene) -> StabilityMap:
             "pass --set device=touch",
         )
     settings = loop_settings(scene)
-    loop = judged_loop(settings, step_s=TICK_S)
+    loop = judged_loop(settings)
     held = in_hands(loop, settling_hands(loop, settings.person.linear_hands))
     return stability_map(min(held, key=critical_stiffness_N_m))
 

@@ -157,7 +157,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
     prompt = changed(made, {"coupling.delay_ms": 0})
     return changed(
         made,
-        {"coupling.stiffness_N_m": judged_loop(loop_settings(prompt), step_s=TICK_S).stiffness_N_m},
+        {"coupling.stiffness_N_m": judged_loop(loop_settings(prompt)).stiffness_N_m},
     )
 
 
@@ -215,7 +215,7 @@ class Recorder:
             and scene.organ.law == "linear"
         )
         if organ and self._organ is not None:
-            motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), allow_unstable=True)
+            motion, _ = hand_motion(scene, motion_of(scene), allow_unstable=True)
             return motion, self._organ
         parts = build(
             scene,

@@ -196,7 +196,7 @@ def cutting_forward(
         If the scene has nothing to cut, the tool never touches it along the poses, or `free` names
         an unknown constant.
     """
-    motion = ReplayPoses(times_s, tips_m, quaternions, step_s=TICK_S)
+    motion = ReplayPoses(times_s, tips_m, quaternions)
     record = record_loads(scene, motion=motion, cores=cores, progress=progress)
     if not record.layers:
         raise InputError(

@@ -27,7 +27,6 @@ from tissue.fitting.log_files import (
     refusal,
 )
 from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, block_ticks
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
@@ -108,7 +107,7 @@ class MeasuredLog:
         if self.quaternions is not None:
             return self.quaternions
         # a log without orientations: the tool keeps the orientation of the scene's motion
-        first = motion_of(scene, step_s=TICK_S).rotations()[0]
+        first = motion_of(scene).rotations()[0]
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 
 

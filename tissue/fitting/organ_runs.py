@@ -270,7 +270,7 @@ def _loads(
     """Return the loads of one run."""
     with TemporaryDirectory(prefix="tissue-fit-") as name:
         with_values = _with(scene, values, Path(name, "sample.toml"))
-        motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions, step_s=TICK_S)
+        motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions)
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
         # no frames of the organ are needed, only loads
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}

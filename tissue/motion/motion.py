@@ -8,6 +8,7 @@ from math import inf
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -16,6 +17,7 @@ from tissue.motion.quaternion import OFF_UNIT, of_matrix
 
 __all__ = [
     "LONGEST_S",
+    "Events",
     "FeedLimit",
     "FollowPath",
     "Motion",
@@ -48,6 +50,10 @@ class FeedLimit:
     max_feed_mm_s: float
     active_s: float
     first_s: float | None
+
+
+Events = list[tuple[float, str]]
+"""Events, each as time [s] and a sentence."""
 
 
 class Motion(Protocol):
@@ -94,7 +100,8 @@ class Motion(Protocol):
 
     def begin(self, motion: ToolMotion) -> None:
         """Write the start pose and the direction of motion into ``motion``; the speed is zero."""
-        ...
+        motion.tip_m[:] = self.sweep_m()[0]
+        motion.rotation[:] = self.rotations()[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Write the pose at ``time_s`` into ``motion``; ``response`` is of the previous tick."""
@@ -112,7 +119,7 @@ class Motion(Protocol):
         """Handle the tissue response at the present tick."""
         return
 
-    def happened(self) -> list[tuple[float, str]]:
+    def happened(self) -> Events:
         """Return the events so far, each as time [s] and a sentence."""
         return []
 
@@ -130,7 +137,7 @@ def first_off_unit(quaternions: Array) -> int | None:
     return int(wrong[0]) if wrong.size else None
 
 
-def frame_along(axis: tuple[float, float, float]) -> Array:
+def frame_along(axis: ArrayLike) -> Array:
     """Return a rotation with its third column along ``axis`` and its first column near x.
 
     If the angle between ``axis`` and x is below about 26°, the first column is near y instead.
@@ -207,8 +214,7 @@ class FollowPath(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Start at the first corner."""
-        motion.tip_m[:] = self._starts[0]
-        motion.rotation[:] = self._rotation
+        super().begin(motion)
         motion.heading[0] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -242,22 +248,17 @@ class StaysAt(Motion):
 
     duration_s = inf
 
-    def __init__(self, start_m: Array, axis: tuple[float, float, float]) -> None:
-        self._start = np.array(start_m, dtype=np.float64)
+    def __init__(self, start_m: Array, axis: ArrayLike) -> None:
+        self._tip = np.array(start_m, dtype=np.float64)
         self._rotation = frame_along(axis)
 
     def sweep_m(self) -> Array:
         """Return the only position [m]."""
-        return self._start[None]
+        return self._tip[None]
 
     def rotations(self) -> Array:
         """Return the only orientation."""
         return self._rotation[None]
-
-    def begin(self, motion: ToolMotion) -> None:
-        """Write the pose."""
-        motion.tip_m[:] = self._start
-        motion.rotation[:] = self._rotation
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Do nothing: the tool stays at rest."""

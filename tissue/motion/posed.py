@@ -1,6 +1,6 @@
 """Motion of a tool to poses that the caller gives step by step."""
 
-from math import atan2, inf, sqrt
+from math import atan2, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
-from tissue.motion.motion import Motion, matrix_of
+from tissue.motion.motion import StaysAt, matrix_of
 
 __all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
 
@@ -100,7 +100,7 @@ def rotation_by(vector: Array) -> Array:
     return matrix_of(np.array([*(half * vector), np.cos(0.5 * angle)]))
 
 
-class PosedTool(Motion):
+class PosedTool(StaysAt):
     """Motion of a tool to given poses; a step is divided equally among its ticks.
 
     Parameters
@@ -108,8 +108,6 @@ class PosedTool(Motion):
     tip_m, rotation
         Start pose: position of the tip [m], and rotation from tool to world.
     """
-
-    duration_s = inf
 
     def __init__(self, tip_m: Array, rotation: Array) -> None:
         self.put(tip_m, rotation)
@@ -122,18 +120,9 @@ class PosedTool(Motion):
         self._turn = np.zeros(3)
         self._velocity = np.zeros((2, 3))
 
-    def sweep_m(self) -> Array:
-        """Return the target position [m], shape (1, 3)."""
-        return self._tip[None]
-
-    def rotations(self) -> Array:
-        """Return the target orientation, shape (1, 3, 3)."""
-        return self._rotation[None]
-
     def begin(self, motion: ToolMotion) -> None:
         """Write the start pose; the speed is zero."""
-        motion.tip_m[:] = self._tip
-        motion.rotation[:] = self._rotation
+        super().begin(motion)
         motion.heading[:] = 0.0
         motion.speed_m_s = 0.0
 

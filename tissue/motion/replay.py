@@ -14,7 +14,7 @@ from meshes.base.units import UNITS, column_of, unit_of
 from meshes.base.whole_file import whole_file
 from meshes.paths.toolpath import POSE_COLUMNS
 from meshes.voxels.volume import VoxelVolume
-from tissue.models.tissue_model import Response, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.drilling_recording import RECORDINGS, PoseFile, read_drilling
 from tissue.motion.motion import LONGEST_S, Motion
 
@@ -96,8 +96,7 @@ class GivenPoses(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Write the first pose."""
-        motion.tip_m[:] = self._tips[0]
-        motion.rotation[:] = self._rotations[0]
+        super().begin(motion)
         motion.heading[:] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -113,7 +112,7 @@ class GivenPoses(Motion):
 
 
 class ReplayPoses(GivenPoses):
-    """Recorded motion through poses at given times.
+    """Recorded motion through poses at given times, resampled to ticks before the run.
 
     Positions are interpolated linearly, and orientations along the shortest rotation.
 
@@ -125,8 +124,6 @@ class ReplayPoses(GivenPoses):
         Tip positions [m], shape (n, 3).
     quaternions
         Orientations (x, y, z, w), shape (n, 4).
-    step_s
-        Length of a tick [s]. Before the run, the table is resampled to ticks.
     notes
         Findings about the pose file, in sentences.
     """
@@ -137,11 +134,10 @@ class ReplayPoses(GivenPoses):
         tips_m: Array,
         quaternions: Array,
         *,
-        step_s: float,
         notes: tuple[str, ...] = (),
     ) -> None:
         duration_s = float(times_s[-1] - times_s[0])
-        ticks: Array = step_s * np.arange(round(duration_s / step_s) + 1, dtype=np.float64)
+        ticks: Array = TICK_S * np.arange(round(duration_s / TICK_S) + 1, dtype=np.float64)
         at = np.clip(times_s[0] + ticks, times_s[0], times_s[-1])
         tips = np.column_stack([np.interp(at, times_s, tips_m[:, c]) for c in range(3)])
         super().__init__(ticks, tips, Slerp(times_s, Rotation.from_quat(quaternions))(at))
@@ -149,7 +145,7 @@ class ReplayPoses(GivenPoses):
         self.notes = notes
 
 
-def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
+def read_replay(path: Path) -> ReplayPoses:
     """Read poses from a CSV table or an HDF5 recording.
 
     The CSV table needs ``time_s`` and the pose columns of ``trace.csv``.
@@ -178,7 +174,7 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
     if lasts_s > LONGEST_S:
         raise where.error(f"last at most {LONGEST_S:g} s", f"{lasts_s:g}", "cut it")
     with names_of_caller({"poses": where.what}):
-        return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], step_s=step_s, notes=notes)
+        return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], notes=notes)
 
 
 MEASURES = ("time", *["length"] * 3, *["number"] * 4)

@@ -5,7 +5,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.motion import FeedLimit, Motion, frame_along
+from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
 
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
@@ -200,8 +200,7 @@ class PushAlongAxis(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start position."""
-        motion.tip_m[:] = self._start
-        motion.rotation[:] = self._rotation
+        super().begin(motion)
         motion.heading[0] = self._heading
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -239,7 +238,7 @@ class PushAlongAxis(Motion):
         self._set_speed(motion, edge)
         return True
 
-    def happened(self) -> list[tuple[float, str]]:
+    def happened(self) -> Events:
         """Return the event of the feed limit in contact: first time and total duration."""
         if self._limited_s == 0.0:
             return []

@@ -162,15 +162,38 @@ class Bone:
         InputError
             If a file cannot be used, or a number is out of range.
         """
+        from meshes.surfaces.glenoid import surface_anatomy
+        from meshes.surfaces.site import Site
+        from meshes.surfaces.surface import read_surface
+
         require_known(options, BoneOptions, of="Bone")
-        source = _surface_source(
-            Path(file),
-            spacing_mm=spacing_mm,
-            scale_mm=scale_mm,
+        path = Path(file)
+        if path.suffix.lower() not in SURFACE_SUFFIXES:
+            raise InputError(
+                "file",
+                f"be a surface ({' '.join(SURFACE_SUFFIXES)})",
+                path.name,
+                "read an image by Bone.from_image",
+            )
+        with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
+            surface = read_surface(path, scale_mm=scale_mm, cut_off=True)
+        anatomy = surface_anatomy(
+            surface,
+            Site(np.zeros(3), np.eye(3), "the file's own frame"),
             cortical_thickness_mm=cortical_thickness_mm,
             cortical_density_kg_m3=cortical_density_kg_m3,
             trabecular_density_kg_m3=trabecular_density_kg_m3,
         )
+
+        def outer() -> "pyvista.PolyData":
+            """Return the surface that the file contains."""
+            import pyvista
+
+            return pyvista.PolyData.from_regular_faces(
+                1e3 * surface.vertices_m, surface.faces.astype(int)
+            )
+
+        source = _anatomy_source(anatomy, spacing_mm=spacing_mm, outer=outer)
         return cls(source, **options)
 
     @classmethod
@@ -282,11 +305,38 @@ class Bone:
             If the file cannot be used, no voxel lies above the threshold, or the bone would not fit
             in memory.
         """
+        from meshes.images.bone_image import image_cuts, image_volume
+        from meshes.images.plane_files import plane_files
+        from meshes.images.reading import read_image
+
         require_known(options, BoneOptions, of="Bone")
-        with memory_limit(max_memory_GB):
-            source = _image_source(
-                Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm
+        remarks: list[str] = []
+        names = {
+            "anatomy.threshold": "threshold",
+            "anatomy.spacing_mm": "spacing_mm",
+            "resample_mm": "spacing_mm",
+        }
+        path = Path(file)
+        edge_mm = float(spacing_mm) if isinstance(spacing_mm, int | float | np.number) else None
+        is_stated = edge_mm is None or bool(plane_files(path))
+        with memory_limit(max_memory_GB), names_of_caller(names):
+            image = read_image(path, spacing_mm=spacing_mm if is_stated else None)
+            found = image_volume(
+                image,
+                threshold=threshold,
+                density_kg_m3=density_kg_m3,
+                resample_mm=edge_mm,
+                remark=remarks.append,
             )
+        if cuts := image_cuts(image, threshold=threshold):
+            places = counted(len(cuts), "place")
+            remarks.append(f"The bone is cut off at {places} by the edge of the image.")
+        assert found.placement is not None
+        volume = replace(
+            found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None
+        )
+        notes = {"image": " ".join(remarks).replace(KEY, "")} if remarks else {}
+        source = BoneSource(lambda: volume, notes=notes, density_kg_m3=density_kg_m3)
         return cls(source, **options)
 
     def cut(
@@ -434,85 +484,3 @@ def _anatomy_source(
     # A bone stays in the frame of its file. It has no site, and needs no note on a site.
     notes = {name: note.replace(KEY, "") for name, note in anatomy.notes.items() if name != "site"}
     return BoneSource(lambda: BricksOnDemand(anatomy, spacing_m=spacing_m), outer or drawn, notes)
-
-
-def _surface_source(
-    path: Path,
-    *,
-    spacing_mm: float,
-    scale_mm: float | None,
-    cortical_thickness_mm: float,
-    cortical_density_kg_m3: float,
-    trabecular_density_kg_m3: float,
-) -> BoneSource:
-    """Read a closed surface from a file; see `tissue.objects.bone.Bone.from_file`."""
-    from meshes.surfaces.glenoid import surface_anatomy
-    from meshes.surfaces.site import Site
-    from meshes.surfaces.surface import read_surface
-
-    if path.suffix.lower() not in SURFACE_SUFFIXES:
-        raise InputError(
-            "file",
-            f"be a surface ({' '.join(SURFACE_SUFFIXES)})",
-            path.name,
-            "read an image by Bone.from_image",
-        )
-    with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
-        surface = read_surface(path, scale_mm=scale_mm, cut_off=True)
-    anatomy = surface_anatomy(
-        surface,
-        Site(np.zeros(3), np.eye(3), "the file's own frame"),
-        cortical_thickness_mm=cortical_thickness_mm,
-        cortical_density_kg_m3=cortical_density_kg_m3,
-        trabecular_density_kg_m3=trabecular_density_kg_m3,
-    )
-
-    def outer() -> "pyvista.PolyData":
-        """Return the surface that the file contains."""
-        import pyvista
-
-        return pyvista.PolyData.from_regular_faces(
-            1e3 * surface.vertices_m, surface.faces.astype(int)
-        )
-
-    return _anatomy_source(anatomy, spacing_mm=spacing_mm, outer=outer)
-
-
-def _image_source(
-    path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: "Spacing | None"
-) -> BoneSource:
-    """Read an image volume; see `tissue.objects.bone.Bone.from_image`.
-
-    Files of TIFF, PNG or BMP slices contain no spacing, so `spacing_mm` gives the spacing of their
-    voxels.
-    """
-    from meshes.images.bone_image import image_cuts, image_volume
-    from meshes.images.plane_files import plane_files
-    from meshes.images.reading import read_image
-
-    remarks: list[str] = []
-    names = {
-        "anatomy.threshold": "threshold",
-        "anatomy.spacing_mm": "spacing_mm",
-        "resample_mm": "spacing_mm",
-    }
-    edge_mm = float(spacing_mm) if isinstance(spacing_mm, int | float | np.number) else None
-    is_stated = edge_mm is None or bool(plane_files(path))
-    with names_of_caller(names):
-        image = read_image(path, spacing_mm=spacing_mm if is_stated else None)
-        found = image_volume(
-            image,
-            threshold=threshold,
-            density_kg_m3=density_kg_m3,
-            resample_mm=edge_mm,
-            remark=remarks.append,
-        )
-    if cuts := image_cuts(image, threshold=threshold):
-        places = counted(len(cuts), "place")
-        remarks.append(f"The bone is cut off at {places} by the edge of the image.")
-    assert found.placement is not None
-    volume = replace(
-        found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None
-    )
-    notes = {"image": " ".join(remarks).replace(KEY, "")} if remarks else {}
-    return BoneSource(lambda: volume, notes=notes, density_kg_m3=density_kg_m3)

@@ -1,6 +1,7 @@
 """Calibration of force perception, and simulated observers: `tissue.calibration`."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,12 +67,11 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
         raise InputError("truth", f"hold only {', '.join(names)}", strange[0], "use one of these")
-    alpha, beta, kappa, offset, lapse, sigma = (
-        np.full(count, truth.get(name, getattr(typical, name)), dtype=np.float64) for name in names
-    )
-    return SimulatedObservers(
-        alpha=alpha, beta=beta, kappa=kappa, offset_N=offset, lapse=lapse, sigma=sigma
-    )
+    values: dict[str, Any] = {}
+    for name in names:
+        value = truth.get(name, getattr(typical, name))
+        values[name] = np.full(count, value, dtype=np.float64)
+    return SimulatedObservers(**values)
 
 
 def run(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 from os import PathLike
-from typing import TYPE_CHECKING, Union, cast
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -186,9 +186,7 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
             "leave axis out",
         )
     if shape[1:] == (3,):
-        direction = (0.0, 0.0, 1.0) if axis is None else cast("tuple[float, float, float]", axis)
-        along = require_direction("axis", direction)
-        turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
+        turn = frame_along(require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis))
         return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
     if shape[1:] == (7,):
         # A quaternion of any other length is normalised. One that consists of rounding errors has

@@ -37,20 +37,16 @@ def table_html(
     return f"<table>{head}<tbody>{body}</tbody></table>"
 
 
-def curve(values: Sequence[float], *, title: str, width: int = 320, height: int = 48) -> str:
+def curve(values: Sequence[float], *, title: str) -> str:
     """Return a small curve without axes, whose scale starts at zero."""
     top = max(*values, 0.0) or 1.0
-    step = width / max(len(values) - 1, 1)
+    step = 320.0 / max(len(values) - 1, 1)
     # One pixel is left above and below for the width of the line.
     points = " ".join(
-        f"{step * i:.1f},{height - 1 - (height - 2) * value / top:.1f}"
-        for i, value in enumerate(values)
+        f"{step * i:.1f},{47.0 - 46.0 * value / top:.1f}" for i, value in enumerate(values)
     )
     line = f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="1.2"/>'
-    return (
-        f'<svg width="{width}" height="{height}" '
-        f'role="img"><title>{escape(title)}</title>{line}</svg>'
-    )
+    return f'<svg width="320" height="48" role="img"><title>{escape(title)}</title>{line}</svg>'
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:
@@ -66,11 +62,8 @@ def scrolled(inner: str) -> str:
 
 
 def _cells(row: Sequence[object], name: str, side: str) -> str:
-    style = (
-        f' style="text-align: {side}; white-space: nowrap"'
-        if side == "right"
-        else ' style="text-align: left"'
-    )
+    wrapped = "; white-space: nowrap" * (side == "right")
+    style = f' style="text-align: {side}{wrapped}"'
     return "".join(f"<{name}{style}>{escape(str(each))}</{name}>" for each in row)
 
 

@@ -21,14 +21,23 @@ from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import run_held
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S, HasVoxels, ToolMotion
+from tissue.models.tissue_model import TICK_S, HasVoxels
 from tissue.models.tooth.model import ToothModel
-from tissue.motion.motion import StaysAt, frame_along
+from tissue.motion.motion import Events, StaysAt
 from tissue.objects.bone import Bone
 from tissue.objects.cut import saved_table
 from tissue.objects.cutting import Structures, clearance_of, warn_of
-from tissue.objects.loop_settings import LoopOptions, judged_device
-from tissue.objects.loop_start import LONGEST_S, Extent, fitted, leave_out, region, start_above
+from tissue.objects.loop_settings import (
+    LONGEST_S,
+    Extent,
+    JudgedDevice,
+    LoopOptions,
+    fitted,
+    judged_device,
+    leave_out,
+    region,
+    start_above,
+)
 from tissue.objects.organ import Organ
 from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
@@ -40,7 +49,7 @@ from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import require_known
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.observer import WallClock
-from tissue.simulation.posed import PosedSession, Snapshot, posed_parts
+from tissue.simulation.posed import PosedSession, Region, Snapshot, posed_parts
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -177,20 +186,19 @@ class Loop:
         self._session: PosedSession | None = None
         self._organ: LiverModel | None = None
         self._keep_ready: Callable[[Array], None] | None = None
-        self.notes: dict[str, str] = {}
+        judged: JudgedDevice | None = None
+        prepared: Region | None = None
         if isinstance(tissue, Scene):
             given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
             leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
-            self._loop = self._scene_loop(tissue, extent, cores)
+            parts, prepared = posed_parts(tissue, reach_m=extent.reach_m, cores=cores)
+            self.notes = parts.notes
         else:
             leave_out({"cores": cores}, "without a scene")
-            along = require_direction(
-                "axis", np.asarray((0.0, 0.0, 1.0) if axis is None else axis, dtype=np.float64)
-            )
+            along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
             above = start_above(tissue, along) if start_mm is None else start_mm
-            start_m = 1e-3 * require_vector("start_mm", np.asarray(above, dtype=np.float64))
+            start_m = 1e-3 * require_vector("start_mm", above)
             fitting = fitted(tissue, tool, keep_clear)
-            judged = None
             if device is None:
                 leave_out(options, "without a device")
             elif extent.ticks != 1:
@@ -202,49 +210,27 @@ class Loop:
             # unchanged.
             parts = self._prepared(tissue, fitting, start_m, along, extent.reach_m, keep_clear)
             self.notes = dict(tissue.notes)
-            if judged is None:
-                self._loop = self._posed_loop(parts, extent, start_m, along)
-            else:
-                self.notes |= judged.notes
-                parts.motion = judged.motion
-                self._loop = engine.Loop(parts, ticks=self._most, output=judged.output)
-                self._loop.place()
+            if self._organ is not None:
+                prepared = region(start_m, along, extent.reach_m)
+        if judged is None:
+            self._session = PosedSession(
+                parts,
+                ticks=extent.ticks,
+                rows=self._most,
+                keep_ready=self._keep_ready,
+                region=prepared,
+            )
+            self._loop = self._session.loop
+        else:
+            self.notes |= judged.notes
+            parts.motion = judged.motion
+            self._loop = engine.Loop(parts, ticks=self._most, output=judged.output)
+            self._loop.place()
         model = self._loop.parts.tissue
         milling = model.milling if isinstance(model, ToothModel) else model
         self._limits = milling.limits if isinstance(milling, BoneModel) else None
         self._row = TickRow(self._loop.trace.columns, self._loop.trace.layer_names)
         self._row.values_of_tick = self._loop.trace.rows[0]
-
-    def _scene_loop(self, scene: Scene, extent: Extent, cores: int | None) -> engine.Loop:
-        """Make the session of a scene, and return its loop."""
-        parts, prepared = posed_parts(scene, reach_m=extent.reach_m, cores=cores)
-        placed = ToolMotion()
-        parts.motion.begin(placed)
-        self.notes = parts.notes
-        self._session = PosedSession(
-            parts,
-            (placed.tip_m, placed.rotation),
-            ticks=extent.ticks,
-            rows=extent.rows,
-            region=prepared,
-        )
-        return self._session.loop
-
-    def _posed_loop(
-        self, parts: Parts, extent: Extent, start_m: Array, along: Array
-    ) -> engine.Loop:
-        """Make the session of a bone or an organ without a device, and return its loop."""
-        x, y, z = along.tolist()
-        turn = frame_along((x, y, z))
-        self._session = PosedSession(
-            parts,
-            (start_m, turn),
-            ticks=extent.ticks,
-            rows=extent.rows,
-            keep_ready=self._keep_ready,
-            region=region(start_m, turn, extent.reach_m) if self._organ else None,
-        )
-        return self._session.loop
 
     def _prepared(
         self,
@@ -256,8 +242,7 @@ class Loop:
         keep_clear: Structures | None,
     ) -> Parts:
         """Return the tissue under the tool; the caller sets the motion of the tool."""
-        x, y, z = along.tolist()
-        motion = StaysAt(start_m, (x, y, z))
+        motion = StaysAt(start_m, along)
         if isinstance(tissue, Bone):
             assert isinstance(tool, Cutter)
             model, self._keep_ready = tissue.voxel_bone.around(
@@ -443,7 +428,7 @@ class Loop:
         if device is None:
             raise InputError("run", "have a device", "none", "move the tool by step(pose)")
         count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
-        clock = WallClock(TICK_S) if real_time else None
+        clock = WallClock() if real_time else None
         if self._organ is not None:
             self._organ.waits = not real_time
         device.held.in_process = not real_time or bool(getattr(device.device, "in_process", False))
@@ -477,7 +462,7 @@ class Loop:
         return np.roll(rows, -(self.ticks % self._most), axis=0)
 
     @property
-    def events(self) -> list[tuple[float, str]]:
+    def events(self) -> Events:
         """Events, each with a time [s] and a sentence."""
         return sorted(
             self._loop.events + self._loop.parts.motion.happened(), key=lambda event: event[0]

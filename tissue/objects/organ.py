@@ -397,56 +397,45 @@ class Organ:
             self._made.mesh,
             self.soft,
             tool,
-            1e-3 * require_vector("at_mm", np.asarray(at_mm, dtype=np.float64)),
-            None if along is None else require_vector("along", np.asarray(along, dtype=np.float64)),
+            1e-3 * require_vector("at_mm", at_mm),
+            along,
             depth_m=1e-3 * depth,
             speed_m_s=1e-3 * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use 10"),
             hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
             report=progress,
         )
 
+    @quiet_without_display()
     def plot(self, **options: Any) -> Any:
-        """Show the organ, cut open, with its parts and supports.
+        """Show the organ with a translucent surface, its parts and its supports.
 
-        `options` are options of ``pyvista.Plotter.show``.
+        `options` are options of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are
+        passed to the plotter.
         """
-        return plot_organ(self, **options)
+        from tissue.show.figures.figure import OTHER_LAYERS
+
+        grid = self.mesh
+        names = list(self.moduli_kPa)
+        plotter = new_plotter(options)
+        # An organ with a single part needs no translucent surface.
+        alone = len(names) == 1
+        plotter.add_mesh(shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)
+        for number, name in enumerate(names[1:], 1):
+            part = grid.extract_cells(np.asarray(grid.cell_data["part"]) == number)
+            colour = OTHER_LAYERS[-number % len(OTHER_LAYERS)]
+            plotter.add_mesh(
+                shaded(part), color=colour, label=f"{name}: {self.moduli_kPa[name]:g} kPa"
+            )
+        held = np.asarray(grid.points)[np.asarray(grid.point_data["held"])]
+        plotter.add_points(
+            held, color=HELD, point_size=7, render_points_as_spheres=True, label="held"
+        )
+        plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
+        plotter.add_axes()  # type: ignore[call-arg]
+        return plotter.show(**options)
 
     def _repr_html_(self) -> str:
         return table_html((self._made.facts | self.notes).items(), caption="Organ")
 
     def __repr__(self) -> str:
         return f"Organ({'; '.join(self._made.facts.values())}; held: {self.notes['held']})"
-
-
-@quiet_without_display()
-def plot_organ(organ: Organ, **options: Any) -> Any:
-    """Show an organ with a translucent surface, its parts and its supports.
-
-    Parameters
-    ----------
-    organ
-        The organ.
-    options
-        Options of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are passed to the
-        plotter.
-    """
-    from tissue.show.figures.figure import OTHER_LAYERS
-
-    grid = organ.mesh
-    names = list(organ.moduli_kPa)
-    plotter = new_plotter(options)
-    # An organ with a single part needs no translucent surface.
-    alone = len(names) == 1
-    plotter.add_mesh(shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)
-    for number, name in enumerate(names[1:], 1):
-        part = grid.extract_cells(np.asarray(grid.cell_data["part"]) == number)
-        colour = OTHER_LAYERS[-number % len(OTHER_LAYERS)]
-        plotter.add_mesh(
-            shaded(part), color=colour, label=f"{name}: {organ.moduli_kPa[name]:g} kPa"
-        )
-    held = np.asarray(grid.points)[np.asarray(grid.point_data["held"])]
-    plotter.add_points(held, color=HELD, point_size=7, render_points_as_spheres=True, label="held")
-    plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
-    plotter.add_axes()  # type: ignore[call-arg]
-    return plotter.show(**options)

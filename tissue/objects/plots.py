@@ -13,6 +13,7 @@ from tissue.objects.trace import Trace
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
 from tissue.show.figures.force_time import mark_events
 from tissue.simulation.saved_fields import field_label
+from tissue.simulation.trace import components
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,9 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["COLOURS", "new_panels", "plot_columns", "plot_figures"]
 
 
-FORCE_AND_TORQUE = tuple(
-    f"model_{name}_{c}_{unit}" for name, unit in (("force", "N"), ("torque", "Nm")) for c in "xyz"
-)
+FORCE_AND_TORQUE = components("model_force", "N") + components("model_torque", "Nm")
 COLOURS = (*COMPONENTS, "#CC79A7", "#E69F00", "#56B4E9", "0.1")
 PANEL_IN = 2.3
 

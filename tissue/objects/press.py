@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, in_brackets, names_of_caller, require_direction
@@ -172,16 +173,75 @@ class Press:
             grid.cell_data[name] = values
         return grid
 
-    def plot(self, **options: Any) -> Any:
-        """Show the pressed organ, coloured by its displacement, and the tool.
+    @quiet_without_display()
+    def plot(self, *, scalars: str = "displacement_mm", **options: Any) -> Any:
+        """Show the deformed organ in cross-section, with the tool.
 
         Parameters
         ----------
+        scalars
+            Field of `mesh` that sets the colour. For a vector field the magnitude is shown.
         options
-            ``scalars``, the name of another field of `mesh`; and options of
-            ``pyvista.Plotter.show``, such as ``screenshot``.
+            Options of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size``
+            are passed to the plotter.
+
+        Raises
+        ------
+        InputError
+            If the mesh does not have this field.
         """
-        return plot_press(self, **options)
+        from matplotlib import colormaps
+
+        from tissue.show.figures.figure import field_words
+
+        moved = self.mesh.copy()
+        known = [*moved.point_data, *moved.cell_data]
+        if scalars not in known:
+            raise InputError(
+                "scalars", f"be one of {', '.join(known)}", scalars, "use displacement_mm"
+            )
+        moved.points = moved.points + moved.point_data["displacement_mm"]
+        data = moved.point_data if scalars in moved.point_data else moved.cell_data
+        values = np.asarray(data[scalars])
+        title = field_words(scalars)
+        data[title] = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+        across = _across(self.along)
+        half = shaded(moved.clip(normal=across, origin=self.at_mm))
+        plotter = new_plotter(options)
+        bar: Any = {
+            "title": title,
+            "n_labels": 3,
+            "vertical": True,
+            "position_x": 0.86,
+            "position_y": 0.2,
+            "height": 0.6,
+        }
+        plotter.add_mesh(half, scalars=title, cmap=colormaps[COLOURS], scalar_bar_args=bar, **MATTE)
+        part = np.asarray(moved.cell_data["part"])
+        for number in np.unique(part[part > 0]):
+            outline = (
+                moved.extract_cells(part == number)
+                .extract_surface(algorithm="dataset_surface")
+                .slice(normal=across, origin=self.at_mm)
+            )
+            if outline.n_cells:
+                outline.points = outline.points + 0.1 * across  # in front of the cut
+                plotter.add_mesh(outline, color="black", line_width=2)
+        plotter.add_mesh(self.tool_mesh, color=TOOL, smooth_shading=True)
+        middle = np.asarray(moved.center)
+        size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
+        # The camera looks from the cut side and from above, and shows the whole body.
+        plotter.camera_position = [
+            middle + size * (1.9 * across - 0.5 * self.along),
+            middle,
+            -self.along,
+        ]
+        plotter.add_text(
+            f"{self.force_magnitude_N:.3g} N at {self.depth_mm[-1]:.3g} mm",
+            font_size=11,
+            color="black",
+        )
+        return plotter.show(**options)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with depth, force and contact area, one row per step.
@@ -244,7 +304,7 @@ def press_at(
     organ: SoftOrgan,
     tool: PressingTool,
     at_m: Array,
-    along: Array | None,
+    along: ArrayLike | None,
     **moves: Unpack[Moves],
 ) -> Press:
     """Press a tool on the surface point nearest to a given point [m].
@@ -288,7 +348,7 @@ def press_at(
             "along", "lead into the organ", in_brackets(direction, ".3g"), f"use {inward}"
         )
     with names_of_caller(WORDS):
-        curve = press(organ, probe, point, frame_along(tuple(-direction)), **moves)
+        curve = press(organ, probe, point, frame_along(-direction), **moves)
     _require_growing(curve, relaxes=organ.prony is not None)
     notes |= _resolution(mesh, probe, point)
     if organ.law is None:
@@ -363,77 +423,6 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
     return {"linear": note}
 
 
-@quiet_without_display()
-def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any) -> Any:
-    """Show the pressed organ, cut open at the tool, with the outline of its parts and the tool.
-
-    Parameters
-    ----------
-    press
-        The press.
-    scalars
-        Field of the mesh that sets the colour. For a vector field the magnitude is shown.
-    options
-        Options of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are
-        passed to the plotter.
-
-    Raises
-    ------
-    InputError
-        If the mesh does not have this field.
-    """
-    from matplotlib import colormaps
-
-    from tissue.show.figures.figure import field_words
-
-    moved = press.mesh.copy()
-    known = [*moved.point_data, *moved.cell_data]
-    if scalars not in known:
-        raise InputError("scalars", f"be one of {', '.join(known)}", scalars, "use displacement_mm")
-    moved.points = moved.points + moved.point_data["displacement_mm"]
-    data = moved.point_data if scalars in moved.point_data else moved.cell_data
-    values = np.asarray(data[scalars])
-    title = field_words(scalars)
-    data[title] = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
-    across = _across(press.along)
-    half = shaded(moved.clip(normal=across, origin=press.at_mm))
-    plotter = new_plotter(options)
-    bar: Any = {
-        "title": title,
-        "n_labels": 3,
-        "vertical": True,
-        "position_x": 0.86,
-        "position_y": 0.2,
-        "height": 0.6,
-    }
-    plotter.add_mesh(half, scalars=title, cmap=colormaps[COLOURS], scalar_bar_args=bar, **MATTE)
-    part = np.asarray(moved.cell_data["part"])
-    for number in np.unique(part[part > 0]):
-        outline = (
-            moved.extract_cells(part == number)
-            .extract_surface(algorithm="dataset_surface")
-            .slice(normal=across, origin=press.at_mm)
-        )
-        if outline.n_cells:
-            outline.points = outline.points + 0.1 * across  # in front of the cut
-            plotter.add_mesh(outline, color="black", line_width=2)
-    plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
-    middle = np.asarray(moved.center)
-    size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
-    # The camera looks from the cut side and from above, at a distance that shows the whole body.
-    plotter.camera_position = [
-        middle + size * (1.9 * across - 0.5 * press.along),
-        middle,
-        -press.along,
-    ]
-    plotter.add_text(
-        f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm",
-        font_size=11,
-        color="black",
-    )
-    return plotter.show(**options)
-
-
 def _across(along: Any) -> Any:
     """Return the direction perpendicular to a press that is closest to -y."""
     # A press nearly parallel to y leaves no usable perpendicular component of y.
@@ -481,7 +470,7 @@ def organ_around(
         organ = copy(organ)
         region_m = REGION * tool.shape.size_m[0]
         organ.law = replace(law, interval_s=LAW_INTERVAL_S, region_m=region_m)
-    turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
+    turn = frame_along(axis)
     across = np.linspace(-reach_m, reach_m, ACROSS)
     x, y, z = (
         each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS))

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import WallAnatomy
@@ -45,8 +45,8 @@ class Hardware(Part):
     watchdog_ms: float = Field(20.0, ge=2, le=1000)
     """Time without a new sample after which the force is zero."""
 
-    @model_validator(mode="after")
-    def _buttons_differ(self) -> "Hardware":
+    def require_valid(self) -> None:
+        """Check that the clutch and the force have different buttons."""
         if self.clutch_button is not None and self.clutch_button == self.force_button:
             raise InputError(
                 "hardware.clutch_button",
@@ -54,7 +54,6 @@ class Hardware(Part):
                 f"{self.clutch_button} for both",
                 "use another button for one of them",
             )
-        return self
 
 
 class Coupling(Part):
@@ -164,8 +163,8 @@ class Fidelity(Part):
     tick_ms: float | None = Field(None, gt=0, le=100, examples=[0.7])
     """Longest time of a tick. At least 99 % of the ticks must end within this time."""
 
-    @model_validator(mode="after")
-    def _asks_for_something(self) -> "Fidelity":
+    def require_valid(self) -> None:
+        """Check that an error or a time is required."""
         if self.force_error is None and self.tick_ms is None:
             raise InputError(
                 "fidelity",
@@ -173,4 +172,3 @@ class Fidelity(Part):
                 "nothing",
                 "use for example force_error = 0.03 or tick_ms = 0.7",
             )
-        return self

@@ -36,6 +36,7 @@ __all__ = [
     "parse_overrides",
     "saved_text",
     "scene_names",
+    "scene_table",
     "scene_text",
 ]
 
@@ -210,16 +211,7 @@ def load_scene(
         if str(source) in SCENES.known:
             path = SCENES[str(source)]
             folder = path.parent
-    try:
-        table = read_toml(text)
-    except tomllib.TOMLDecodeError as error:
-        message = f"{error}"
-        raise InputError(
-            "scene",
-            "be valid TOML",
-            f"{message[:1].lower()}{message[1:]} in {path}",
-            "fix the file",
-        ) from None
+    table = _parsed(text, path)
     _require_no_nul(table)
     table, was_kept = converted(table, path)
     table = _absolute(table, folder)
@@ -228,6 +220,30 @@ def load_scene(
         for key in _settled(table)[1]:
             _drop(table, key)
     return _replaced(table, overrides or {}, live=live)
+
+
+def _parsed(text: str, path: Path) -> dict[str, Any]:
+    try:
+        return read_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        message = f"{error}"
+        raise InputError(
+            "scene",
+            "be valid TOML",
+            f"{message[:1].lower()}{message[1:]} in {path}",
+            "fix the file",
+        ) from None
+
+
+def scene_table(path: Path) -> dict[str, Any]:
+    """Return the unchanged content of a scene's file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is no TOML.
+    """
+    return _parsed(_read(path), path)
 
 
 def saved_text(scene: Scene) -> str:

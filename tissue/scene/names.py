@@ -159,7 +159,7 @@ class PredictorEntry:
 
 
 PEG = ("peg_diameter_mm", "peg_length_mm")
-CUTTERS: Registry[CutterEntry] = Registry(
+CUTTERS = Registry(
     "tool.kind",
     {
         "ball-burr": CutterEntry(),
@@ -174,7 +174,7 @@ CUTTERS: Registry[CutterEntry] = Registry(
 """Rotating cutters, keyed by shape."""
 
 
-PROBES: Registry[ProbeEntry] = Registry(
+PROBES = Registry(
     "tool.kind",
     {
         "sphere-probe": ProbeEntry(keys=("diameter_mm",)),
@@ -200,7 +200,7 @@ def _numbers(table: str, *names: str) -> dict[str, float]:
 
 REAL = ("haply", "forcedimension", "sigma-7", "openhaptics", "network", "recorded")
 """Devices that `tissue.haptics.real` opens; the other devices of the data file are simulated."""
-DEVICES: Registry[DeviceEntry] = Registry(
+DEVICES = Registry(
     "device",
     {
         name: DeviceEntry(_numbers("devices", name), has_adapter=name in REAL)
@@ -229,7 +229,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
 """Rendering laws, with functions that make a registered law from the loop of its wall."""
 
 
-PREDICTORS: Registry[PredictorEntry] = Registry(
+PREDICTORS = Registry(
     "prediction",
     {
         "hold": PredictorEntry(colour="0.45", marker="s"),

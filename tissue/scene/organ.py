@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, Strict, model_validator
+from pydantic import AfterValidator, Field, Strict
 
 from meshes.base.errors import PRESENT, InputError
 from tissue.scene.names import ORGAN_MATERIALS
@@ -186,8 +186,8 @@ class LayersAnatomy(Part):
     With 0 no frames are computed.
     """
 
-    @model_validator(mode="after")
-    def _names_its_membranes(self) -> "LayersAnatomy":
+    def require_valid(self) -> None:
+        """Check that forces are given only for membranes that have a depth."""
         for key in ("membrane_punctures_N", "membrane_holds_N"):
             for name in getattr(self, key) or {}:
                 if name not in (self.membrane_depths_mm or {}):
@@ -200,7 +200,6 @@ class LayersAnatomy(Part):
                         name,
                         "add this membrane with its depth to anatomy.membrane_depths_mm",
                     )
-        return self
 
     @property
     def membranes(self) -> list[tuple[str, float]]:
@@ -333,8 +332,7 @@ class Organ(Part):
         both = "with both organ.young_kPa and organ.poisson_ratio"
         yield "material", is_stated and not is_cited, both, "remove one of them"
 
-    @model_validator(mode="after")
-    def _has_powers(self) -> "Organ":
+    def require_valid(self) -> None:
+        """Check that the exponent of an Ogden law is not 0."""
         if self.exponent == 0.0:
             raise InputError("organ.exponent", "not be 0", "0", "use 8")
-        return self

@@ -470,13 +470,18 @@ class Part(BaseModel):
                 inner.pop(name, None)
         return {name: value for name, value in table.items() if value != {}}
 
+    def require_valid(self) -> None:
+        """Raise an InputError for values that do not fit each other."""
+
     @model_validator(mode="after")
-    def _has_no_idle_key(self, info: ValidationInfo) -> "Part":
-        if info.context == READ_BACK:
-            return self
+    def _fits(self, info: ValidationInfo) -> "Part":
+        if info.context != READ_BACK:
+            self._require_no_idle_key()
+        self.require_valid()
+        return self
+
+    def _require_no_idle_key(self) -> None:
         idle = self.idle()
-        if not idle:
-            return self
         refused: dict[str, tuple[object, Idle]] = {}
         for key, value in self.changed_entries().items():
             # A whole table may have no effect.
@@ -485,4 +490,3 @@ class Part(BaseModel):
                 refused[key] = value, why
         if refused:
             raise PydanticCustomError("idle_keys", "keys without effect", {"refused": refused})
-        return self

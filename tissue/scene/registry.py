@@ -69,7 +69,7 @@ __all__ = [
     "ProbeEntry",
 ]
 
-ANATOMIES: Registry[AnatomyEntry] = Registry(
+ANATOMIES = Registry(
     "anatomy.kind",
     {
         "glenoid": AnatomyEntry((GlenoidAnatomy, GlenoidSurface, GlenoidImage), Tool),
@@ -88,7 +88,7 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
 """Anatomies: for each kind, the table classes for each source of the shape, and the class of its
 tools.
 """
-MOTIONS: Registry[MotionEntry] = Registry(
+MOTIONS = Registry(
     "motion.kind",
     {
         "path": MotionEntry(PathMotion),

@@ -11,7 +11,7 @@ from functools import partial
 from html import escape
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints
 
 from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
@@ -66,8 +66,8 @@ class KeepClear(Part):
     the frame and unit of `anatomy.file`. Without such a file, it is in the site's frame in mm.
     """
 
-    @model_validator(mode="after")
-    def _states_some(self) -> "KeepClear":
+    def require_valid(self) -> None:
+        """Check that at least one structure is named, and each structure once."""
         if not self.names and not self.files:
             raise InputError(
                 "keep_clear", "state names or files", "neither", "remove it, or name a structure"
@@ -78,7 +78,6 @@ class KeepClear(Part):
             raise InputError(
                 "keep_clear", "name each structure once", f"{twice} twice", "remove one of them"
             )
-        return self
 
 
 class Voxels(Part):
@@ -276,8 +275,8 @@ class Scene(Part):
         """
         return Materials.read(self.materials) if self.materials else Materials.cited
 
-    @model_validator(mode="after")
-    def _parts_fit(self) -> "Scene":
+    def require_valid(self) -> None:
+        """Check that tool, anatomy and stress fit each other."""
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
@@ -295,7 +294,6 @@ class Scene(Part):
             )
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, CutAnatomy):
             self._cutter_fits(self.tool, self.anatomy)
-        return self
 
     def _cutter_fits(self, tool: Tool, anatomy: CutAnatomy) -> None:
         hole, depth = anatomy.guide_hole_mm

@@ -6,7 +6,6 @@ knows, and the JSON schema. They also read and write the site in a scene's file.
 
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
@@ -14,10 +13,9 @@ from typing import Any
 
 from meshes.base.cache import cache_folder
 from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
 from meshes.base.whole_file import whole_file
-from tissue.scene.load import scene_text
+from tissue.scene.load import scene_table, scene_text
 from tissue.scene.plugins import OFFERED, ask_packages, offered_names
 from tissue.scene.registry import TABLES
 from tissue.scene.scene import Scene
@@ -98,13 +96,12 @@ _ANATOMY = re.compile(r"^\s*\[\s*anatomy\s*\]\s*(#.*)?$")
 def anatomy_of(scene: Path) -> dict[str, object]:
     """Return the unchanged table ``anatomy`` of a scene's file.
 
-    Raises ------ InputError If the file is no TOML or has no such table.
+    Raises
+    ------
+    InputError
+        If the file is no TOML or has no such table.
     """
-    require_regular(scene)
-    try:
-        table = read_toml(scene.read_text("utf-8")).get("anatomy")
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError("scene", "be TOML", f"{error} in {scene}", "fix the file") from None
+    table = scene_table(scene).get("anatomy")
     if not isinstance(table, dict):
         raise InputError(
             "scene", "have a table [anatomy]", f"none in {scene}", "import the bone again"

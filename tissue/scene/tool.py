@@ -7,7 +7,7 @@ import math
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, Strict, create_model, model_validator
+from pydantic import Field, Strict, create_model
 
 from meshes.base.errors import InputError
 from tissue.scene.names import CUTTERS, NEEDLES, PROBES
@@ -140,8 +140,8 @@ class Tool(Shaped):
         }
         return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
-    @model_validator(mode="after")
-    def _spins_and_fits(self) -> "Tool":
+    def require_valid(self) -> None:
+        """Check the spin, the web and the peg against the diameter."""
         # At such a low spin, chips would be thicker than the tool at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
@@ -166,7 +166,6 @@ class Tool(Shaped):
                 f"{peg_mm:g}",
                 f"use {0.2 * self.diameter_mm:g}",
             )
-        return self
 
 
 class Probe(Shaped):
@@ -256,8 +255,8 @@ class Blade(Part):
     less.
     """
 
-    @model_validator(mode="after")
-    def _is_thin(self) -> "Blade":
+    def require_valid(self) -> None:
+        """Check that the blade is thinner than it is wide."""
         if self.thickness_mm >= self.width_mm:
             raise InputError(
                 "tool.thickness_mm",
@@ -265,7 +264,6 @@ class Blade(Part):
                 f"{self.thickness_mm:g}",
                 "use 0.4",
             )
-        return self
 
 
 class Motion(Part):
@@ -274,12 +272,11 @@ class Motion(Part):
     axis: Vector = (0.0, 0.0, 1.0)
     """Direction of the tool's axis from tip to shank."""
 
-    @model_validator(mode="after")
-    def _axis_has_length(self) -> "Motion":
+    def require_valid(self) -> None:
+        """Check that the axis has a direction."""
         # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
             raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
-        return self
 
 
 class PathMotion(Motion):

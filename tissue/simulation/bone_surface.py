@@ -1,7 +1,7 @@
 """Surface of bone in voxels, with layers and removed depth, and the part that cuts change."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,14 +13,11 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pyvista
 
-    from tissue.models.bone.carver import CarvingReplay
-    from tissue.scene.scene import Scene
-    from tissue.simulation.builders.parts import Parts
+    from tissue.simulation.run import Run
 
 __all__ = [
     "HALF",
     "Box",
-    "CarvedRun",
     "CarvedSurface",
     "DepthMap",
     "block_means",
@@ -296,15 +293,12 @@ def changed_box(before: Bytes, after: Bytes) -> Box | None:
 
     The box is the first index and one beyond the last index, shape (3,) each.
     """
-    differ = before != after
-    columns = differ.any(axis=2)
-    ends = [
-        np.flatnonzero(along)
-        for along in (columns.any(axis=1), columns.any(axis=0), differ.any(axis=0).any(axis=0))
-    ]
-    if not ends[0].size:
+    from scipy.ndimage import find_objects
+
+    boxes = find_objects((before != after).view(np.uint8))
+    if not boxes:
         return None
-    return np.array([one[0] for one in ends]), np.array([one[-1] + 1 for one in ends])
+    return np.array([each.start for each in boxes[0]]), np.array([each.stop for each in boxes[0]])
 
 
 def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
@@ -354,44 +348,6 @@ def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
     return part
 
 
-class CarvedRun(Protocol):
-    """Run that was just simulated or read from a folder; see `tissue.simulation.run.Run`."""
-
-    @property
-    def scene(self) -> "Scene":
-        """Scene of the run."""
-        ...
-
-    @property
-    def parts(self) -> "Parts":
-        """Simulated parts."""
-        ...
-
-    @property
-    def trace(self) -> Table:
-        """Trace of the run, one row per tick."""
-        ...
-
-    @property
-    def poses(self) -> Array | None:
-        """Poses of the tool in every tick; None if the poses were not saved."""
-        ...
-
-    @property
-    def volume(self) -> VoxelVolume:
-        """Voxels of the bone before the cut."""
-        ...
-
-    @property
-    def remaining(self) -> Bytes:
-        """Bone left in each voxel, 255 = full."""
-        ...
-
-    def replay(self) -> "CarvingReplay":
-        """Return a replay of the carving."""
-        ...
-
-
 @dataclass(frozen=True)
 class DepthMap:
     """Columns of voxels along the world axis closest to the tool's axis.
@@ -427,7 +383,7 @@ class DepthMap:
     exposed: dict[str, Flags]
 
 
-def depth_map(run: CarvedRun) -> DepthMap:
+def depth_map(run: "Run") -> DepthMap:
     """Return removed depth, outer face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 
@@ -474,7 +430,7 @@ def tool_axes(quaternions: Array) -> Array:
 def facing(trace: Table) -> tuple[int, int]:
     """Return the world axis closest to the tool's axis during the cut, and its sign."""
     rows = trace["contact_mm2"] > 0.0
-    quaternions = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+    quaternions = trace.quaternions()
     mean = tool_axes(quaternions[rows] if rows.any() else quaternions).mean(axis=0)
     axis = int(np.abs(mean).argmax())
     return axis, 1 if mean[axis] >= 0.0 else -1

@@ -148,7 +148,7 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
     share = (
         map_coordinates(volume.fraction, at.T, output=np.float32, order=1, mode="constant") / FULL
     )
-    axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
+    axes = tool_axes(trace.quaternions())
     steps = np.diff(tips, axis=0)
     forward = -np.einsum("ij,ij->i", steps, axes[1:])
     travel = np.concatenate([[0.0], np.cumsum(forward)])
@@ -166,23 +166,15 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
         again = np.flatnonzero(share[row + 1 :] >= 0.5)
         end = row + 1 + (int(again[0]) if len(again) else len(share))
         plunge_mm = float(travel[row + 1 : end].max() - start)
-        if found and _was_there(
-            exit_mm, tips[: row + 1], axes[: row + 1], radius_mm=1e3 * radius_m
-        ):
+        # A tool comes back through a hole if the exit lies within its radius and behind its tip at
+        # an earlier pose.
+        away = exit_mm - tips[: row + 1]
+        along = np.einsum("ij,ij->i", away, axes[: row + 1])
+        across = np.linalg.norm(away - along[:, None] * axes[: row + 1], axis=1)
+        if found and ((along > 0.0) & (across < 1e3 * radius_m)).any():
             hole = int(np.argmin([np.linalg.norm(exit_mm - each) for each in exits_mm]))
             found[hole] = replace(found[hole], plunge_mm=max(found[hole].plunge_mm, plunge_mm))
             continue
         found.append(BreakThrough(float(row + part) * TICK_S, plunge_mm))
         exits_mm.append(exit_mm)
     return found
-
-
-def _was_there(point_mm: Array, tips_mm: Array, axes: Array, *, radius_mm: float) -> bool:
-    """Return whether a point lies inside the tool at one of the given poses.
-
-    The inside of the tool is the space within its radius around the axis, and behind the tip.
-    """
-    away = point_mm - tips_mm
-    along = np.einsum("ij,ij->i", away, axes)
-    across = np.linalg.norm(away - along[:, None] * axes, axis=1)
-    return bool(((along > 0.0) & (across < radius_mm)).any())

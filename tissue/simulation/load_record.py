@@ -294,7 +294,7 @@ def record_loads(
             "simulate the scene instead",
         )
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
-    motion = motion or motion_of(scene, step_s=TICK_S)
+    motion = motion or motion_of(scene)
     build = builder_of(scene.anatomy.kind)
     parts = build(scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report)
     model = parts.tissue.milling if isinstance(parts.tissue, ToothModel) else parts.tissue

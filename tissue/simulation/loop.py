@@ -265,14 +265,8 @@ class Loop:
             self._notices.append(clear.notices)
             clear_names = clear.names
         self._at = layout = TraceLayout.of(
-            tissue.layer_names, tissue.measure_names + motion.measure_names + clear_names
+            tissue.layer_names, tissue.measure_names, motion.measure_names, clear_names
         )
-        first = layout.measures.start
-        moved = first + len(tissue.measure_names)
-        cleared = moved + len(motion.measure_names)
-        self._tissue_measures = slice(first, moved)
-        self._motion_measures = slice(moved, cleared)
-        self._clear_measures = slice(cleared, layout.measures.stop)
         self._loads = load_columns(layout.columns)
         self.trace = Table(
             layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names
@@ -399,10 +393,10 @@ class Loop:
         row[at.removed] = np.add.reduce(volumes)
         area = np.add.reduce(response.engaged_m2)
         row[at.contact] = area * 1e6
-        row[self._tissue_measures] = response.measures
-        row[self._motion_measures] = self.parts.motion.measures
+        row[at.tissue_measures] = response.measures
+        row[at.motion_measures] = self.parts.motion.measures
         if self.parts.keep_clear is not None:
-            row[self._clear_measures] = self.parts.keep_clear.measures
+            row[at.clear_measures] = self.parts.keep_clear.measures
         # -1 stands for no layer, see `Table`.
         row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0

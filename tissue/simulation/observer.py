@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive
 from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import Events
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.simulate import RunObserver
 from tissue.simulation.trace import NO_LAYER
@@ -88,9 +88,9 @@ class Observers(RunObserver):
         for each in self._all:
             each.on_event(time_s, what)
 
-    def on_end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> Events:
         """End all observers, even if one of them fails."""
-        events: list[tuple[float, str]] = []
+        events: Events = []
         with ExitStack() as ends:
             for each in reversed(self._all):
                 ends.callback(lambda each: events.extend(each.on_end()), each)
@@ -147,18 +147,9 @@ class WallClock:
 
     Tick i is due i ticks after the start, whatever the duration of earlier ticks, so delays do not
     add up. A late tick runs at once, and so do the following ticks until the run is on time again.
-    If a tick is late by more than ``behind_s``, the whole schedule is moved by the lateness, which
+    If a tick is late by more than `BEHIND_S`, the whole schedule is moved by the lateness, which
     is counted as skipped time. The simulated time of a tick never changes, and no tick is left out.
     The skipped time is recorded with microsecond resolution.
-
-    Parameters
-    ----------
-    tick_s
-        Duration of a tick [s].
-    behind_s
-        Lateness above which the schedule is moved [s].
-    now, rest
-        Functions that return the time [s] and sleep for a time [s].
 
     Attributes
     ----------
@@ -168,35 +159,24 @@ class WallClock:
         Time by which the current tick moved the schedule [s]; 0 for most ticks.
     """
 
-    def __init__(
-        self,
-        tick_s: float,
-        *,
-        behind_s: float = BEHIND_S,
-        now: Callable[[], float] = perf_counter,
-        rest: Callable[[float], None] = sleep,
-    ) -> None:
-        self._tick = require_positive("tick_s", tick_s, "use 1e-3")
-        self._behind = require_positive("behind_s", behind_s, "use 0.01")
-        self._now = now
-        self._rest = rest
+    def __init__(self) -> None:
         self._start: float | None = None
         self.late_s = self.skipped_s = 0.0
 
     def wait(self, index: int) -> None:
         """Wait until a tick is due; the first call starts the clock."""
-        now = self._now()
+        now = perf_counter()
         if self._start is None:
-            self._start = now - index * self._tick
-        due = self._start + index * self._tick
+            self._start = now - index * TICK_S
+        due = self._start + index * TICK_S
         if due - now > SPIN_S:
-            self._rest(due - now - SPIN_S)
-            now = self._now()
+            sleep(due - now - SPIN_S)
+            now = perf_counter()
         while now < due:
-            now = self._now()
+            now = perf_counter()
         self.late_s = now - due
         self.skipped_s = 0.0
-        if self.late_s > self._behind:
+        if self.late_s > BEHIND_S:
             self._start += self.late_s
             self.skipped_s = self.late_s
 
@@ -211,8 +191,8 @@ class Paced(RunObserver):
 
     paces = True
 
-    def __init__(self, clock: WallClock | None = None) -> None:
-        self._clock = clock or WallClock(TICK_S)
+    def __init__(self) -> None:
+        self._clock = WallClock()
         self._skipped_s = 0.0
 
     def before_tick(self, index: int) -> None:
@@ -220,7 +200,7 @@ class Paced(RunObserver):
         self._clock.wait(index)
         self._skipped_s += self._clock.skipped_s
 
-    def on_end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> Events:
         """Return an event with the total skipped time."""
         return [(0.0, BEHIND.format(self._skipped_s))] if self._skipped_s > 0.0 else []
 
@@ -241,7 +221,7 @@ class Prioritised(RunObserver):
         self.note = ""
         self._priority = priority or TickPriority()
         self._busy_us = 0.0
-        self._restored: list[tuple[float, str]] = []
+        self._restored: Events = []
 
     def before_tick(self, index: int) -> None:
         """Raise the priority before the first tick, in the thread that runs the ticks."""
@@ -263,7 +243,7 @@ class Prioritised(RunObserver):
             self._busy_us = 0.0
         return True
 
-    def on_end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> Events:
         """Restore the priority."""
         self._priority.end()
         return self._restored

@@ -131,7 +131,7 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
         if "interval_ms" in type(part).model_fields:
             still = part.model_copy(update={"interval_ms": 0.0})
             scene = scene.model_copy(update={name: still})
-    motion = _Widened(motion_of(scene, step_s=TICK_S), reach_m)
+    motion = _Widened(motion_of(scene), reach_m)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=TICK_S, compute="cpu", cores=cores, report=lambda what, share: None
     )
@@ -147,9 +147,7 @@ class PosedSession:
     Parameters
     ----------
     parts
-        Tissue, and structures to keep clear of. The motion in these parts is replaced.
-    start
-        Tip [m] and rotation at the start.
+        Tissue, and structures to keep clear of. Their motion gives the start pose, and is replaced.
     ticks
         Number of ticks of 1 ms in a step.
     rows
@@ -168,7 +166,6 @@ class PosedSession:
     def __init__(
         self,
         parts: Parts,
-        start: tuple[Array, Array],
         *,
         ticks: int,
         rows: int,
@@ -179,8 +176,10 @@ class PosedSession:
         self._keep_ready = keep_ready
         self._region = region
         self._left_region = False
-        self._tool = parts.motion = PosedTool(*start)
-        self._start = start
+        placed = ToolMotion()
+        parts.motion.begin(placed)
+        self._start = (placed.tip_m, placed.rotation)
+        self._tool = parts.motion = PosedTool(*self._start)
         # Without a cutter the loop keeps no log of poses, which would become full in a long
         # session.
         parts.cutter = None
@@ -191,11 +190,6 @@ class PosedSession:
         with suppress(InputError):
             self._untouched = self.loop.state()
         self.loop.place()
-
-    @property
-    def step_s(self) -> float:
-        """Duration of a step [s]."""
-        return self._ticks * TICK_S
 
     def step(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Array:
         """Move the tool to a pose in one step; return force [N] and torque [N m] on it, shape (6,).
@@ -219,8 +213,10 @@ class PosedSession:
                 self._keep_ready(loop.tool.tip_m)
             loop.wait()
             loop.step()
-        if self._region is not None and not self._left_region:
-            self._watch(self._region)
+        region = self._region
+        if region is not None and not self._left_region and not region.holds(loop.tool.tip_m):
+            self._left_region = True
+            loop.events.append((loop.ticks * TICK_S, LEFT_REGION))
         return loop.response.wrench.copy()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
@@ -263,12 +259,6 @@ class PosedSession:
         self.loop.restore(snapshot.state)
         self._tool.put(self.loop.tool.tip_m, self.loop.tool.rotation)
         self._left_region = any(what == LEFT_REGION for _, what in self.loop.events)
-
-    def _watch(self, region: Region) -> None:
-        """Add an event if the tool has left the prepared region."""
-        if not region.holds(self.loop.tool.tip_m):
-            self._left_region = True
-            self.loop.events.append((self.loop.ticks * TICK_S, LEFT_REGION))
 
 
 def _velocity(velocity: ArrayLike) -> Array:

@@ -13,7 +13,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from meshes.base.progress import silent
 from tissue.haptics.device.device import Sample
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.device.sample_guard import NewSamples
@@ -29,7 +28,6 @@ from tissue.haptics.loop.sampled_loop import (
 from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.simulation.bone_surface import CarvedRun
 from tissue.simulation.builders.loop import (
     device_path,
     judged_loop,
@@ -39,6 +37,7 @@ from tissue.simulation.builders.loop import (
 )
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Stepper, undisturbed
+from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, build, tick_count
 from tissue.simulation.trace import LEAST_LOAD, Table
 
@@ -88,15 +87,12 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
             "none",
             "set device, such as touch",
         )
-    stiffness = (
-        scene.held.coupling.stiffness_N_m
-        or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
-    )
+    stiffness = scene.held.coupling.stiffness_N_m or judged_loop(loop_settings(scene)).stiffness_N_m
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
 def ideal_force_N(
-    run: CarvedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None
+    run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
     """Compute the force of the ideal loop along the device motion of a run [N], shape (n, 3).
 
@@ -115,14 +111,12 @@ def ideal_force_N(
     played_back = RecordedDevice(
         trace["time_s"],
         1e-3 * trace.vectors("device_true" if TRUE[0] in trace else "device", "mm"),
-        np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
+        trace.quaternions("device"),
     )
     scene = ideal_scene(run.scene, finest).model_copy(
         update={"duration_s": len(trace.rows) * TICK_S}
     )
-    parts = build(
-        scene, step_s=TICK_S, compute="cpu", cores=cores, report=silent, allow_unstable=True
-    )
+    parts = build(scene, cores=cores, allow_unstable=True)
     assert isinstance(parts.motion, HandMotion)
     parts.motion.device = played_back
     parts.motion.after_s = 0.0
@@ -162,7 +156,7 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
     return forces
 
 
-def stretch_force_N(run: CarvedRun) -> Array:
+def stretch_force_N(run: Run) -> Array:
     """Compute the force of the coupling spring in each tick of a run [N], shape (n, 3).
 
     This is the force of the run without latency, computed from the encoder positions and the model
@@ -181,7 +175,7 @@ def stretch_force_N(run: CarvedRun) -> Array:
     start_mm = 1e3 * run.parts.motion.sweep_m()[0]
     tool_mm = start_mm + (trace.vectors("tool", "mm") - start_mm) / coupling.motion_scale
     device_mm = trace.vectors("device", "mm")
-    loop = judged_loop(loop_settings(run.scene), step_s=TICK_S)
+    loop = judged_loop(loop_settings(run.scene))
     if loop.observes:
         device_mm = _observed(trace["time_s"], device_mm, loop)
     return 1e-3 * coupling.stiffness_N_m * (tool_mm - device_mm)
@@ -232,7 +226,7 @@ class MotorForces(NamedTuple):
     sent: Array
 
 
-def motor_forces(run: CarvedRun, ideal_N: Array | None = None) -> MotorForces:
+def motor_forces(run: Run, ideal_N: Array | None = None) -> MotorForces:
     """Compute the force that a device played, and reference forces [N].
 
     The ideal force has no latency, no encoder steps and no filters. The device moves as in the run.

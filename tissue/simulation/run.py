@@ -17,6 +17,7 @@ from meshes.base.whole_file import package_version
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
+from tissue.motion.motion import Events
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.force_met import chosen_scale
@@ -96,7 +97,7 @@ class Run:
         trace: Table,
         timing: Table,
         *,
-        events: list[tuple[float, str]],
+        events: Events,
         poses: Array | None = None,
         compute: str = "cpu",
     ) -> None:
@@ -144,7 +145,7 @@ class Run:
         return self._required(read_table(file, ()) if file.is_file() else None, file.name)
 
     @cached_property
-    def events(self) -> list[tuple[float, str]]:
+    def events(self) -> Events:
         """Events of the run, each with a time [s] and a sentence."""
         return [
             (float(each["time_s"]), each["what"]) for each in self._files.summary.get("events", ())

@@ -5,7 +5,7 @@ from contextlib import nullcontext, suppress
 from math import ceil, inf
 from pathlib import Path
 from time import perf_counter
-from typing import Protocol, TypedDict, runtime_checkable
+from typing import TypedDict
 
 import numpy as np
 
@@ -14,10 +14,10 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.safe_device import SafeDevice, run_held
+from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.sampled_loop import force_later_N
 from tissue.models.tissue_model import TICK_S, MayLag
-from tissue.motion.motion import LONGEST_S, Motion
-from tissue.prediction.predictor import Predictor
+from tissue.motion.motion import LONGEST_S, Events, Motion
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.arguments import note_own_constants
@@ -70,28 +70,12 @@ class RunObserver:
     def on_event(self, time_s: float, what: str) -> None:
         """Handle an event (time [s] and sentence) in the tick in which the tissue reports it."""
 
-    def on_end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> Events:
         """Release resources, also after an error, and return the events of the observer.
 
         An event is a time [s] and a sentence.
         """
         return []
-
-
-@runtime_checkable
-class MovedByDevice(Protocol):
-    """Motion of a tool that a device moves; the device plays a force, which may be predicted."""
-
-    device: Device | SafeDevice
-    held: SafeDevice
-    """Device that is held during the ticks and released with zero force at their end."""
-    after_s: float
-    """Time between the end of the path and the end of the run [s]."""
-    predictor: Predictor | None
-    lead_ticks: float
-    """Prediction horizon of the force [ticks]."""
-    model_ticks: int
-    """Number of ticks for which one response of the tissue is used."""
 
 
 def simulate(
@@ -164,14 +148,13 @@ def simulate(
     with folder.ending() if folder is not None else nullcontext():
         parts = build(
             scene,
-            step_s=TICK_S,
             compute=compute,
             cores=cores,
             report=report,
             allow_unstable=allow_unstable,
         )
         if device is not None:
-            assert isinstance(parts.motion, MovedByDevice), "a scene with a device"
+            assert isinstance(parts.motion, HandMotion), "a scene with a device"
             require_stated_rate(
                 device,
                 device_parameters(scene.held.kind, scene.constants),
@@ -196,7 +179,7 @@ def simulate(
             loop, ticks, cores=cores, folder=folder, report=report, observer=observer
         )
         trace = loop.trace
-        if isinstance(parts.motion, MovedByDevice) and parts.motion.predictor is not None:
+        if isinstance(parts.motion, HandMotion) and parts.motion.predictor is not None:
             parts.notes |= _prediction_note(trace, parts.motion)
         # With a device, the user decides when the run ends, so an early end is not noted.
         parts.notes |= shortfalls(
@@ -262,7 +245,7 @@ def _run_ticks(
         spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
         scheduling = Scheduling(loop.parts.tissue, cores=cores, spin_s=spin_s)
         with undisturbed():
-            if isinstance(motion, MovedByDevice):
+            if isinstance(motion, HandMotion):
                 run_held(go_through, motion.held)
             else:
                 go_through()
@@ -282,7 +265,7 @@ def _run_ticks(
     return scheduling
 
 
-def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
+def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
     """Return a note on the error of the predicted forces.
 
     There is no note if there was no contact, or if the model does not respond in every tick.
@@ -329,10 +312,9 @@ def tick_count(scene: Scene, motion: Motion) -> int:
 def build(
     scene: Scene,
     *,
-    step_s: float,
-    compute: str,
-    cores: int | None,
-    report: Progress,
+    compute: str = "cpu",
+    cores: int | None = None,
+    report: Progress = silent,
     allow_unstable: bool = False,
 ) -> Parts:
     """Build the parts of a scene.
@@ -349,7 +331,7 @@ def build(
         known = [str(device) for device in wp.get_devices()]
         if compute not in known:
             raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
-    motion = motion_of(scene, step_s=step_s)
+    motion = motion_of(scene)
     notes = {}
     if motion.notes:
         notes["motion"] = "; ".join(motion.notes)
@@ -358,7 +340,7 @@ def build(
 
         motion, notes["coupling"] = hand_motion(scene, motion, allow_unstable=allow_unstable)
     parts = builder_of(scene.anatomy.kind)(
-        scene, motion, step_s=step_s, compute=compute, cores=cores, report=report
+        scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report
     )
     parts.notes |= notes
     if scene.materials:

@@ -29,6 +29,7 @@ __all__ = [
     "TraceLayout",
     "TraceWriter",
     "check_format",
+    "components",
     "load_columns",
     "read_table",
     "read_trace",
@@ -55,6 +56,11 @@ RECORDING = "recording"
 """Name of the format for other programs; see `tissue.simulation.recording`."""
 WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
 """Package that writes a format, and extra that installs the package, keyed by format."""
+
+
+def components(name: str, unit: str) -> tuple[str, ...]:
+    """Return the names of the three columns of a vector."""
+    return tuple(f"{name}_{c}_{unit}" for c in "xyz")
 
 
 @dataclass(eq=False)
@@ -95,7 +101,11 @@ class Table(Mapping[str, NDArray[Any]]):
 
     def vectors(self, name: str, unit: str) -> Array:
         """Return columns ``name_x_unit``, ``name_y_unit``, ``name_z_unit``, shape (rows, 3)."""
-        return np.column_stack([self[f"{name}_{c}_{unit}"] for c in "xyz"])
+        return np.column_stack([self[each] for each in components(name, unit)])
+
+    def quaternions(self, name: str = "tool") -> Array:
+        """Return the orientations of the tool or of the device (x, y, z, w), shape (rows, 4)."""
+        return np.column_stack([self[f"{name}_q{c}"] for c in "xyzw"])
 
     def lines(self, first: int, last: int) -> str:
         """Return rows as CSV text, from which the numbers can be read back bit for bit."""
@@ -175,8 +185,10 @@ class TraceLayout:
         Indices of the pose of the tool, its velocity and its spin.
     commanded, wrench
         Indices of force and torque: as commanded, and from the model.
-    removed_by_layer, measures
-        Indices of one column per layer, and of the measures of tissue and motion.
+    removed_by_layer
+        Indices of one column per layer.
+    tissue_measures, motion_measures, clear_measures
+        Indices of the measures of tissue and motion, and of the distances to structures.
     """
 
     columns: tuple[str, ...]
@@ -191,28 +203,35 @@ class TraceLayout:
     removed: int
     removed_by_layer: slice
     contact: int
-    measures: slice
+    tissue_measures: slice
+    motion_measures: slice
+    clear_measures: slice
     layer: int
 
     @classmethod
-    def of(cls, layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> "TraceLayout":
+    def of(
+        cls,
+        layer_names: tuple[str, ...],
+        tissue_measures: tuple[str, ...] = (),
+        motion_measures: tuple[str, ...] = (),
+        clear_measures: tuple[str, ...] = (),
+    ) -> "TraceLayout":
         """Return the layout for the given layers and measures."""
         groups: dict[str, str | tuple[str, ...]] = {
             "time": "time_s",
-            "tip": tuple(f"tool_{c}_mm" for c in "xyz"),
+            "tip": components("tool", "mm"),
             "quaternion": tuple(f"tool_q{c}" for c in "xyzw"),
-            "velocity": tuple(f"velocity_{c}_mm_s" for c in "xyz"),
-            "spin": tuple(f"angular_velocity_{c}_rad_s" for c in "xyz"),
-            "commanded": (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_Nm" for c in "xyz")),
-            "wrench": (
-                *(f"model_force_{c}_N" for c in "xyz"),
-                *(f"model_torque_{c}_Nm" for c in "xyz"),
-            ),
+            "velocity": components("velocity", "mm_s"),
+            "spin": components("angular_velocity", "rad_s"),
+            "commanded": components("force", "N") + components("torque", "Nm"),
+            "wrench": components("model_force", "N") + components("model_torque", "Nm"),
             "removal_rate": "removal_rate_mm3_s",
             "removed": "removed_mm3",
             "removed_by_layer": tuple(f"removed_{name}_mm3" for name in layer_names),
             "contact": "contact_mm2",
-            "measures": measure_names,
+            "tissue_measures": tissue_measures,
+            "motion_measures": motion_measures,
+            "clear_measures": clear_measures,
             "layer": "layer",
         }
         columns: list[str] = []
@@ -285,11 +304,8 @@ def write_table(table: Table, path: Path) -> None:
         write_columns({name: table[name] for name in table}, path)
         return
     with whole_file(path) as temporary:
-        head = StringIO()
-        csv.writer(head, lineterminator="\n").writerow(table.columns)
-        temporary.write_text(
-            head.getvalue() + table.lines(0, len(table.rows)), "utf-8", newline="\n"
-        )
+        text = f"{_cells(table.columns)}\n{table.lines(0, len(table.rows))}"
+        temporary.write_text(text, "utf-8", newline="\n")
 
 
 def _npz(columns: Columns, path: Path) -> None:

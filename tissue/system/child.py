@@ -137,8 +137,6 @@ class HangDetector:
         Function that returns the ids of the processes. Their child processes are included.
     longest_s
         Longest working time [s]; None for no limit.
-    idle_s
-        Longest idle time [s]; default 30 s.
     """
 
     def __init__(
@@ -146,11 +144,9 @@ class HangDetector:
         processes: Callable[[], Iterable[int]],
         *,
         longest_s: float | None = None,
-        idle_s: float | None = None,
     ) -> None:
         self._processes = processes
         self._longest_s = longest_s
-        self._idle_s = idle_s or IDLE_S
         self._waited_s = 0.0
         self._idle_since_s = 0.0
         # The first check is then treated as work, so that the idle time starts there.
@@ -164,11 +160,8 @@ class HangDetector:
         if abs(work_s - self._work_s) >= WORK_S:
             self._work_s = work_s
             self._idle_since_s = self._waited_s
-        if self._waited_s - self._idle_since_s >= self._idle_s:
-            return (
-                f"{'was stopped' if stopped else 'hangs'} and has done nothing for "
-                f"{self._idle_s:g} s"
-            )
+        if self._waited_s - self._idle_since_s >= IDLE_S:
+            return f"{'was stopped' if stopped else 'hangs'} and has done nothing for {IDLE_S:g} s"
         if self._longest_s is not None and self._waited_s >= self._longest_s:
             return f"took longer than {self._longest_s:g} s"
         return None

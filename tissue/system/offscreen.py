@@ -198,7 +198,7 @@ def display_problem() -> str | None:
     return None
 
 
-def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
+def await_display() -> str | None:
     """Wait until a display answers, then return the result of `display_problem`.
 
     Raises
@@ -206,13 +206,13 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
     InputError
         If the display does not answer in time.
     """
-    until = monotonic() + longest_s
+    until = monotonic() + DISPLAY_S
     while (problem := display_problem()) is not None and problem.endswith("does not answer"):
         if monotonic() >= until:
             raise InputError(
                 "DISPLAY",
                 "name a display that answers",
-                f"{os.environ['DISPLAY']}, which gave no answer within {longest_s:g} s",
+                f"{os.environ['DISPLAY']}, which gave no answer within {DISPLAY_S:g} s",
                 "start this display, or unset DISPLAY to run without a window",
             )
         # The interval is short compared with the seconds that a display takes to start.

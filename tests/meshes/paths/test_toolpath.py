@@ -223,7 +223,7 @@ def test_a_replay_goes_at_the_feed_in_the_frame_of_the_site(tmp_path):
     assert table.times_s == pytest.approx([0.0, 0.25, 3.75, 6.25, 11.25])
     assert table.quaternions == pytest.approx(np.tile([0, 0, 0, 1], (5, 1)))
     table.write(tmp_path / "path.csv")
-    played = read_replay(tmp_path / "path.csv", step_s=1e-3)
+    played = read_replay(tmp_path / "path.csv")
     assert played.duration_s == pytest.approx(11.25)
     assert 1e3 * played.sweep_m()[3750] == pytest.approx(PLACES[1], abs=1e-6)
 

@@ -61,13 +61,10 @@ def test_a_coupling_that_is_stable_only_in_a_hand_is_noted():
 def test_what_is_judged_counts_the_delay_that_is_there():
     """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
     wall, late = (
-        judged_loop(loop_settings(load_scene("wall", o)), step_s=STEP_S)
-        for o in ({}, {"coupling.delay_ms": 3})
+        judged_loop(loop_settings(load_scene("wall", o))) for o in ({}, {"coupling.delay_ms": 3})
     )
-    liver = judged_loop(
-        loop_settings(load_scene("liver-press", {"device": "touch"})), step_s=STEP_S
-    )
-    bone = judged_loop(loop_settings(load_scene("milling", {"device": "touch"})), step_s=STEP_S)
+    liver = judged_loop(loop_settings(load_scene("liver-press", {"device": "touch"})))
+    bone = judged_loop(loop_settings(load_scene("milling", {"device": "touch"})))
     assert late.delay_s == pytest.approx(wall.delay_s + 3e-3)
     assert liver.delay_s == pytest.approx(wall.delay_s + 1e-3)
     assert bone.delay_s == wall.delay_s and bone.filter_s == 1e-3

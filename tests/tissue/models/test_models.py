@@ -71,7 +71,7 @@ def pressed_slab():
         "palpation",
         {**ball, **wandering, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5},
     )
-    return build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent).tissue
+    return build(scene, compute="cpu", cores=None, report=silent).tissue
 
 
 MODELS = {

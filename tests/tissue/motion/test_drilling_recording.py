@@ -81,7 +81,7 @@ def test_a_file_of_the_recorder_gives_tip_axis_and_force_in_the_world(tmp_path):
 
 def test_it_is_replayed_at_its_speed_and_fitted_as_a_log(tmp_path):
     path = recorded(tmp_path / "log.hdf5")
-    motion = read_replay(path, step_s=1e-3)
+    motion = read_replay(path)
     assert motion.duration_s == pytest.approx(1.0, abs=1e-6)
     down = np.column_stack(
         [np.full(1001, 0.1), np.full(1001, -0.2), 0.298 - 1e-5 * np.arange(1001)]
@@ -136,7 +136,7 @@ def test_the_layout_of_2022_to_2025_is_read(tmp_path):
     assert other.notes == held.notes
     log = read_log(tmp_path / "log.hdf5")
     assert log.loads.shape == (101, 3) and "camera" in " ".join(log.notes)
-    assert len(read_replay(tmp_path / "log.hdf5", step_s=1e-3).sweep_m()) == 1001
+    assert len(read_replay(tmp_path / "log.hdf5").sweep_m()) == 1001
 
 
 def test_another_file_with_a_group_named_data_is_no_recording(tmp_path):
@@ -145,7 +145,7 @@ def test_another_file_with_a_group_named_data_is_no_recording(tmp_path):
         for name in columns:
             file[f"data/{name}"] = np.arange(1000.0)
     with pytest.raises(InputError, match="be a recording of volumetric_drilling"):
-        read_replay(tmp_path / "log.h5", step_s=1e-3)
+        read_replay(tmp_path / "log.h5")
     flags = [f"{name}=data/{name}" for name in columns]
     for columns in (flags, ()):
         assert len(read_log(tmp_path / "log.h5", columns).times_s) == 1000
@@ -195,14 +195,14 @@ def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path, change, expecte
     path = recorded(tmp_path / "log.hdf5")
     change(path)
     with pytest.raises(InputError, match=expected) as caught:
-        read_replay(path, step_s=1e-3)
+        read_replay(path)
     assert str(caught.value).startswith("motion.file must ") and "\n" not in str(caught.value)
 
 
 def test_forces_on_another_clock_are_refused_for_a_fit(tmp_path):
     path = recorded(tmp_path / "log.hdf5")
     spoil(f"{EVENTS}/drill_force_feedback/time_stamp", TIMES_S[::20])(path)
-    read_replay(path, step_s=1e-3)  # which needs none
+    read_replay(path)  # which needs none
     with pytest.raises(
         InputError, match=r"measured must hold forces in the time span of the poses.*the same clock"
     ):
@@ -213,4 +213,4 @@ def test_without_what_reads_it_the_extra_is_named(tmp_path, monkeypatch):
     path = recorded(tmp_path / "log.hdf5")
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     with pytest.raises(InputError, match=r'got a file that needs h5py. Run pip install "h5py>='):
-        read_replay(path, step_s=1e-3)
+        read_replay(path)

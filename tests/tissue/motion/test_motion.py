@@ -139,7 +139,7 @@ def test_a_table_of_constant_rotation_turns_at_that_rate():
     times = np.arange(0.0, 1.01, 0.05)
     turns = Rotation.from_rotvec(rate * times[:, None] * axis)
     velocity = np.array([2e-3, 0.0, -1e-3])
-    motion = ReplayPoses(times, times[:, None] * velocity, turns.as_quat(), step_s=STEP_S)
+    motion = ReplayPoses(times, times[:, None] * velocity, turns.as_quat())
     assert motion.duration_s == pytest.approx(1.0)
     tips, rotations, headings, speeds = ticks(motion, 1001)
     at = STEP_S * np.arange(1001)
@@ -161,7 +161,7 @@ def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_
         "tool_qw,note,tool_qx,tool_qy,tool_qz,tool_x_mm,tool_y_mm,tool_z_mm,time_s\n"
         "1,a,0,0,0,1,2,3,10.0\n1,b,0,0,0,2,2,3,10.5\n"
     )
-    motion = read_replay(tmp_path / "poses.csv", step_s=STEP_S)
+    motion = read_replay(tmp_path / "poses.csv")
     tips, _, _, speeds = ticks(motion, 501)
     np.testing.assert_allclose(
         tips[[0, 250, 500]], [[1e-3, 2e-3, 3e-3], [1.5e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]]
@@ -177,7 +177,7 @@ def test_a_table_in_other_units_and_with_equal_times_is_read(tmp_path):
         "500,0;0,002;0,002;0,003;0;0;0;1\n",
         "utf-16",
     )
-    motion = read_replay(tmp_path / "poses.csv", step_s=STEP_S)
+    motion = read_replay(tmp_path / "poses.csv")
     tips, _, _, speeds = ticks(motion, 501)
     np.testing.assert_allclose(tips[[0, 500]], [[1e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
     np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
@@ -261,6 +261,6 @@ def test_a_position_in_another_unit_is_refused_before_anything_is_carved(tmp_pat
     with pytest.raises(
         InputError, match=r"motion\.file must lie within 10 m of each other, got 1e\+06 m"
     ):
-        read_replay(path, step_s=STEP_S)
+        read_replay(path)
     tips = np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0]])
     assert GivenPoses(np.array([0.0, 1.0]), tips, Rotation.identity(2)).duration_s == 1.0

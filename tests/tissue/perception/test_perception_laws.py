@@ -118,8 +118,7 @@ def test_the_estimate_follows_the_command(choice):
     assert np.mean(estimates) == pytest.approx(command[1], rel=0.15) and min(estimates) >= 0.0
 
 
-def test_none_is_none_and_unknown_names_are_refused():
-    assert built("none") is None
+def test_unknown_names_are_refused():
     with pytest.raises(
         InputError, match="perception must be one of none, population, observer:FILE, got expert"
     ):

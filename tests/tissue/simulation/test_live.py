@@ -197,7 +197,7 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
 
 def test_ctrl_c_is_given_back(monkeypatch):
     before = signal.getsignal(signal.SIGINT)
-    observer = LiveObserver(load_scene("wall"), None, WallClock(TICK_S))
+    observer = LiveObserver(load_scene("wall"), None, WallClock())
     observer.on_begin(None, ())
     assert signal.getsignal(signal.SIGINT) != before
     signal.raise_signal(signal.SIGINT)

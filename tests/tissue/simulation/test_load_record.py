@@ -109,7 +109,7 @@ def test_a_density_factor_is_another_reference_density(tables):
     volume, cutter, motion = (
         milled_voxels(scene),
         cutter_of(scene.tool),
-        motion_of(scene, step_s=1e-3),
+        motion_of(scene),
     )
     model, tool, found = BoneModel(volume, cutter, scaled, cores=1), ToolMotion(), []
     motion.begin(tool)

@@ -38,7 +38,7 @@ def parts_with(wall, **changes):
     """
     changes = {"device": "touch", "prediction": "none", "duration_s": 1e-3 * TICKS} | changes
     scene = load_scene("wall", changes)
-    parts = build(scene, step_s=1e-3, compute="cpu", cores=1, report=silent)
+    parts = build(scene, compute="cpu", cores=1, report=silent)
     times = 1e-3 * np.arange(TICKS + 1)
     heights = 4e-3 * np.cos(20.0 * np.pi * times)
     parts.motion.device = RecordedDevice(

@@ -6,7 +6,6 @@ from tissue import load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.simulation.live.run import LiveObserver
 from tissue.simulation.observer import Observers, Prioritised, WallClock
-from tissue.simulation.simulate import TICK_S
 
 HALF = {"duration_s": 0.5}
 
@@ -28,7 +27,7 @@ class FakePriority:
 def live_by(priority, changes=HALF, device=None):
     scene = load_scene("wall", {"device": "touch"} | changes)
     prioritised = Prioritised(priority)
-    both = Observers(prioritised, LiveObserver(scene, None, WallClock(TICK_S)))
+    both = Observers(prioritised, LiveObserver(scene, None, WallClock()))
     return simulate(scene, on_tick=both, device=device), prioritised
 
 

@@ -1,8 +1,11 @@
 """Laws of the wall clock that a live run keeps."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 
+from tissue.simulation import observer
 from tissue.simulation.observer import WallClock
 
 STEP_S = 1e-3
@@ -25,12 +28,13 @@ class FakeTime:
 def paced(costs_s, **options):
     """Starts of ticks after the first [s], lateness and skips [s], for ticks that take so long."""
     fake = FakeTime(**{k: v for k, v in options.items() if k == "oversleeps_s"})
-    clock = WallClock(STEP_S, now=fake.now, rest=fake.rest)
+    clock = WallClock()
     rows = []
-    for index, cost in enumerate(costs_s):
-        clock.wait(index)
-        rows.append((fake.s, clock.late_s, clock.skipped_s))
-        fake.s += cost
+    with patch.multiple(observer, perf_counter=fake.now, sleep=fake.rest):
+        for index, cost in enumerate(costs_s):
+            clock.wait(index)
+            rows.append((fake.s, clock.late_s, clock.skipped_s))
+            fake.s += cost
     starts, late, skipped = np.array(rows).T
     return starts - starts[0], late, skipped
 

@@ -32,7 +32,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
 from tissue.simulation.builders.organ import HeldMesh, elasticity_of, held_mesh, hindrance
 from tissue.simulation.builders.parts import motion_of
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from tissue.fem.hyperelastic import Law
@@ -194,7 +194,7 @@ def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
     # The key must not count as set: tetrahedra from a file have their own edges.
     given = anatomy.model_fields_set - {"edge_mm"}
     coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": longer_mm}))
-    path_m = motion_of(scene, step_s=TICK_S).sweep_m()
+    path_m = motion_of(scene).sweep_m()
     touch_edge_m = COARSER * (1e-3 * edge_mm(scene))
     return held_mesh(coarse, path_m=path_m, touch_edge_m=touch_edge_m, report=silent)
 
@@ -205,7 +205,7 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
     The contact is the contact with the undeformed body.
     """
     assert isinstance(scene.tool, Probe)
-    motion = motion_of(scene, step_s=TICK_S)
+    motion = motion_of(scene)
     corners = motion.sweep_m()
     axis = motion.rotations()[0][:, 2]
     radius_m = 0.5e-3 * scene.tool.size_mm

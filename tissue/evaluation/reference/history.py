@@ -16,7 +16,6 @@ from meshes.base.progress import Progress, silent
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.cutting import cutter_of
@@ -110,7 +109,7 @@ def solid_of_scene(scene: Scene) -> Solid:
 
     An anatomy from a file is refused.
     """
-    anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
+    anatomy, minus = solid_of(scene, motion_of(scene))
     changes = scene.cutting.model_dump(exclude={"material"})
     layers = scene.constants.coefficients(anatomy.layer_names, changes, bone=scene.cutting.material)
     return Solid(anatomy, layers, minus)

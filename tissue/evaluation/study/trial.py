@@ -37,7 +37,7 @@ from tissue.scene.tool import PathMotion
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.reference_force import ideal_force_N
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.simulation.simulate import simulate
 
 __all__ = [
     "NUMBERS",
@@ -231,7 +231,7 @@ def _stiffness_N_m(scene: Scene) -> int:
     The search for the critical stiffness is cached. It does not depend on specimen, seed, pace and
     person. The force map of the person only divides its result.
     """
-    return floor(judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m)
+    return floor(judged_loop(loop_settings(scene)).stiffness_N_m)
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:

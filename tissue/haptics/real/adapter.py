@@ -236,7 +236,7 @@ def _samples(path: Path) -> list[HardwareSample]:
     from scipy.spatial.transform import Rotation
 
     with names_of_caller({"motion.file": "hardware.address"}):
-        motion = read_replay(path, step_s=TICK_S)
+        motion = read_replay(path)
     tips = motion.sweep_m()
     # Velocities need two poses.
     if len(tips) < 2:

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.surfaces.triangle_files import read_triangles
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -132,7 +131,7 @@ def row_at(trace: "Table", time_s: float) -> int:
 
 def tool_turns(trace: "Table") -> Array:
     """Return the tool's orientations in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
-    return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+    return trace.quaternions()
 
 
 def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":
@@ -193,7 +192,7 @@ def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
     """Return a wall, or the surface of a tissue, under all positions that the tool can reach."""
     import pyvista
 
-    path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
+    path_mm = 1e3 * motion_of(scene).sweep_m()[:, :2]
     low = path_mm.min(axis=0)
     high = path_mm.max(axis=0)
     # without a device, the tool stays on its path

@@ -240,7 +240,7 @@ def _about(saved: SavedRun) -> str:
         planned = None
         if saved.scene is not None:
             with suppress(InputError):
-                planned = saved.scene.duration_s or motion_of(saved.scene, step_s=TICK_S).duration_s
+                planned = saved.scene.duration_s or motion_of(saved.scene).duration_s
         if planned:
             # the last tick begins one tick before the end; half a tick more covers rounding
             ended = last > planned - 1.5 * TICK_S

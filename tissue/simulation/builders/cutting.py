@@ -19,7 +19,7 @@ from tissue.materials.scene_constants import Materials, energy_note
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.bricks_on_demand import Boxes, BricksOnDemand
 from tissue.models.bone.model import BoneModel, Removal
-from tissue.models.tissue_model import TICK_S, TissueModel
+from tissue.models.tissue_model import TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy, Tooth
 from tissue.scene.part import is_given
@@ -130,11 +130,11 @@ def milled(
             cutter, removal=scene.voxels.removal, shell_spacing_m=spacing_m, cores=cores
         )
         if "pulp" in volume.layer_names:
-            from tissue.simulation.builders.tooth import tooth_around
+            from tissue.simulation.builders.around_cut import tooth_around
 
             tissue = tooth_around(scene, milling, motion, compute=compute, report=report)
         elif scene.heat:
-            from tissue.simulation.builders.heat import heated_bone
+            from tissue.simulation.builders.around_cut import heated_bone
 
             tissue = heated_bone(scene, milling, motion, compute=compute, report=report)
     clear = None
@@ -166,9 +166,7 @@ def milled(
 def milled_voxels(scene: Scene) -> VoxelVolume:
     """Return the voxels of a milling scene before the first cut; raise the errors of `milled`."""
     assert isinstance(scene.tool, Tool)
-    return volume_of(
-        scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent
-    )
+    return volume_of(scene, cutter_of(scene.tool), motion_of(scene), notes={}, report=silent)
 
 
 def cutter_of(tool: Tool) -> Cutter:
@@ -357,11 +355,7 @@ class VoxelBone:
         if self.on_demand is not None:
             shape = self.on_demand.anatomy.shape
             return np.array([shape.lower_m, shape.upper_m])
-        volume, _ = self.whole
-        held = np.argwhere(volume.fraction)
-        return np.asarray(
-            volume.origin_m + volume.spacing_m * np.stack([held.min(axis=0), held.max(axis=0) + 1])
-        )
+        return np.array(self.whole[0].bone_bounds_m)
 
     @property
     def whole(self) -> tuple[VoxelVolume, Bytes]:

@@ -291,7 +291,7 @@ def cut(scene: Scene) -> Met:
     voxels = scene.voxels.model_copy(update={"spacing_mm": spacing_mm, "margin_mm": 0.0})
     coarse = scene.model_copy(update={"voxels": voxels})
     cutter = cutter_of(scene.tool)
-    motion = motion_of(scene, step_s=TICK_S)
+    motion = motion_of(scene)
     volume = volume_of(coarse, cutter, motion, notes={}, report=silent)
     spacing_m = (cutter.cutting_area_m2 / ELEMENTS) ** 0.5
     bone = VoxelBone.stated(volume, coarse.cutting, coarse.constants)
@@ -301,7 +301,7 @@ def cut(scene: Scene) -> Met:
 
 def _depth_m(scene: Scene) -> float:
     """Return the depth of the scripted motion below the origin [m]."""
-    return max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
+    return max(-float(motion_of(scene).sweep_m()[:, 2].min()), 0.0)
 
 
 def pressed(scene: Scene) -> Met:
@@ -338,7 +338,7 @@ def pierced(scene: Scene) -> Met:
 
     assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
     tissue = pierced_tissue(scene)
-    motion = motion_of(scene, step_s=TICK_S)
+    motion = motion_of(scene)
     diameter_m = 1e-3 * scene.tool.diameter_mm
     return Met(_largest(motion, NeedleModel(tissue, diameter_m=diameter_m), FINE_POSES))
 
@@ -351,7 +351,7 @@ def incised(scene: Scene) -> Met:
     assert isinstance(scene.anatomy, IncisedAnatomy)
     blade = blade_of(scene)
     tissue = incised_tissue(scene.anatomy.material, blade, constants=scene.constants)
-    motion = motion_of(scene, step_s=TICK_S)
+    motion = motion_of(scene)
     return Met(_largest(motion, IncisionModel(tissue, blade), POSES))
 
 

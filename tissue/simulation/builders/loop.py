@@ -257,7 +257,7 @@ def judged_loops(
         If a loop is unstable and `allow_unstable` is not set.
     """
     person = settings.person
-    position = judged_loop(settings, step_s=TICK_S)
+    position = judged_loop(settings)
     hands = settling_hands(position, person.linear_hands)
     steepest = _steepest(settings)
     verdict = _judged(position, hands, steepest)
@@ -305,7 +305,7 @@ def _steepest(settings: LoopSettings) -> float:
     return 1.0 if perception is None else perception.steepest
 
 
-def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
+def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of a coupling, with its total delay.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
@@ -342,7 +342,7 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     )
     hand = settings.person.grip[:3]
     loops = [
-        replace(_delayed(settings, loop, step_s * (settings.contact == "presses")), forecast=each)
+        replace(_delayed(settings, loop, TICK_S * (settings.contact == "presses")), forecast=each)
         for each in _forecasts(settings)
     ]
     loop = (

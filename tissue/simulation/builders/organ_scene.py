@@ -55,15 +55,7 @@ _meshes: Kept[HeldMesh] = Kept(2)
 """Meshes of procedural organs, keyed by the parameters and the path of the tool."""
 
 
-def pierced(
-    scene: Scene,
-    motion: Motion,
-    *,
-    step_s: float,
-    compute: str,
-    cores: int | None,
-    report: Progress,
-) -> Parts:
+def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: object) -> Parts:
     """Return the parts of a scene in which a needle pierces layers of tissue.
 
     Raises
@@ -97,15 +89,7 @@ def pierced(
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 
-def incised(
-    scene: Scene,
-    motion: Motion,
-    *,
-    step_s: float,
-    compute: str,
-    cores: int | None,
-    report: Progress,
-) -> Parts:
+def incised(scene: Scene, motion: Motion, *, report: Progress, **settings: object) -> Parts:
     """Return the parts of a scene in which a blade cuts a soft tissue."""
     from tissue.models.incision.fields import IncisionFields, Track
     from tissue.models.incision.model import IncisionModel
@@ -200,15 +184,7 @@ def pressed(
     return Parts(motion, model, placement=found.placement, notes=notes)
 
 
-def wall(
-    scene: Scene,
-    motion: Motion,
-    *,
-    step_s: float,
-    compute: str,
-    cores: int | None,
-    report: Progress,
-) -> Parts:
+def wall(scene: Scene, motion: Motion, **settings: object) -> Parts:
     """Return the parts of a scene in which a ball is pushed against the test wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
     radius_m = 0.5e-3 * scene.tool.size_mm

@@ -21,7 +21,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
 from tissue.motion.drilling_recording import RECORDINGS, SHAFT_TO_X
-from tissue.motion.motion import FollowPath, Motion
+from tissue.motion.motion import Events, FollowPath, Motion
 from tissue.motion.quaternion import Triple
 from tissue.motion.replay import read_replay
 from tissue.motion.thrust import PushAlongAxis
@@ -95,7 +95,7 @@ class Parts:
     placement: Placement | None = None
     notes: dict[str, str] = field(default_factory=dict)
     keep_clear: KeepClear | None = None
-    events: list[tuple[float, str]] = field(default_factory=list)
+    events: Events = field(default_factory=list)
 
     @property
     def fields(self) -> FieldSeries | None:
@@ -135,7 +135,7 @@ def recorded_file(scene: Scene) -> str:
     return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""
 
 
-def motion_of(scene: Scene, *, step_s: float) -> Motion:
+def motion_of(scene: Scene) -> Motion:
     """Return the motion of a scene; with a recorded device, return the recorded motion.
 
     With a recorded device, the tool starts at the first recorded pose, and the tissue is prepared
@@ -143,11 +143,11 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
     """
     if plays_record(scene):
         with names_of_caller({"motion.file": "hardware.address"}):
-            return read_replay(Path(scene.held.hardware.address), step_s=step_s)
+            return read_replay(Path(scene.held.hardware.address))
     motion = scene.motion
     make: Callable[[Any, float], Motion] | None = MOTIONS[motion.kind].make
     if make is not None:
-        return make(motion, step_s)
+        return make(motion, TICK_S)
     if isinstance(motion, PathMotion):
         return FollowPath(
             1e-3 * np.array(motion.points_mm), feed_m_s=1e-3 * motion.feed_mm_s, axis=motion.axis
@@ -161,7 +161,7 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
             max_feed_m_s=1e-3 * motion.max_feed_mm_s,
             depth_m=1e-3 * motion.depth_mm,
         )
-    return read_replay(Path(motion.file), step_s=step_s)
+    return read_replay(Path(motion.file))
 
 
 def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
@@ -229,16 +229,11 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
         if _fraction_at(volume, tip + shell @ turn.T).any():
             return
-    held = np.argwhere(volume.fraction)
-    low, high = (
-        volume.origin_m + volume.spacing_m * corner
-        for corner in (held.min(axis=0), held.max(axis=0) + 1)
-    )
     raise InputError(
         "motion",
         "bring the tool to the bone",
         "a tool that never touches it",
-        f"move it to the bone {box_text((low, high))}",
+        f"move it to the bone {box_text(volume.bone_bounds_m)}",
     )
 
 
@@ -355,7 +350,7 @@ def opened_device(scene: Scene) -> Device | None:
     """
     if not opens_device(scene):
         return None
-    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
+    x, y, z = motion_of(scene).sweep_m()[0].tolist()
     return new_device(scene.held.kind, scene.held.hardware, start_m=(x, y, z))
 
 

@@ -127,8 +127,8 @@ def perception(
     force_limit_N: float,
     tick_s: float,
     friction_N: float = inf,
-) -> Perception | None:
-    """Return a perceptual map from its name in `PERCEPTIONS`; None for ``none``.
+) -> Perception:
+    """Return a perceptual map from its name in `PERCEPTIONS`.
 
     Parameters
     ----------
@@ -150,8 +150,6 @@ def perception(
     InputError
         If the name is unknown or the file cannot be used.
     """
-    if choice == "none":
-        return None
     name, argument = PERCEPTIONS.split(choice, "none")
     limits = {"force_limit_N": force_limit_N, "tick_s": tick_s, "friction_N": friction_N}
     make = PERCEPTIONS[name]

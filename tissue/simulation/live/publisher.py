@@ -15,6 +15,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.voxels.volume import FULL
 from tissue.haptics.device.recorded import MouseDevice
+from tissue.motion.motion import Events
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts, opens_device
@@ -85,7 +86,7 @@ class Publisher(RunObserver):
         self.note = ""
         self._scene = scene
         self._process: Any = None
-        self._failed: list[tuple[float, str]] = []
+        self._failed: Events = []
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Start to publish."""
@@ -109,7 +110,7 @@ class Publisher(RunObserver):
             return not self.ends_run
         return True
 
-    def on_end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> Events:
         """End the process."""
         if self._process is not None:
             process = self._process

@@ -14,6 +14,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
+from tissue.motion.motion import Events
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.load import REPLACED_DEVICE
 from tissue.scene.scene import Scene
@@ -200,10 +201,10 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
         while True:
             mouse = None
             if by_mouse:
-                x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
+                x, y, z = motion_of(scene).sweep_m()[0].tolist()
                 mouse = MouseDevice((x, y, z))
             pointer = None if how.by_slicer else mouse
-            observer = LiveObserver(scene, pointer, WallClock(TICK_S), page)
+            observer = LiveObserver(scene, pointer, WallClock(), page)
             prioritised = Prioritised()
             publishers: dict[str, Publisher] = {}
             if how.slicer is not None:
@@ -270,7 +271,7 @@ class LiveObserver(RunObserver):
         self._stopped = False
         self._missed = 0
         self._skipped_s = 0.0
-        self._events: list[tuple[float, str]] = []
+        self._events: Events = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames = -1
         self._drawn_s = 0.0
@@ -371,7 +372,7 @@ class LiveObserver(RunObserver):
             what = f"the window drew nothing for {waited_s:.0f} s: the run ended"
         self._events.append((index * TICK_S, what))
 
-    def on_end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> Events:
         """Close the window, restore Ctrl-C and return the events; see `Motion.happened`."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)

@@ -16,7 +16,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.extras import install_command
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.motion.quaternion import UPRIGHT, Quaternion, Triple
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.parts import Parts
@@ -28,6 +28,7 @@ from tissue.simulation.live.shared import (
     SharedTissue,
     shared_tissue,
 )
+from tissue.simulation.trace import components
 from tissue.system.child import await_ready, child_command, process_module
 from tissue.system.offscreen import REMEDY, drawing_environments
 
@@ -45,7 +46,7 @@ __all__ = [
 
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 """Names of the clock values that a window receives."""
-LOAD = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
+LOAD = ("time_s", *components("model_force", "N"))
 """Columns of the trace that a window plots."""
 ROW_TICKS = 8
 """Ticks between two rows that a window receives: four rows for each of 30 pictures per second."""
@@ -101,14 +102,11 @@ def push(
     start_m: Array,
     scale: float,
     *,
-    turn: Quaternion | None = None,
+    turn: Quaternion = UPRIGHT,
 ) -> None:
     """Move a mouse so that the tool goes to a position [m]; the tool moves `scale` times as far."""
     x, y, z = (start_m + (np.array(pointed_m) - start_m) / scale).tolist()
-    if turn is None:
-        mouse.push((x, y, z))
-    else:
-        mouse.push((x, y, z), turn)
+    mouse.push((x, y, z), turn)
 
 
 class WindowProcess:

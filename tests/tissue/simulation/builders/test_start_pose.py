@@ -39,7 +39,7 @@ def poses(path, tip_mm, rotation, *, w_first=False):
 def built(changes):
     """The parts of a scene, and the volume that its bone loses where the tool is placed [mm3]."""
     scene = load_scene("milling", MILLING | changes)
-    parts = build(scene, step_s=1e-3, compute="cpu", cores=1, report=silent, allow_unstable=True)
+    parts = build(scene, compute="cpu", cores=1, report=silent, allow_unstable=True)
     tool = ToolMotion()
     parts.motion.begin(tool)
     parts.tissue.place(tool)

@@ -1,21 +1,37 @@
-"""Build the stress and the heat of a tooth around the voxels that a bur cuts."""
+"""Build the heat of bone, and the stress and heat of a tooth, around the voxels that are cut."""
+
+import numpy as np
 
 from meshes.base.progress import Progress
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue.models.bone.model import BoneModel
+from tissue.models.heat.bone import HeatedBone
 from tissue.models.heat.cutting_heat import CuttingHeat
 from tissue.models.tissue_model import TissueModel
 from tissue.models.tooth import stress_process
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarLabels, Tooth
-from tissue.scene.scene import Scene, Stress
+from tissue.scene.scene import Scene, Stress, Voxels
 from tissue.simulation.builders.parts import reach
-from tissue.simulation.builders.voxels import anatomy_of, labelled_tooth, names_of_anatomy
+from tissue.simulation.builders.voxels import (
+    anatomy_of,
+    labelled_tooth,
+    names_of_anatomy,
+    volume_of,
+)
 
-__all__ = ["tooth_around"]
+__all__ = ["heated_bone", "tooth_around"]
 
+CELLS = 16
+CELL_MM = 0.125, 0.5
+"""Number of temperature cells across the tool's diameter, and limits of the edge of a cell [mm].
+
+The cells are never smaller than the voxels. In cortical bone under a 4 mm drill, the largest
+temperature rise at 0.5 mm from the wall of the hole is 4.78, 3.42 and 3.33 K with 8, 16 and 32
+cells.
+"""
 HEAT_CELL = 0.25
 """Ratio of the edge of temperature cells to the edge of stress cells, within the reach of the bur.
 
@@ -75,3 +91,25 @@ def _whole_tooth(scene: Scene, *, spacing_m: float, report: Progress) -> VoxelVo
         if isinstance(parameters, MolarLabels):
             return labelled_tooth(parameters, spacing_m=spacing_m, notes={}, report=report)
         return voxelise(anatomy_of(parameters, {}), spacing_m=spacing_m)
+
+
+def heated_bone(
+    scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
+) -> HeatedBone:
+    """Return milled bone whose temperature is computed."""
+    report("building the grid of the temperature", 0.0)
+    cutter = milling.cutter
+    share = 2e3 * cutter.profile.radius_m / CELLS
+    spacing_mm = max(float(np.clip(share, *CELL_MM)), scene.voxels.spacing_mm)
+    voxels = Voxels(spacing_mm=spacing_mm, margin_mm=scene.voxels.margin_mm)
+    coarse = scene.model_copy(update={"voxels": voxels})
+    around = volume_of(coarse, cutter, motion, notes={}, report=report)
+    heat = CuttingHeat(
+        around,
+        milling,
+        reach_m=reach(cutter, motion, 0.0),
+        constants=scene.constants,
+        name="bone",
+        device=compute,
+    )
+    return HeatedBone(milling, heat)
