@@ -7,7 +7,6 @@ property of the tool that they use is the mass.
 """
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from tissue.evaluation.charts.settings import by_hand, force_only
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.load import changed
@@ -29,7 +29,6 @@ __all__ = [
     "OBLIQUE",
     "Course",
     "DevicePath",
-    "HasMass",
     "amplification",
     "force_error",
     "in_a_hand",
@@ -39,19 +38,6 @@ __all__ = [
 
 OBLIQUE = np.array([0.48, -0.36, 0.8])
 """Unit direction of a shift. It is not parallel to any axis of a scene."""
-
-
-@runtime_checkable
-class HasMass(Protocol):
-    """Tool with inertia.
-
-    Attributes
-    ----------
-    mass_kg
-        Mass [kg], read in every tick.
-    """
-
-    mass_kg: float
 
 
 @dataclass(frozen=True)
@@ -72,10 +58,6 @@ class DevicePath:
     def shifted(self, shift_m: Array) -> "DevicePath":
         """Return the path shifted by a constant [m], shape (3,)."""
         return DevicePath(self.positions_m + shift_m, self.quaternions)
-
-    def rounded(self, step_m: float) -> "DevicePath":
-        """Return the path rounded to encoder steps [m]."""
-        return DevicePath(step_m * np.round(self.positions_m / step_m), self.quaternions)
 
 
 @dataclass(frozen=True)
@@ -132,7 +114,7 @@ class _PoseObserver(RunObserver):
         device = motion.held.device
         self._device = device if isinstance(device, SimulatedDevice) else None
         tool = motion.tool
-        if isinstance(tool, HasMass):
+        if isinstance(tool, CuttingTool):
             # With a share of 1, the mass is unchanged to the last bit.
             tool.mass_kg *= self._mass_share
             self.mass_kg = tool.mass_kg

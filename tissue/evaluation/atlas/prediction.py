@@ -81,11 +81,11 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
     position = run.position_m @ TURN.T
     force = run.force_N @ TURN.T
     seen = [
-        Contact(stiffness_N_m, p + f / stiffness_N_m, f).row()
+        Contact(stiffness_N_m, p + f / stiffness_N_m, f)
         for p, f in zip(position, force, strict=True)
     ]
     velocity = np.gradient(position, TICK_S, axis=0)
-    return Recording(position, velocity, force, np.array(seen), "novice", seed)
+    return Recording(position, velocity, force, seen, "novice", seed)
 
 
 def recordings() -> list[Recording]:
@@ -186,7 +186,7 @@ class Horizon(Page):
         force = recording.force_N
         deep = int(np.argmax(np.linalg.norm(force, axis=1)))
         for tick in range(deep):
-            predictor.meet(Contact.of_row(recording.contact[tick]))
+            predictor.meet(recording.contact[tick])
             predictor.observe(position[tick], np.zeros(3), force[tick])
         before = predictor.is_primary
         predictor.observe(np.full(3, np.nan), np.zeros(3), force[deep])

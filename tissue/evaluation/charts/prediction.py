@@ -24,7 +24,7 @@ from tissue.evaluation.training import (
     trial,
 )
 from tissue.haptics.device.device import device_parameters
-from tissue.prediction.predictor import Contact, Predictor, SeesContact
+from tissue.prediction.predictor import Predictor, SeesContact
 from tissue.prediction.trained import Trained, is_trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
@@ -162,10 +162,9 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
     # like the loop, this shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
-    for position, velocity, force, row in zip(
+    for position, velocity, force, contact in zip(
         run.position_m, run.velocity_m_s, run.force_N, run.contact, strict=True
     ):
-        contact = Contact.of_row(row)
         start = perf_counter()
         if shown is not None:
             shown.meet(contact)

@@ -10,7 +10,6 @@ from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from tissue.cutters.profile import Arc, Line, Piece, Profile
@@ -190,21 +189,6 @@ class ToolPath:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "legs", self._found_legs())
-
-    @classmethod
-    def from_quaternions(
-        cls,
-        tips_m: Array,
-        quaternions: Array,
-        velocities: Array,
-        turnings: Array,
-        *,
-        reach_m: float,
-    ) -> "ToolPath":
-        """Path with orientations (x, y, z, w), shape (n, 4)."""
-        return cls(
-            tips_m, Rotation.from_quat(quaternions).as_matrix(), velocities, turnings, reach_m
-        )
 
     def in_tool(self, tick: int, points: Array) -> Array:
         """Convert points of the world [m], shape (n, 3), to the tool's frame at a tick."""

@@ -276,7 +276,7 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     if key.task == "needle":
         run = pierce(
             scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S
-        ).run
+        )
     else:
         run = simulate(scene, cores=1)
     if key.variant == REFERENCE:
