@@ -164,7 +164,7 @@ def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
         colour, line = LINES[name]
         shown = np.where((values > low) & (values < high), values, np.nan)
         panel.plot(across, shown, color=colour, linestyle=line, label=name)
-    x = scale * float(getattr(found.chosen, data.along))
+    x = scale * getattr(found.chosen, data.along)
     panel.plot(
         [x],
         [found.chosen.stiffness_N_m],

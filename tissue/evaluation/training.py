@@ -1,6 +1,6 @@
 """Training of a scene's predictors: fit to recorded runs, forecast errors, and validation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -204,7 +204,7 @@ class Recorder:
             contact,
             scene.held.hand,
             scene.seed,
-            float(np.median(took)),
+            np.median(took),
             rows[:, 6:],
         )
 
@@ -329,16 +329,23 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
 
     These are the predictors without an operator.
     """
-    makers = {
-        kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
-        for kind in FALLBACKS
-    }
-    runs = touching(runs)
-    errors = {
-        kind: forecast_errors(make, runs, horizons=(VALIDATED_AT,)).mean()
-        for kind, make in makers.items()
-    }
-    return replace(trained, fallback=min(errors, key=lambda kind: float(errors[kind])))
+    errors = _mean_errors(FALLBACKS, trained, touching(runs), force_limit_N, (VALIDATED_AT,))
+    return replace(trained, fallback=min(errors, key=lambda kind: errors[kind][0]))
+
+
+def _mean_errors(
+    kinds: Iterable[str],
+    trained: Trained,
+    runs: list[Recording],
+    force_limit_N: float,
+    horizons: Sequence[float] = HORIZONS,
+) -> dict[str, list[float]]:
+    """Return the mean error over runs of each kind of predictor at each horizon."""
+    errors = {}
+    for kind in kinds:
+        make = partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
+        errors[kind] = forecast_errors(make, runs, horizons=horizons).mean(axis=0).tolist()
+    return errors
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
@@ -357,17 +364,10 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
             "none",
             "use more trials, or a longer duration_s",
         )
-    makers = {
-        kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
-        for kind in PREDICTORS
-    }
-    errors = {
-        kind: forecast_errors(make, held_out).mean(axis=0).tolist() for kind, make in makers.items()
-    }
     validation = {
         "held_out": [run.seed for run in held_out],
         "horizons_ms": list(HORIZONS),
-        "errors": errors,
+        "errors": _mean_errors(PREDICTORS, trained, held_out, force_limit_N),
     }
     return replace(trained, facts=trained.facts | {"validation": validation})
 

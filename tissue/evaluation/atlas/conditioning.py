@@ -7,6 +7,7 @@ property of the tool that they use is the mass.
 """
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from tissue.evaluation.charts.settings import by_hand, force_only
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.load import changed
@@ -38,6 +38,19 @@ __all__ = [
 
 OBLIQUE = np.array([0.48, -0.36, 0.8])
 """Unit direction of a shift. It is not parallel to any axis of a scene."""
+
+
+@runtime_checkable
+class HasMass(Protocol):
+    """Tool with inertia.
+
+    Attributes
+    ----------
+    mass_kg
+        Mass [kg], read in every tick.
+    """
+
+    mass_kg: float
 
 
 @dataclass(frozen=True)
@@ -114,7 +127,7 @@ class _PoseObserver(RunObserver):
         device = motion.held.device
         self._device = device if isinstance(device, SimulatedDevice) else None
         tool = motion.tool
-        if isinstance(tool, CuttingTool):
+        if isinstance(tool, HasMass):
             # With a share of 1, the mass is unchanged to the last bit.
             tool.mass_kg *= self._mass_share
             self.mass_kg = tool.mass_kg
@@ -168,7 +181,7 @@ def amplification(course: Course, reference: Course, shift_m: float) -> tuple[fl
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
     later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
-    return float(away_m[later] / shift_m), float(away_m.max() / shift_m)
+    return away_m[later] / shift_m, away_m.max() / shift_m
 
 
 def force_error(course: Course, reference: Course) -> float:

@@ -265,12 +265,9 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
-    scatter = per_newton * float(np.hypot(first.scatter_N, second.scatter_N))
-    return np.asarray(
-        # the noise of two intervals has variance 2, so that a scatter s of the difference adds s**2
-        # / 2 to 1
-        per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2)
-    )
+    scatter = per_newton * np.hypot(first.scatter_N, second.scatter_N)
+    # The noise of two intervals has variance 2: a scatter s of the difference adds s**2 / 2 to 1.
+    return per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2)
 
 
 def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
@@ -278,11 +275,9 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
     The forces are forces at the skin, and the noise is normal.
     """
-    return np.asarray(
-        people.lapse
-        # in two intervals P = Phi(d' / sqrt(2))
-        + (1.0 - 2.0 * people.lapse) * ndtr(sensitivity(people, first, second) / 2.0**0.5)
-    )
+    # in two intervals P = Phi(d' / sqrt(2))
+    right = ndtr(sensitivity(people, first, second) / 2.0**0.5)
+    return people.lapse + (1.0 - 2.0 * people.lapse) * right
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:

@@ -47,7 +47,7 @@ Its perceived intensity grows less with the force than that of the reference obs
 """
 
 
-def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = False) -> list[Path]:
+def perception_charts(out: Path, observer: Path | None, *, overwrite: bool) -> list[Path]:
     """Draw all pictures of an observer's file, or of an example, into a folder.
 
     Raises
@@ -116,7 +116,7 @@ def _command(someone: Observer, path: Path) -> None:
         played = np.array([device.play(np.array([force, 0.0, 0.0]))[0][0] for force in commands])
         left.plot(forces, played, color=colour, label=f"{who.name}, gain {law.gain:.2f}")
         felt = intensity_of(who)
-        shown = felt.expected(played) / float(felt.expected(law.command_N(1.0)))
+        shown = felt.expected(played) / felt.expected(law.command_N(1.0))
         plain = felt.expected(forces) / felt.expected(1.0)
         right.plot(forces, shown, color=colour, label=f"{who.name}, commanded")
         right.plot(forces, plain, "-.", color=colour, label=f"{who.name}, physical force")

@@ -12,7 +12,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.evaluation.statistics.intervals import Interval, mean_interval, signed_interval
 from tissue.evaluation.training import (
     HORIZONS,
@@ -127,7 +127,7 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
         unseen.append(
             recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share))
         )
-    model_us = 1e6 * float(np.median([run.model_s for run in unseen]))
+    model_us = 1e6 * np.median([run.model_s for run in unseen])
     errors = {}
     cost_us = {}
     slow = {"1 kHz": (Interval(0.0, 0.0, 0.0), model_us)}
@@ -171,7 +171,7 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
         predictor.observe(position, velocity, force)
         predictor.predict(DELAY_MS)
         times.append(perf_counter() - start)
-    return 1e6 * float(np.median(times)), 1e6 * float(np.quantile(times, 0.99))
+    return 1e6 * np.median(times), 1e6 * np.quantile(times, 0.99)
 
 
 def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
@@ -282,8 +282,7 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
         ]
     for name, head in HEADS.items():
         lines = [head, *(",".join(map(str, row)) for row in rows[name])]
-        with whole_file(folder / name) as temporary:
-            temporary.write_text("\n".join(lines) + "\n", "utf-8")
+        write_text(folder / name, "\n".join(lines) + "\n")
 
 
 LIMIT_US = 20.0

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.evaluation.charts.measure import of_model, reference_words
 from tissue.evaluation.charts.settings import (
@@ -68,8 +68,7 @@ def chart_scenes(
             draw_frontiers(drawn[-1], out / f"{scene.name}.png")
             write_measured(out / f"{scene.name}.csv", rows)
         draw_overview(drawn, out / "frontier.png")
-        with whole_file(out / "machine.txt") as temporary:
-            temporary.write_text(machine() + "\n", "utf-8")
+        write_text(out / "machine.txt", machine() + "\n")
     return found
 
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
-from meshes.base.cache import cached_arrays
+from meshes.base.cache import Arrays, cached_arrays
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
@@ -157,7 +156,7 @@ def force_on_path(
     """
     fine = resolution or Resolution()
 
-    def make() -> dict[str, NDArray[np.generic]]:
+    def make() -> Arrays:
         """Return the wrench [N], [N m] at every tick, and its relative error at some ticks."""
         wrench = _over_ticks(
             lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path
@@ -172,7 +171,7 @@ def force_on_path(
             wrench_at(int(tick), path, cutter, solid, resolution=fine.finer())[:3]
             for tick in checked
         ]
-        off = float(np.linalg.norm(np.array(again) - wrench[checked, :3])) if len(checked) else 0.0
+        off = np.linalg.norm(np.array(again) - wrench[checked, :3]) if len(checked) else 0.0
         # without contact both are zero
         error = off / max(float(np.linalg.norm(wrench[checked, :3])), 1e-300)
         return {"wrench": wrench, "uncertainty": np.array(error)}
@@ -188,9 +187,7 @@ def force_on_path(
         COARSEST_TICKS,
     )
     found = cached_arrays("reference-force", key, make) if kept_by else make()
-    return ReferenceForce(
-        np.asarray(found["wrench"], dtype=np.float64), float(found["uncertainty"].item())
-    )
+    return ReferenceForce(found["wrench"], found["uncertainty"].item())
 
 
 def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
@@ -208,7 +205,7 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
             wrench[tick] = evaluate(tick)
         waiting += pairwise(knots)
     sizes = np.linalg.norm(wrench[:, :3], axis=1)
-    allowed = INTERPOLATION * float(sizes[sizes > 0.0].mean()) if sizes.any() else 0.0
+    allowed = INTERPOLATION * sizes[sizes > 0.0].mean() if sizes.any() else 0.0
     while waiting:
         first, last = waiting.pop()
         middle = (first + last) // 2

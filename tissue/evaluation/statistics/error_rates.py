@@ -231,7 +231,7 @@ def _pillai_applies(values: Array, groups: Ints, question: str) -> bool:
     scores = _joined(scores_of(values, (values.shape[-1],), chosen))
     users, width = scores.shape
     residuals = scores - group_means(scores, groups)[groups]
-    return bool(np.linalg.matrix_rank(residuals) == width < users - int(groups.max()) - 1)
+    return np.linalg.matrix_rank(residuals) == width < users - groups.max() - 1
 
 
 @lru_cache(maxsize=64)
@@ -240,7 +240,7 @@ def _critical_range(levels: int, degrees: int) -> float:
 
     The computation takes 0.3 s.
     """
-    return float(studentized_range.ppf(LEVEL, levels, degrees))
+    return studentized_range.ppf(LEVEL, levels, degrees)
 
 
 def _joined(scores: Array) -> Array:

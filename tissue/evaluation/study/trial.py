@@ -241,12 +241,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     """
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
-    alpha, beta, kappa, offset_N, lapse, sigma = (
-        float(getattr(drawn, each)[0]) for each in PARAMETERS
-    )
-    truth = Observer.known(
-        name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma
-    )
+    medians = {each: getattr(drawn, each)[0] for each in PARAMETERS}
+    truth = Observer.known(name, **medians)
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
     mean = truth.mean.copy()
