@@ -14,7 +14,6 @@ from tissue.system.owned_folder import OwnedFolder, require_folder
 __all__ = [
     "assessed_section",
     "assessment_lines",
-    "draw_assessment",
     "require_assessment_folder",
     "write_assessment",
 ]

@@ -43,9 +43,7 @@ from tissue.simulation.loop import Stepper
 from tissue.simulation.simulate import TICK_S, build
 
 __all__ = [
-    "DELAYS_MS",
     "HORIZONS",
-    "LEAST_TRIALS",
     "MOST_TRIALS",
     "TRIALS",
     "Recorder",

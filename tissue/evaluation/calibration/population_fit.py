@@ -1,9 +1,10 @@
 """Fit of a population to the logs of many sessions."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from rich.panel import Panel
 
 from meshes.base.errors import InputError, counted
 from meshes.base.whole_file import require_new_file, write_text
@@ -21,11 +22,7 @@ from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer, write_observer
 from tissue.show.figures.figure import figure, save
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from rich.panel import Panel
-
-__all__ = ["draw_session", "fit_population", "new_person", "pooled_trials", "posterior_panel"]
+__all__ = ["draw_session", "fit_population", "new_person", "posterior_panel"]
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
@@ -168,10 +165,8 @@ ORANGE = "#E69F00"
 GREY = "0.6"
 
 
-def posterior_panel(session: Session) -> "Panel":
+def posterior_panel(session: Session) -> Panel:
     """Return the posterior of the Weber fraction as bars of text, with the estimates below."""
-    from rich.panel import Panel
-
     masses = session.threshold.weber_masses()[:, 0]
     # a character is an eighth of its height to its whole height tall
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
@@ -208,7 +203,7 @@ def draw_session(session: Session, path: Path) -> None:
     save(chart, path)
 
 
-def _posterior(session: Session, axes: "Axes") -> None:
+def _posterior(session: Session, axes: Axes) -> None:
     prior = session.plan.prior
     masses = prior.parameters()[3].reshape(prior.cells, -1).sum(axis=1)
     edges = 100.0 * prior.weber_edges
@@ -236,7 +231,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
     axes.legend()
 
 
-def _answers(session: Session, axes: "Axes") -> None:
+def _answers(session: Session, axes: Axes) -> None:
     """Draw the shares of right answers against the step in thresholds, in bins of equal count."""
     weber, offset, lapse = (
         float(get()[0])
@@ -279,7 +274,7 @@ def _answers(session: Session, axes: "Axes") -> None:
     )
 
 
-def _numbers(session: Session, axes: "Axes") -> None:
+def _numbers(session: Session, axes: Axes) -> None:
     if not session.given:
         axes.text(0.5, 0.5, "no numbers were asked", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -298,7 +293,7 @@ def _numbers(session: Session, axes: "Axes") -> None:
     axes.grid(alpha=0.3, which="both")
 
 
-def _ticks(axes: "Axes", ticks: list[float]) -> None:
+def _ticks(axes: Axes, ticks: list[float]) -> None:
     """Set the ticks of a logarithmic axis."""
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)

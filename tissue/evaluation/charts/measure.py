@@ -49,7 +49,6 @@ __all__ = [
     "excerpt",
     "float32_error",
     "force_and_reference_N",
-    "grid_force_N",
     "measure",
     "of_model",
     "reference_gap",

@@ -3,9 +3,10 @@ force.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
@@ -24,10 +25,6 @@ from tissue.show.figures.figure import figure, save
 from tissue.simulation.builders.prediction import CAUTION, perception_for
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import OwnedFolder
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["perception_charts"]
 
@@ -168,7 +165,7 @@ def _deadband(someone: Observer, path: Path) -> None:
     _finish(chart, path)
 
 
-def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
+def _panels(rows: int, columns: int) -> tuple[Figure, tuple[Axes, Axes]]:
     """Return a figure with two panels."""
     # inches; two panels side by side, or one below the other
     chart = figure(10.0, 4.6)
@@ -177,7 +174,7 @@ def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
     return chart, (first, second)
 
 
-def _finish(chart: "Figure", path: Path) -> None:
+def _finish(chart: Figure, path: Path) -> None:
     """Add grids and legends, and write the file."""
     for axes in chart.axes:
         axes.grid(alpha=0.3)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -32,11 +32,7 @@ from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.simulation.builders.prediction import trained_predictor
 from tissue.system.owned_folder import OwnedFolder
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 __all__ = [
-    "OURS",
     "PredictorComparison",
     "chart_prediction",
     "comparison_lines",
@@ -334,7 +330,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     save(chart, path)
 
 
-def _whiskers(axes: "Axes", x: float, at: Interval, *, color: str, fmt: str) -> None:
+def _whiskers(axes: Axes, x: float, at: Interval, *, color: str, fmt: str) -> None:
     """Draw a mean with its interval, in per cent."""
     mean, low, high = 100 * np.array(at)
     axes.errorbar(x, mean, [[mean - low], [high - mean]], fmt=fmt, color=color)

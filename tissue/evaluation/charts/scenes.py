@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
 
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import write_text
@@ -21,10 +22,7 @@ from tissue.scene.tool import Tool
 from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.system.owned_folder import OwnedFolder
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-__all__ = ["chart_lines", "chart_scenes", "charted", "draw_frontiers", "notes_before"]
+__all__ = ["chart_lines", "chart_scenes", "charted", "notes_before"]
 
 
 def chart_scenes(
@@ -193,7 +191,7 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
     save(chart, path)
 
 
-def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
+def _draw_best(axes: Axes, found: Frontier, colour: str, label: str) -> None:
     """Draw the Pareto-optimal settings of a frontier with their names."""
     ticks = [point.median_us for point in found.best]
     errors = [_percent(point.force_error) for point in found.best]
@@ -204,7 +202,7 @@ def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
         axes.annotate(point.setting, place, (4, 4), textcoords="offset points", color=colour)
 
 
-def _draw_frontier(axes: "Axes", found: Frontier) -> None:
+def _draw_frontier(axes: Axes, found: Frontier) -> None:
     """Draw all settings of a scene."""
     for point in found.points:
         colour, mark, label = FAMILIES[point.family]
@@ -246,7 +244,7 @@ def _percent(error: float) -> float:
     return max(100.0 * error, LEAST)
 
 
-def _log_axes(axes: "Axes", **settings: str) -> None:
+def _log_axes(axes: Axes, **settings: str) -> None:
     """Use logarithmic axes with plain numbers."""
     axes.set(xscale="log", yscale="log", **settings)
     for axis in (axes.xaxis, axes.yaxis):

@@ -31,7 +31,6 @@ __all__ = [
     "grid_index",
     "has_exact_geometry",
     "means_over_50_ms",
-    "observed_order",
     "path_of_trace",
     "reference_force",
     "solid_of_scene",

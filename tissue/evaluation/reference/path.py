@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["ConvexPart", "ToolPath", "convex_parts"]
+__all__ = ["ToolPath", "convex_parts"]
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12

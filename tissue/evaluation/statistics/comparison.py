@@ -41,9 +41,7 @@ __all__ = [
     "compare",
     "corrected",
     "manova",
-    "stratum_test",
     "tukey_groups",
-    "tukey_levels",
 ]
 
 ROUNDING = 1e-12

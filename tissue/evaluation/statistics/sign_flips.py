@@ -15,7 +15,6 @@ from tissue.evaluation.statistics.strata import effect_scores, group_means
 
 __all__ = [
     "SignTest",
-    "flipped_p",
     "largest_squared_t",
     "pair_differences",
     "pair_scores",

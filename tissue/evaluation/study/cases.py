@@ -33,7 +33,7 @@ from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.scene.registry import GROUPS
 
-__all__ = ["case_sections", "median_interval", "needle_section", "travel_by_people"]
+__all__ = ["case_sections", "median_interval", "travel_by_people"]
 
 TEETH = ("carious", "sound")
 """Specimens of the drilling task.

@@ -36,7 +36,7 @@ from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial,
 from tissue.system.owned_folder import LOCK, MARKER, OwnedFolder, require_listed
 from tissue.system.workers import LOST, executor, first_done
 
-__all__ = ["Stamp", "StudyFolder", "run_study"]
+__all__ = ["StudyFolder", "run_study"]
 
 
 FORMAT = 2

@@ -45,7 +45,6 @@ __all__ = [
     "WITHIN_SPREAD",
     "Row",
     "Trial",
-    "TrialScene",
     "error_sentence",
     "failures_of",
     "methods_of_trial",
