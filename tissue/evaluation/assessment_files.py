@@ -9,12 +9,11 @@ from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import AssessedRun, Assessment, assess
 from tissue.evaluation.steadiness import Steadiness
 from tissue.show.figures.figure import figure, save
-from tissue.system.owned_folder import OwnedFolder, require_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = [
     "assessed_section",
     "assessment_lines",
-    "require_assessment_folder",
     "write_assessment",
 ]
 
@@ -78,11 +77,6 @@ def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list
         picture = Path(folder) / FILES[1]
         draw_assessment(found, picture)
         return assessment_lines(found), picture.read_bytes()
-
-
-def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take an assessment."""
-    require_folder(folder, "assessment", FILES, overwrite=overwrite)
 
 
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:

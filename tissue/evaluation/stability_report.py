@@ -14,7 +14,7 @@ from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.builders.loop import judged_loop, loop_settings
-from tissue.system.owned_folder import OwnedFolder, require_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
@@ -72,17 +72,6 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
             for index in range(0, len(data.values), 6)
         ),
     ]
-
-
-def require_map_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take the map of a scene's stability.
-
-    Raises
-    ------
-    InputError
-        If the folder is a file, or holds another map.
-    """
-    require_folder(folder, "map", FILES, overwrite=overwrite)
 
 
 def write_stability_files(

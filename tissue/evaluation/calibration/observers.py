@@ -14,6 +14,7 @@ over a population may rise or fall.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -140,7 +141,8 @@ def draw_observers(group: str, count: int, rng: np.random.Generator) -> Simulate
     The parameters are from ``observers.toml`` and ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
-    return SimulatedObservers(**people.draws(count, rng))
+    drawn: dict[str, Any] = people.draws(count, rng)
+    return SimulatedObservers(**drawn)
 
 
 @dataclass(frozen=True)
