@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from meshes.base.whole_file import package_version, whole_file
 
-__all__ = ["Kept", "cache_folder", "cached_arrays", "read_entry", "write_entry"]
+__all__ = ["Arrays", "Kept", "cache_folder", "cached_arrays", "read_entry", "write_entry"]
 
 _SEAL = "tissue cache entry"
 _DIGEST_BYTES = 16
 """Size of a checksum. With 128 bits, the chance that two of 1e9 entries agree is 2e-21."""
-Arrays = dict[str, NDArray[np.generic]]
+Arrays = dict[str, NDArray[Any]]
 
 
 def cache_folder() -> Path:

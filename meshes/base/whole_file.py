@@ -23,6 +23,7 @@ __all__ = [
     "require_version",
     "whole_file",
     "write_columns",
+    "write_text",
 ]
 
 
@@ -214,5 +215,10 @@ def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
 
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file in UTF-8 in one step."""
     with whole_file(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", "utf-8")
+        temporary.write_text(text, "utf-8")

@@ -92,7 +92,9 @@ def staircase() -> None:
     for _ in range(trials):
         asked = found.propose()
         found.answer(asked, people.correct(2.0, found.step_N[asked], rng))
-        errors["adaptive"].append(np.abs(np.log(found.threshold_N(2.0)[0] / truth)))
+        errors["adaptive"].append(
+            np.abs(np.log(found.weber()[0] * (2.0 + found.offset_N()) / truth))
+        )
         for name, each in stairs.items():
             each.answer(people.correct(2.0, each.level, rng))
             result = each.threshold() * D_PRIME_75 / (2.0**0.5 * ndtri(each.target))

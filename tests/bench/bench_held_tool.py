@@ -13,6 +13,7 @@ scenes.
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from harness import machine, table
@@ -52,7 +53,9 @@ def shift(size_m: float, direction: np.ndarray) -> tuple[float, Change]:
 
 def steps(size_m: float) -> tuple[float, Change]:
     """Return the size of encoder steps [m] and the rounding of a path."""
-    return size_m, lambda path: path.rounded(size_m)
+    return size_m, lambda path: replace(
+        path, positions_m=size_m * np.round(path.positions_m / size_m)
+    )
 
 
 CHANGES: dict[str, tuple[float, Change]] = {

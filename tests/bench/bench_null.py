@@ -30,7 +30,6 @@ from tissue.evaluation.statistics.error_rates import (
     POPULATIONS,
     QUESTIONS,
     Power,
-    joint_rates,
     redrawn_power,
     rejection_rates,
 )
@@ -135,7 +134,9 @@ def deciding(rng: np.random.Generator, count: int) -> list[tuple[str, ...]]:
     for name, world in WORLDS.items():
         null = world(rng, count)
         for question, effect in effects(null).items():
-            found = rejection_rates(null, null + effect, GROUPS, rng=rng, questions=[question])
+            found = rejection_rates(
+                null[:, None], (null + effect)[:, None], GROUPS, rng=rng, questions=[question]
+            )
             rows += [row_of(name, each) for each in found]
         # metrics share half of their variance
         shared = world(rng, count)
@@ -144,7 +145,7 @@ def deciding(rng: np.random.Generator, count: int) -> list[tuple[str, ...]]:
         for question in ("method", "group"):
             planted = metrics.copy()
             planted[:, 0] += shifts[question]
-            found = joint_rates(metrics, planted, GROUPS, rng=rng, questions=[question])
+            found = rejection_rates(metrics, planted, GROUPS, rng=rng, questions=[question])
             rows += [row_of(name, each) for each in found]
     return rows
 
@@ -160,7 +161,10 @@ def redrawn(rng: np.random.Generator, count: int) -> list[tuple[str, ...]]:
         null = residuals[drawn_users(cells.groups, POPULATIONS, rng)]
         for kind, rates in (
             ("redrawn with noise", redrawn_power([cells], rng=rng)),
-            ("redrawn without noise", rejection_rates(null, null, GROUPS, rng=rng)),
+            (
+                "redrawn without noise",
+                rejection_rates(null[:, None], null[:, None], GROUPS, rng=rng),
+            ),
         ):
             for each in rates:
                 label = (kind, each.question, each.test)

@@ -18,6 +18,7 @@ operators of all other scenes.
 
 import argparse
 import os
+import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,13 +84,8 @@ class Kept:
 
     @classmethod
     def read(cls, path: Path) -> "Kept":
-        """The run of a file, whose name ends with its seed."""
-        with np.load(path) as kept:
-            seed = int(path.stem.rsplit("-", 1)[1])
-            run = Recording(
-                kept["position"], kept["velocity"], kept["force"], kept["contact"], "", seed
-            )
-            return cls(run, kept["ideal"])
+        """Return the run of a file."""
+        return cls(*pickle.loads(path.read_bytes()))
 
 
 def scores(
@@ -101,7 +97,7 @@ def scores(
     """
     kept, trained = Kept.read(path), Trained.read(shipped_file(variant.name), scene=variant.name)
     one = trial(variant, kept.run.seed, delay_ms=RECORDED_MS, share=share)
-    same = sorted(path.parent.glob(f"{variant.name}-same-*.npz"))
+    same = sorted(path.parent.glob(f"{variant.name}-same-*.pickle"))
     others = [Kept.read(each).run for each in same[: RIDGE_RUNS + 1]]
     others = [run for run in others if run.seed != kept.run.seed]
     weights = ridge_weights(others[:RIDGE_RUNS])
@@ -174,7 +170,7 @@ def record(scene: Scene, share: float, move: str, seeds: range, folder: Path) ->
     """Record what is not in the folder yet."""
     recorder = Recorder(cores=1)
     for index in seeds:
-        path = folder / f"{scene.name}-{move.replace(' ', '_')}-{index}.npz"
+        path = folder / f"{scene.name}-{move.replace(' ', '_')}-{index}.pickle"
         if path.exists():
             continue
         one = trial(scene, index, delay_ms=RECORDED_MS, share=share)
@@ -184,14 +180,7 @@ def record(scene: Scene, share: float, move: str, seeds: range, folder: Path) ->
         except InputError as refusal:
             print(f"{scene.name}, {move}, seed {index}: {refusal}", flush=True)
             return
-        np.savez_compressed(
-            path,
-            position=run.position_m,
-            velocity=run.velocity_m_s,
-            force=run.force_N,
-            contact=run.contact,
-            ideal=ideal,
-        )
+        path.write_bytes(pickle.dumps((run, ideal)))
 
 
 def scored(
@@ -204,7 +193,7 @@ def scored(
     tasks = {
         move: [
             pool.submit(scores, path, variant, share, latencies_ms)
-            for path in sorted(folder.glob(f"{variant.name}-{move.replace(' ', '_')}-*.npz"))
+            for path in sorted(folder.glob(f"{variant.name}-{move.replace(' ', '_')}-*.pickle"))
         ]
         for move, (variant, share) in variants.items()
     }

@@ -10,7 +10,7 @@ from tissue.evaluation.training import Recorder, forecast, forecast_errors, tria
 from tissue.prediction.delays import DelayPath
 from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman
-from tissue.prediction.predictor import Contact, Linear
+from tissue.prediction.predictor import Linear
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.simulation.builders.prediction import trained_predictor
 
@@ -59,8 +59,8 @@ def test_in_a_force_it_was_not_trained_on_it_is_as_good_as_at_home(wall, unseen,
 
     The same motion has half to eight times the force and stiffness.
     """
-    contact = [stiffer(Contact.of_row(row), factor).row() for row in unseen.contact]
-    other = replace(unseen, force_N=factor * unseen.force_N, contact=np.array(contact))
+    contact = [stiffer(each, factor) for each in unseen.contact]
+    other = replace(unseen, force_N=factor * unseen.force_N, contact=contact)
     make = lambda: trained_predictor(kind, wall, force_limit_N=LIMIT_N * factor).inner  # noqa: E731
     home, away = (forecast_errors(make, [run], horizons=(4,))[0, 0] for run in (unseen, other))
     assert away == pytest.approx(home, rel=1e-9)

@@ -1,12 +1,11 @@
 """Perception against closed forms.
 
-They are Weber, Stevens' predictive, the inverse map and the recursive filter.
+They are Weber, Stevens' predictive and the inverse map.
 """
 
 import numpy as np
 import pytest
 
-from tissue.perception.estimate import LocalLevel
 from tissue.perception.laws import (
     ForceMap,
     Intensity,
@@ -187,38 +186,6 @@ def test_a_table_is_exact_for_a_power_law():
         assert table.at(force) == pytest.approx(3.0 * force**0.6, rel=1e-14)
     assert table.at(0.05) == pytest.approx(0.5 * table.at(0.1)) and table.at(0.0) == 0.0
     assert table.at(20.0) == pytest.approx(2.0 * table.at(10.0))
-
-
-def test_e8_the_steady_state_is_0_618_and_not_the_printed_0_5():
-    law, variance = LocalLevel(wander=1.0, noise=1.0), 1.0
-    for _ in range(60):
-        _, variance = law.step(0.0, variance, 0.0)
-    print(f"recursive variance at q = r = 1: {variance:.6f}")
-    assert variance == pytest.approx((np.sqrt(5.0) - 1.0) / 2.0, abs=1e-15)
-    assert law.steady_variance == pytest.approx(variance, abs=1e-15)
-    assert 1.0 * 1.0 / (1.0 + 1.0) == 0.5  # printed
-
-
-@pytest.mark.slow  # statsmodels takes seconds to import
-@pytest.mark.parametrize(("wander", "noise"), [(1.0, 1.0), (0.01, 1.0), (2.0, 0.1)])
-def test_e8_is_the_local_level_filter_of_statsmodels(wander, noise):
-    structural = pytest.importorskip(
-        "statsmodels.tsa.statespace.structural", reason="statsmodels is not installed (test extra)"
-    )
-    rng = np.random.default_rng(8)
-    seen = np.cumsum(np.sqrt(wander) * rng.standard_normal(200)) + np.sqrt(
-        noise
-    ) * rng.standard_normal(200)
-    model = structural.UnobservedComponents(seen, "llevel")
-    model.ssm.tolerance = 0.0  # theirs freezes the gain once it hardly changes
-    # theirs is before the first look
-    model.ssm.initialize_known(np.array([0.5]), np.array([[3.0 + wander]]))
-    theirs = model.filter([noise, wander])
-    law, level, variance = LocalLevel(wander=wander, noise=noise), 0.5, 3.0
-    for tick, look in enumerate(seen):
-        level, variance = law.step(level, variance, look)
-        assert level == pytest.approx(theirs.filtered_state[0, tick], abs=1e-12 * (1 + abs(level)))
-        assert variance == pytest.approx(theirs.filtered_state_cov[0, 0, tick], rel=1e-12)
 
 
 def test_a_sense_scatters_by_its_threshold_():

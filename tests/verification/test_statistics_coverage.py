@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.evaluation.statistics.error_rates import QUESTIONS, joint_rates, rejection_rates
+from tissue.evaluation.statistics.error_rates import QUESTIONS, rejection_rates
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, partial_eta_squared
 from tissue.evaluation.statistics.mixed import Components, regression
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test, sign_test_p
@@ -36,7 +36,8 @@ def simulated_power(components, means, *, users_per_group, trials, rng, populati
         populations=populations,
         rng=rng,
     )
-    return rejection_rates(values - np.asarray(means)[groups], values, groups, rng=rng)
+    null = values - np.asarray(means)[groups]
+    return rejection_rates(null[:, None], values[:, None], groups, rng=rng)
 
 
 COVERAGE = pytest.approx(0.95, abs=0.03)
@@ -278,7 +279,8 @@ def test_sign_flips_find_what_f_misses():
     # the difference of methods 2 and 4 has a standard deviation of 0.42
     planted[:, :, 2] += 0.42
     found = {
-        (each.question, each.test): each for each in rejection_rates(null, planted, TEN, rng=rng)
+        (each.question, each.test): each
+        for each in rejection_rates(null[:, None], planted[:, None], TEN, rng=rng)
     }
     assert found["method", "sign flips"].hits.value > 0.95
     assert found["method", "F of strata"].hits.value < 0.4
@@ -290,7 +292,9 @@ def test_joint_tests_alarm_at_the_stated_level():
     mix = rng.normal(size=(2, 2))
     null = np.einsum("pmuk,nm->pnuk", rng.standard_normal((2000, 2, 30, 3)), mix)
     planted = null + 2.0 * (TEN == 1)[:, None]
-    found = {(each.question, each.test): each for each in joint_rates(null, planted, TEN, rng=rng)}
+    found = {
+        (each.question, each.test): each for each in rejection_rates(null, planted, TEN, rng=rng)
+    }
     assert {question for question, _ in found} == {"method, 2 metrics", "group, 2 metrics"}
     for each in found.values():
         # three standard errors of 2,000

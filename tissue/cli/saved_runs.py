@@ -48,10 +48,10 @@ def assess(
     overwrite
         Replace the assessment or ranking that the folder already holds.
     """
-    from tissue.evaluation import ranking
-    from tissue.evaluation.assessment_files import require_assessment_folder
+    from tissue.evaluation import assessment_files, ranking
     from tissue.objects.assess import Assessment, Ranking, rank
     from tissue.objects.assess import assess as assessed
+    from tissue.system.owned_folder import require_folder
 
     limits = {
         "force_limit_N": force_limit_n,
@@ -64,9 +64,9 @@ def assess(
     if out is None:
         left_out("without --out, because no file is written", "remove it", overwrite=overwrite)
     elif several:
-        ranking.require_ranking_folder(out, overwrite=overwrite)
+        require_folder(out, "ranking", ranking.FILES, overwrite=overwrite)
     else:
-        require_assessment_folder(out, overwrite=overwrite)
+        require_folder(out, "assessment", assessment_files.FILES, overwrite=overwrite)
     found: Assessment | Ranking
     if several:
         found = rank(folder, against)

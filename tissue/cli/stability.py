@@ -60,15 +60,16 @@ def stability(
             overwrite=overwrite,
         )
     from tissue.evaluation.stability_report import (
-        require_map_folder,
+        FILES,
         scene_stability,
         stability_lines,
         write_stability_files,
     )
     from tissue.scene.load import load_scene, parse_overrides
+    from tissue.system.owned_folder import require_folder
 
     if out is not None:
-        require_map_folder(out, overwrite=overwrite)
+        require_folder(out, "map", FILES, overwrite=overwrite)
     loaded = load_scene(scene, parse_overrides(set_))
     with problems.status("running the loop at many stiffnesses"):
         found = scene_stability(loaded)

@@ -426,7 +426,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self._require_episode("render")
         # 640 x 360 pixels
         figure = Figure(figsize=(6.4, 3.6), dpi=100, layout="constrained")
-        force = float(np.linalg.norm(self.mean_force_N))
+        force = np.linalg.norm(self.mean_force_N)
         done_s = (1.0 - self.time_left) * self.duration_s
         figure.suptitle(f"{done_s:.2f} s, {force:.3g} N, score {self.score:.3f}", fontsize=10)
         self._draw(figure)

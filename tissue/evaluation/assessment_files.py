@@ -5,17 +5,15 @@ from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import AssessedRun, Assessment, assess
 from tissue.evaluation.steadiness import Steadiness
 from tissue.show.figures.figure import figure, save
-from tissue.system.owned_folder import OwnedFolder, require_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = [
     "assessed_section",
     "assessment_lines",
-    "draw_assessment",
-    "require_assessment_folder",
     "write_assessment",
 ]
 
@@ -81,11 +79,6 @@ def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list
         return assessment_lines(found), picture.read_bytes()
 
 
-def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take an assessment."""
-    require_folder(folder, "assessment", FILES, overwrite=overwrite)
-
-
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``assessment.json`` and ``assessment.png``.
 
@@ -105,8 +98,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }
     with OwnedFolder(folder, "assessment", FILES, overwrite=overwrite):
-        with whole_file(folder / FILES[0]) as temporary:
-            temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+        write_text(folder / FILES[0], json.dumps(data, indent=2) + "\n")
         draw_assessment(found, folder / FILES[1])
     return [folder / name for name in FILES]
 
@@ -119,7 +111,7 @@ def draw_assessment(found: Assessment, path: Path) -> None:
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
     time = found.time_s
-    least = 0.002 * float(time[-1] - time[0])  # a breach of a tick or two must still be seen
+    least = 0.002 * (time[-1] - time[0])  # a breach of a tick or two must still be seen
     labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
     for axes, label, each in zip(
         panels, labels, (found.deviation, found.force, found.depth), strict=True
@@ -139,12 +131,12 @@ def draw_assessment(found: Assessment, path: Path) -> None:
         axes.axhline(each.limit, color=LIMIT, linestyle="--", label="limit")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-        high = max(each.limit, float(each.values.max()))
+        high = max(each.limit, each.values.max())
         # the approach would leave no space for the depth
-        low = max(min(0.0, float(each.values.min())), -high)
+        low = max(min(0.0, each.values.min()), -high)
         # 8 % of free space keep the limit's line off the frame
         axes.set_ylim(low, high + 0.08 * (high - low))
-    panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
+    panels[2].set(xlabel="time / s", xlim=(time[0], time[-1]))
     chart.legend(
         *panels[1].get_legend_handles_labels(),
         loc="upper right",

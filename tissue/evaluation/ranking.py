@@ -15,7 +15,7 @@ from tissue.evaluation.assessment import AssessedRun, Assessment, NoSharedContac
 from tissue.evaluation.statistics.intervals import mean_interval
 from tissue.evaluation.steadiness import Steadiness
 from tissue.show.figures.figure import figure, save
-from tissue.system.owned_folder import OwnedFolder, require_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = [
     "Attempt",
@@ -24,7 +24,6 @@ __all__ = [
     "is_run",
     "rank",
     "ranking_lines",
-    "require_ranking_folder",
     "write_ranking",
 ]
 
@@ -210,11 +209,6 @@ def ranking_lines(found: Ranking) -> list[str]:
             line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
         lines.append(line)
     return lines + [f"left out: {each}" for each in found.left_out]
-
-
-def require_ranking_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take a ranking."""
-    require_folder(folder, "ranking", FILES, overwrite=overwrite)
 
 
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:

@@ -13,7 +13,7 @@ from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.builders.loop import judged_loop, loop_settings
-from tissue.system.owned_folder import OwnedFolder, require_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
@@ -71,17 +71,6 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
             for index in range(0, len(data.values), 6)
         ),
     ]
-
-
-def require_map_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take the map of a scene's stability.
-
-    Raises
-    ------
-    InputError
-        If the folder is a file, or holds another map.
-    """
-    require_folder(folder, "map", FILES, overwrite=overwrite)
 
 
 def write_stability_files(
@@ -163,7 +152,7 @@ def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
         colour, line = LINES[name]
         shown = np.where((values > low) & (values < high), values, np.nan)
         panel.plot(across, shown, color=colour, linestyle=line, label=name)
-    x = scale * float(getattr(found.chosen, data.along))
+    x = scale * getattr(found.chosen, data.along)
     panel.plot(
         [x],
         [found.chosen.stiffness_N_m],

@@ -1,6 +1,7 @@
 """Training of a scene's predictors: fit to recorded runs, forecast errors, and validation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
@@ -26,7 +27,7 @@ from tissue.prediction.delays import (
     Moments,
     coordinates,
 )
-from tissue.prediction.predictor import CONTACT_WIDTH, Contact, Predictor, SeesContact
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 from tissue.prediction.trained import VALIDATED_AT, Trained
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.load import changed
@@ -42,9 +43,7 @@ from tissue.simulation.loop import Stepper
 from tissue.simulation.simulate import TICK_S, build
 
 __all__ = [
-    "DELAYS_MS",
     "HORIZONS",
-    "LEAST_TRIALS",
     "MOST_TRIALS",
     "TRIALS",
     "Recorder",
@@ -76,7 +75,7 @@ class Recording:
     force_N
         Force on the device, without delay, shape (n, 3).
     contact
-        Contact that a loop receives in every tick, as rows of `Contact`, shape (n, CONTACT_WIDTH).
+        Contact that a loop receives in every tick.
     group, seed
         Group of the hand, and its seed.
     model_s
@@ -88,7 +87,7 @@ class Recording:
     position_m: Array
     velocity_m_s: Array
     force_N: Array
-    contact: Array
+    contact: Sequence[Contact]
     group: str
     seed: int
     model_s: float = 0.0
@@ -103,16 +102,18 @@ class Recording:
         tool [m]. In front of a tool that cuts, the loop's filter is applied to the true positions.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
-        if Contact.of_row(self.contact[0]).cutting is not None:
+        if self.contact[0].cutting is not None:
             observer = ConstantAcceleration(OBSERVER_MEMORY, step_s=TICK_S)
             seen_m = np.empty_like(true)
             for index, place in enumerate(true):
                 observer.step(place)
                 seen_m[index] = observer.position
             true = seen_m
-        stretch = self.force_N / self.contact[:, :1]
+        springs_N_m = np.array([each.spring_N_m for each in self.contact])
+        tips_m = np.array([each.tip_m for each in self.contact])
+        stretch = self.force_N / springs_N_m[:, None]
         touches = self.force_N.any(axis=1, keepdims=True)
-        tense = np.where(touches, self.contact[:, 1:4] - true, 0.0)
+        tense = np.where(touches, tips_m - true, 0.0)
         ticks = np.arange(len(true) - HORIZON)
         before = np.maximum(ticks - np.array(DELAYS)[:, None], 0)
         later = ticks + np.arange(1, HORIZON + 1)[:, None]
@@ -201,7 +202,7 @@ class Recorder:
             contact,
             scene.held.hand,
             scene.seed,
-            float(np.median(took)),
+            np.median(took),
             rows[:, 6:],
         )
 
@@ -231,7 +232,7 @@ class Recorder:
         return parts.motion, parts.tissue
 
 
-def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Array, Array]:
+def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, list[Contact], Array]:
     """Return position, force and true position, contacts, and the times of the tissue.
 
     Measured position, force and true position have shape (n, 9). The seconds that the tissue took
@@ -241,7 +242,7 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     stepper.place()
     # columns: measured position, force, true position
     rows: Array = np.zeros((ticks, 9))
-    contact = np.zeros((ticks, CONTACT_WIDTH))
+    contact = []
     took = np.zeros(ticks)
     raw = slice(
         motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1
@@ -254,7 +255,7 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
         stepper.step(index)
         took[index] = perf_counter() - stepper.moved_s
         motion.play(stepper.response)
-        contact[index] = motion.contact(stepper.response).row()
+        contact.append(deepcopy(motion.contact(stepper.response)))
         row[:3] = 1e-3 * motion.measures[:3]
         row[3:6] = motion.measures[raw]
         if knows:
@@ -326,16 +327,23 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
 
     These are the predictors without an operator.
     """
-    makers = {
-        kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
-        for kind in FALLBACKS
-    }
-    runs = touching(runs)
-    errors = {
-        kind: forecast_errors(make, runs, horizons=(VALIDATED_AT,)).mean()
-        for kind, make in makers.items()
-    }
-    return replace(trained, fallback=min(errors, key=lambda kind: float(errors[kind])))
+    errors = _mean_errors(FALLBACKS, trained, touching(runs), force_limit_N, (VALIDATED_AT,))
+    return replace(trained, fallback=min(errors, key=lambda kind: errors[kind][0]))
+
+
+def _mean_errors(
+    kinds: Iterable[str],
+    trained: Trained,
+    runs: list[Recording],
+    force_limit_N: float,
+    horizons: Sequence[float] = HORIZONS,
+) -> dict[str, list[float]]:
+    """Return the mean error over runs of each kind of predictor at each horizon."""
+    errors = {}
+    for kind in kinds:
+        make = partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
+        errors[kind] = forecast_errors(make, runs, horizons=horizons).mean(axis=0).tolist()
+    return errors
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
@@ -354,17 +362,10 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
             "none",
             "use more trials, or a longer duration_s",
         )
-    makers = {
-        kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
-        for kind in PREDICTORS
-    }
-    errors = {
-        kind: forecast_errors(make, held_out).mean(axis=0).tolist() for kind, make in makers.items()
-    }
     validation = {
         "held_out": [run.seed for run in held_out],
         "horizons_ms": list(HORIZONS),
-        "errors": errors,
+        "errors": _mean_errors(PREDICTORS, trained, held_out, force_limit_N),
     }
     return replace(trained, facts=trained.facts | {"validation": validation})
 
@@ -437,7 +438,7 @@ def forecast(
         ):
             if shown is not None:
                 # of the last tick of the model
-                shown.meet(Contact.of_row(run.contact[index - index % model_ticks]))
+                shown.meet(run.contact[index - index % model_ticks])
             predictor.observe(position, velocity, force if index % model_ticks == 0 else None)
             predicted[index] = [predictor.predict(horizon) for horizon in horizons]
             is_primary[index] = predictor.is_primary

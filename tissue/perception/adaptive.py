@@ -229,20 +229,13 @@ class AdaptiveThreshold:
 
     def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
         """Update with one answer of each observer, right or wrong, to the asked comparison."""
-        likelihood = self._right[np.asarray(asked)].T
-        self.posterior *= np.where(np.asarray(correct), likelihood, 1.0 - likelihood)
+        likelihood = self._right[asked].T
+        self.posterior *= np.where(correct, likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)
 
     def weber_masses(self) -> Array:
         """Return the posterior of the Weber fraction alone, shape (cells, observers)."""
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
-
-    def threshold_N(self, base_N: float) -> tuple[Array, Array]:
-        """Return the geometric mean and log spread of the threshold at a base force [N].
-
-        The log spread is the standard deviation of the logarithm. Each has shape (observers,).
-        """
-        return self._log_moments(self._weber * (base_N + self._offset))
 
     def weber(self) -> tuple[Array, Array]:
         """Return the geometric mean and log spread of the Weber fraction.

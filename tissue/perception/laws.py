@@ -166,7 +166,7 @@ class Intensity:
     def _variance(self, x: Array) -> Array:
         """Return v = Var[ln alpha + beta x]."""
         alpha, both, beta = self.variances
-        return np.asarray(alpha + 2.0 * both * x + beta * x * x)
+        return alpha + 2.0 * both * x + beta * x * x
 
 
 def intensity_of(observer: Observer) -> Intensity:
@@ -185,7 +185,7 @@ def intensity_of(observer: Observer) -> Intensity:
 def _logarithm(force_N: ArrayLike) -> Array:
     """Return ln F for magnitudes of force; minus infinity for zero force."""
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log(force_N))
+        return np.log(force_N)
 
 
 @dataclass(frozen=True, kw_only=True)

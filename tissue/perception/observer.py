@@ -13,7 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
+from meshes.base.whole_file import package_version, require_new_file, require_version, write_text
 from tissue.materials.constants import constants
 
 __all__ = [
@@ -109,7 +109,7 @@ class Observer:
         # A covariance of zeros means exactly known parameters. A tolerance of 1e-9 of the largest
         # entry allows for rounding, because a covariance may be computed from draws and written in
         # decimals.
-        scale = max(float(np.abs(covariance).max()), 1e-300)
+        scale = max(np.abs(covariance).max(), 1e-300)
         is_symmetric = np.abs(covariance - covariance.T).max() <= 1e-9 * scale
         if not is_symmetric or np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
             raise InputError(
@@ -118,7 +118,7 @@ class Observer:
                 "another matrix",
                 "calibrate again",
             )
-        widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
+        widest = np.sqrt(np.diag(covariance).clip(0.0)).max()
         require_range("standard deviation", widest, 0.0, WIDEST, "run more trials")
         # The bound 1e9 rejects a damaged file.
         require_range("trials", self.trials, 0, 1e9, "give the number of trials")
@@ -217,8 +217,7 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         "mean": observer.mean.tolist(),
         "covariance": observer.covariance.tolist(),
     }
-    with whole_file(path) as temporary:
-        temporary.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
+    write_text(path, json.dumps(stored, indent=1) + "\n")
 
 
 def read_observer(path: Path) -> Observer:
@@ -351,33 +350,6 @@ class Population:
             "sigma": np.sqrt(scale / rng.gamma(self.sigma_shape, size=count)),
         }
 
-    def observer(self) -> Observer:
-        """Return the population as an observer, for an unknown person.
-
-        The conversion is exact except for sigma, of which mean and variance of the logarithm are
-        kept.
-        """
-        scale = (self.sigma_shape - 1.0) * self.sigma**2
-        mean = [
-            -0.5 * self.alpha_log_spread**2,
-            self.beta,
-            np.log(self.kappa),
-            np.log(self.offset_N),
-            logit(self.lapse),
-            0.5 * (np.log(scale) - digamma(self.sigma_shape)),
-        ]
-        spread = [
-            self.alpha_log_spread,
-            self.beta_spread,
-            self.kappa_log_spread,
-            self.offset_log_spread,
-            self.lapse_logit_spread,
-            0.5 * np.sqrt(polygamma(1, self.sigma_shape)),
-        ]
-        return Observer(
-            name="population", mean=np.array(mean), covariance=np.diag(np.square(spread))
-        )
-
 
 def population() -> Population:
     """Return the population defined in ``perception.toml``."""
@@ -386,8 +358,30 @@ def population() -> Population:
 
 
 def population_observer() -> Observer:
-    """Return the population of ``perception.toml`` as an observer, for an unknown person."""
-    return population().observer()
+    """Return the population of ``perception.toml`` as an observer, for an unknown person.
+
+    The conversion is exact except for sigma, of which mean and variance of the logarithm are
+    kept.
+    """
+    people = population()
+    scale = (people.sigma_shape - 1.0) * people.sigma**2
+    mean = [
+        -0.5 * people.alpha_log_spread**2,
+        people.beta,
+        np.log(people.kappa),
+        np.log(people.offset_N),
+        logit(people.lapse),
+        0.5 * (np.log(scale) - digamma(people.sigma_shape)),
+    ]
+    spread = [
+        people.alpha_log_spread,
+        people.beta_spread,
+        people.kappa_log_spread,
+        people.offset_log_spread,
+        people.lapse_logit_spread,
+        0.5 * np.sqrt(polygamma(1, people.sigma_shape)),
+    ]
+    return Observer(name="population", mean=np.array(mean), covariance=np.diag(np.square(spread)))
 
 
 def reference_observer() -> Observer:

@@ -68,10 +68,10 @@ class ContactSlope:
         if self._before is not None:
             moved = tip_m - self._before[0]
             changed = force_m - self._before[1]
-            is_jump = float(changed.dot(changed)) > JUMP_M**2
-            if (square := float(moved.dot(moved))) > 0.0 and not is_jump:
+            is_jump = changed.dot(changed) > JUMP_M**2
+            if (square := moved.dot(moved)) > 0.0 and not is_jump:
                 along = self._spread.dot(moved)
-                gain = along / (NOISE_M**2 + float(moved.dot(along)))
+                gain = along / (NOISE_M**2 + moved.dot(along))
                 self.matrix -= (changed + self.matrix.dot(moved))[:, None] * gain
                 self._spread -= gain[:, None] * along
                 # every fourth entry of a 3 x 3 matrix is on its diagonal
@@ -230,7 +230,7 @@ class LookAhead:
         if not self._has_slope and any(self._force.tolist()):
             stretch = self.path.stretch_m(ticks)
             # Tissue does not pull: the contact has ended.
-            pushes = float(stretch.dot(self._force)) > 0.0
+            pushes = stretch.dot(self._force) > 0.0
             return self._contact.spring_N_m * stretch if pushes else np.zeros(3)
         return self._at(self._position + self.path.displacement_m(ticks))
 
@@ -281,14 +281,14 @@ class LookAhead:
             )
             left = force - self._stiffness.dot(moved)
             # Tissue does not pull: the contact has ended.
-            if singular or float(left.dot(force)) <= 0.0:
+            if singular or left.dot(force) <= 0.0:
                 return np.zeros(3)
             felt: Array = contact.spring_N_m * (contact.tip_m + moved - device_m) + self._damper
             return felt
         # No surface is near the tool.
         if not isfinite(contact.gap_m):
             return np.zeros(3)
-        overlap = -(contact.gap_m + float(contact.normal.dot(device_m - contact.tip_m)))
+        overlap = -(contact.gap_m + contact.normal.dot(device_m - contact.tip_m))
         # coupling and tissue in series
         stiffness = 1.0 / (1.0 / contact.spring_N_m + 1.0 / contact.surface_N_m)
         return max(overlap, 0.0) * stiffness * contact.normal

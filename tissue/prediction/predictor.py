@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import inf, isnan, nan, sqrt
+from math import inf, sqrt
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,7 +12,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 
 __all__ = [
-    "CONTACT_WIDTH",
     "Contact",
     "CuttingLaw",
     "Hold",
@@ -82,10 +81,6 @@ class Hold:
         """Do nothing: the zero-order hold does not depend on the ticks between forces."""
 
 
-CONTACT_WIDTH = 36
-"""Number of values that a recording stores for a contact."""
-
-
 @dataclass
 class CuttingLaw:
     """Balance of a tool with inertia that cuts, linearised about its velocity v.
@@ -151,42 +146,6 @@ class Contact:
     normal: Array = field(default_factory=lambda: np.zeros(3))
     surface_N_m: float = inf
     cutting: CuttingLaw | None = None
-
-    def row(self) -> Array:
-        """Return all values as one row, shape (CONTACT_WIDTH,).
-
-        An unknown stiffness is NaN. The cutting law is zero for a tool that does not cut.
-        """
-        row = np.zeros(CONTACT_WIDTH)
-        row[0] = self.spring_N_m
-        row[1:4] = self.tip_m
-        row[4:7] = self.force_N
-        row[7:16] = nan if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
-        row[16] = self.gap_m
-        row[17:20] = self.normal
-        row[20] = self.surface_N_m
-        if (law := self.cutting) is not None:
-            row[21:24] = law.velocity_m_s
-            row[24:33] = law.slope_N_s_m.ravel()
-            row[33:] = law.mass_kg, law.damping_N_s_m, law.tick_s
-        return row
-
-    @classmethod
-    def of_row(cls, row: Array) -> "Contact":
-        """Return the contact of a row made by `row`."""
-        stiffness = None if isnan(row[7]) else row[7:16].reshape(3, 3)
-        mass, damping, tick = row[33:].tolist()
-        law = CuttingLaw(row[21:24], row[24:33].reshape(3, 3), mass, damping, tick)
-        return cls(
-            float(row[0]),
-            row[1:4],
-            row[4:7],
-            stiffness,
-            float(row[16]),
-            row[17:20],
-            float(row[20]),
-            law if mass > 0.0 else None,
-        )
 
 
 @runtime_checkable

@@ -55,7 +55,7 @@ def test_the_recorded_path_is_the_true_one(wall):
     _, path = wall
     assert np.linalg.norm(OBLIQUE) == pytest.approx(1.0)
     step_m = 5.5e-5
-    on_grid = np.abs(path.positions_m - path.rounded(step_m).positions_m)
+    on_grid = np.abs(path.positions_m - step_m * np.round(path.positions_m / step_m))
     # Positions read by encoders would lie on the grid.
     assert on_grid.max() > 0.4 * step_m and on_grid.max() <= 0.5 * step_m * (1.0 + 1e-9)
 

@@ -3,6 +3,8 @@
 Moved, turned or scaled input gives a moved, turned or scaled prediction.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,7 +15,6 @@ from tissue.simulation.builders.prediction import trained_predictor
 
 KINDS = ("koopman", "koopman-look-ahead", "koopman-online")
 SPRING_N_M, TICKS, LEAD = 400.0, 600, 6.11
-PLACES, FORCES, NORMAL, STIFFNESS = slice(1, 4), slice(4, 7), slice(17, 20), slice(7, 16)
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +48,15 @@ def motion(request):
             stiffness * float(inside[i]) if known else None,
             max(device[i, 2], 0.0) if known else np.inf,
             np.array([0.0, 0.0, 1.0]),
-        ).row()
+        )
         for i in range(TICKS)
     ]
-    return device, force, np.array(rows)
+    return device, force, rows
+
+
+def scaled_stiffness(contact, change):
+    """Return the changed stiffness of a contact, None if it is unknown."""
+    return None if contact.stiffness_N_m is None else change(contact.stiffness_N_m)
 
 
 def predicted(kind, trained, device, force, contact):
@@ -58,7 +64,7 @@ def predicted(kind, trained, device, force, contact):
     predictor = trained_predictor(kind, trained, force_limit_N=3.3).inner
     found = np.empty((TICKS, 3))
     for tick in range(TICKS):
-        predictor.meet(Contact.of_row(contact[tick]))
+        predictor.meet(contact[tick])
         predictor.observe(device[tick], np.zeros(3), force[tick])
         found[tick] = predictor.predict(LEAD)
     return found
@@ -67,8 +73,8 @@ def predicted(kind, trained, device, force, contact):
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_moved_is_predicted_alike(kind, trained, motion):
     device, force, contact = motion
-    shift, other = np.array([0.08, -0.25, 1.5]), contact.copy()
-    other[:, PLACES] += shift
+    shift = np.array([0.08, -0.25, 1.5])
+    other = [replace(each, tip_m=each.tip_m + shift) for each in contact]
     moved = predicted(kind, trained, device + shift, force, other)
     np.testing.assert_allclose(moved, predicted(kind, trained, device, force, contact), atol=1e-8)
 
@@ -80,10 +86,16 @@ def test_what_is_turned_is_predicted_turned(kind, mirrored, trained, motion):
     turn = Rotation.from_rotvec([0.7, -1.1, 2.0]).as_matrix() @ np.diag(
         [-1.0 if mirrored else 1.0, 1.0, 1.0]
     )
-    other = contact.copy()
-    for part in (PLACES, FORCES, NORMAL):
-        other[:, part] = contact[:, part] @ turn.T
-    other[:, STIFFNESS] = (turn @ contact[:, STIFFNESS].reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
+    other = [
+        replace(
+            each,
+            tip_m=turn @ each.tip_m,
+            force_N=turn @ each.force_N,
+            normal=turn @ each.normal,
+            stiffness_N_m=scaled_stiffness(each, lambda matrix: turn @ matrix @ turn.T),
+        )
+        for each in contact
+    ]
     turned = predicted(kind, trained, device @ turn.T, force @ turn.T, other)
     np.testing.assert_allclose(
         turned, predicted(kind, trained, device, force, contact) @ turn.T, atol=1e-8
@@ -94,9 +106,15 @@ def test_what_is_turned_is_predicted_turned(kind, mirrored, trained, motion):
 @pytest.mark.parametrize("factor", [0.01, 30.0])
 def test_scaled_forces_are_predicted_scaled(kind, factor, trained, motion):
     device, force, contact = motion
-    other = contact.copy()
-    for part in (0, FORCES, STIFFNESS):
-        other[:, part] *= factor
+    other = [
+        replace(
+            each,
+            spring_N_m=factor * each.spring_N_m,
+            force_N=factor * each.force_N,
+            stiffness_N_m=scaled_stiffness(each, lambda matrix: factor * matrix),
+        )
+        for each in contact
+    ]
     scaled = predicted(kind, trained, device, factor * force, other)
     np.testing.assert_allclose(
         scaled, factor * predicted(kind, trained, device, force, contact), atol=1e-8 * factor

@@ -51,18 +51,16 @@ def contacts(position, force, stiffness, face=(0.0, 0.0, 0.0), normal=(0.0, 0.0,
     normal = np.array(normal)
     tips = position + force / stiffness
     rigid = 1e6 * stiffness * np.outer(normal, normal)
-    return np.array(
-        [
-            Contact(stiffness, tip, f, rigid, max(float(normal @ (tip - face)), 0.0), normal).row()
-            for tip, f in zip(tips, force, strict=True)
-        ]
-    )
+    return [
+        Contact(stiffness, tip, f, rigid, max(float(normal @ (tip - face)), 0.0), normal)
+        for tip, f in zip(tips, force, strict=True)
+    ]
 
 
 def show(predictor, run, row):
     """One tick of a recording."""
     if isinstance(predictor, SeesContact):
-        predictor.meet(Contact.of_row(run.contact[row]))
+        predictor.meet(run.contact[row])
     predictor.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
 
 

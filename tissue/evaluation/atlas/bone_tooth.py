@@ -76,7 +76,7 @@ def drag_N_s_m() -> float:
         motion.tip_m[2] = -depth
         model.advance(motion)
         response = model.respond(motion)
-    return float(response.resistance[2])
+    return response.resistance[2]
 
 
 def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
@@ -122,10 +122,10 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
         push.advance(1e-3 * tick, 1e-3, response, motion)
         model.advance(motion)
         response = model.respond(motion)
-        axial.append(float(response.wrench[2]))
+        axial.append(response.wrench[2])
         speed.append(motion.speed_m_s)
     # in the last 0.2 s the drill is fully engaged
-    return float(np.mean(axial[-200:])), max(speed)
+    return np.mean(axial[-200:]), max(speed)
 
 
 class ExplicitCutting(Page):
@@ -178,11 +178,11 @@ class ExplicitCutting(Page):
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
         # 5 % beyond the explicit limit, so that 400 steps diverge clearly
         beyond = step["step_s"] > 2.1 * MASS_KG / drag_N_s_m()
-        worst = float(step["implicit"][beyond].max())
+        worst = step["implicit"][beyond].max()
         return Verdict(
             # measured: error of the explicit limit 1e-8, growth beyond it by more than 1e12, error
             # of the implicit rule 2e-16
-            bool(off < 0.01 and (step["explicit"][beyond] > 1e3).all()),
+            off < 0.01 and (step["explicit"][beyond] > 1e3).all(),
             worst < 1e-6,
             f"The burr resists with {drag_N_s_m():.0f} N s/m, so an explicit step must be shorter "
             f"than 2m/c (measured to {100 * off:.2f} %). At 1 ms a tool below "
@@ -267,8 +267,8 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
     plain, scaled = (np.linalg.eigvalsh(each) for each in (inner, scale[:, None] * inner * scale))
     return (
         # 1e17 is beyond the resolution of doubles, and avoids a division by zero
-        float(plain[-1] / max(plain[0], 1e-17 * plain[-1])),
-        float(scaled[-1] / max(scaled[0], 1e-17 * scaled[-1])),
+        plain[-1] / max(plain[0], 1e-17 * plain[-1]),
+        scaled[-1] / max(scaled[0], 1e-17 * scaled[-1]),
     )
 
 
@@ -278,7 +278,7 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
     # 1e-6 to 1e-12 give the same compliance to 2e-9
-    return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
+    return (load * body.solve(load, tolerance=1e-10).displacement_m).sum()
 
 
 def at_fill(fill: float) -> dict[str, float]:
@@ -321,13 +321,13 @@ class CutCells(Page):
         """Compare the condition number with and without inner stiffness, and report its cost."""
         table = data["fill"]
         carried = table["carried"] > 0.0
-        worst = float(table["scaled"].max())
-        cost = float(table["cost"].max())
+        worst = table["scaled"].max()
+        cost = table["cost"].max()
         slope = log_slope(table["fill"][carried], table["condition"][carried])
         return Verdict(
             # measured: slope -1.01 (theory -1), scaled condition number 304, cost 9.3 %
-            bool((table["bare_scaled"][carried] > SINGULAR).all() and -1.2 < slope < -0.7),
-            worst < 1e3 and cost < 0.1 and bool((table["fill"][carried] >= LEAST_FILL).all()),
+            (table["bare_scaled"][carried] > SINGULAR).all() and -1.2 < slope < -0.7,
+            worst < 1e3 and cost < 0.1 and (table["fill"][carried] >= LEAST_FILL).all(),
             "With one particle in a cell the stiffness is singular at every fill. With "
             f"{INNER_STRENGTH:g} of the inner stiffness of a full cell its condition number grows "
             f"as the fill to the power {slope:.2f} (theory: −1). Scaled by the diagonal it stays "
@@ -429,7 +429,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     inner = csr_array(matrix[free][:, free])
     # six orders below the goal of 1e-6
     exact = body.solve(pushed(body), tolerance=1e-12, cold=True).displacement_m.ravel()[free]
-    goal = TOLERANCE**2 * float(exact @ (inner @ exact))
+    goal = TOLERANCE**2 * (exact @ (inner @ exact))
     count = 0
 
     def stop_at_goal(iterate: Array) -> None:
@@ -438,7 +438,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
         count += 1
         left = iterate - exact
         # the comparison takes a product with the matrix, as long as an iteration
-        if count % 5 == 0 and float(left @ (inner @ left)) <= goal:
+        if count % 5 == 0 and left @ (inner @ left) <= goal:
             raise StopIteration
 
     scale = diags_array(1.0 / inner.diagonal()) if scaled else None
@@ -491,8 +491,8 @@ class Contrast(Page):
         return Verdict(
             # measured: 120 to 655 plain iterations, 6 to 8 with the multigrid. Its bounds of 25 and
             # 12 also cover the other bodies of `docs/verification.md` (7 to 23 iterations)
-            float(plain[-1] / plain[0]) > 3.0,
-            float(multigrid.max()) <= 25.0 and float(np.ptp(multigrid)) <= 12.0,
+            plain[-1] / plain[0] > 3.0,
+            multigrid.max() <= 25.0 and np.ptp(multigrid) <= 12.0,
             f"From a contrast of 1 to {table['contrast'][-1]:.0e} plain conjugate gradients take "
             f"{plain[0]:.0f} to {plain[-1]:.0f} iterations (at most {MOST} are run), and "
             f"{table['diagonal'][0]:.0f} to {table['diagonal'][-1]:.0f} scaled by the diagonal. "

@@ -29,7 +29,6 @@ __all__ = [
     "OBLIQUE",
     "Course",
     "DevicePath",
-    "HasMass",
     "amplification",
     "force_error",
     "in_a_hand",
@@ -72,10 +71,6 @@ class DevicePath:
     def shifted(self, shift_m: Array) -> "DevicePath":
         """Return the path shifted by a constant [m], shape (3,)."""
         return DevicePath(self.positions_m + shift_m, self.quaternions)
-
-    def rounded(self, step_m: float) -> "DevicePath":
-        """Return the path rounded to encoder steps [m]."""
-        return DevicePath(step_m * np.round(self.positions_m / step_m), self.quaternions)
 
 
 @dataclass(frozen=True)
@@ -186,7 +181,7 @@ def amplification(course: Course, reference: Course, shift_m: float) -> tuple[fl
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
     later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
-    return float(away_m[later] / shift_m), float(away_m.max() / shift_m)
+    return away_m[later] / shift_m, away_m.max() / shift_m
 
 
 def force_error(course: Course, reference: Course) -> float:

@@ -101,12 +101,12 @@ class HeldTool(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare the largest amplification of both rules with the bound."""
         largest = {
-            rule: {name: float(table[rule].max()) for name, table in data.items()} for rule in RULES
+            rule: {name: table[rule].max() for name, table in data.items()} for rule in RULES
         }
         worst = {rule: max(each, key=each.__getitem__) for rule, each in largest.items()}
         grown = {rule: largest[rule][worst[rule]] for rule in RULES}
         error = {
-            rule: 100.0 * max(float(table[f"{rule}_force"].max()) for table in data.values())
+            rule: 100.0 * max(table[f"{rule}_force"].max() for table in data.values())
             for rule in RULES
         }
         return Verdict(
@@ -152,7 +152,7 @@ def _rows(data: Data) -> Iterator[Answer]:
         )
         yield shown(
             f"{name}, shifted by 1 nm, 1 µm and 10 µm",
-            bool((table["engine"] <= MOST).all()),
+            (table["engine"] <= MOST).all(),
             f"{engine} times the shift; in the massless limit {massless} times",
         )
 

@@ -111,7 +111,7 @@ class Locking(Page):
         return Verdict(
             # measured: linear cells bend 50 % of the beam's deflection at nu = 0.3 and 1 % at
             # 0.4999
-            bool(linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0]),
+            linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0],
             # The clamp prevents lateral expansion, which reduces the deflection by 1 to 4 %, most
             # towards 0.5. The coarse cells reduce it by a few per cent more.
             off < 0.1 and last > 0.49,
@@ -202,7 +202,7 @@ def false_stress_Pa(law: Law) -> Array:
         reached = angle
         # the nodes of the fixed end, to rounding
         pull_N = np.linalg.norm(solution.force_N[nodes[:, 0] < 1e-9].sum(axis=0))
-        stresses.append(float(pull_N) / WIDTH_M**2 if solution.converged else np.nan)
+        stresses.append(pull_N / WIDTH_M**2 if solution.converged else np.nan)
     return np.array(stresses)
 
 
@@ -227,7 +227,7 @@ class LargeRotation(Page):
         """Compare the linear law with E (1 - cos θ) and the other laws with zero."""
         turn = data["turn"]
         off = error_of(turn["linear_pa"], turn["theory_pa"])
-        worst = float(np.max([turn["corotational_pa"], turn["neo_hookean_pa"]]))
+        worst = np.max([turn["corotational_pa"], turn["neo_hookean_pa"]])
         return Verdict(
             off < 1e-3,  # exact for ν = 0 by Betti's theorem, up to the tolerance of the solve
             # measured: 7e-12 of the modulus, the rounding of a solve
@@ -325,7 +325,7 @@ def condition(nodes_m: Array, cells: Ints) -> float:
     # condition numbers do not depend on the modulus, here 5 kPa of soft tissue
     free = np.repeat(nodes_m[:, 2] > 1e-9, 3)
     values = eigvalsh(assemble(space, lame(5e3, 0.3)).toarray()[np.ix_(free, free)])
-    return float(values[-1] / values[0])
+    return values[-1] / values[0]
 
 
 def at_height(height: float) -> dict[str, float]:
@@ -363,8 +363,8 @@ class BadTetrahedra(Page):
         flat = table["height"] < 0.03
         slope = log_slope(table["height"][flat], table["condition"][flat])
         first = table["condition"][0]
-        worst = float(table["repaired_condition"].max())
-        quality = float(table["repaired_quality"].min())
+        worst = table["repaired_condition"].max()
+        quality = table["repaired_quality"].min()
         return Verdict(
             # measured: slope -0.99 (theory -1), growth by 7600
             -1.15 < slope < -0.85 and table["condition"].max() > 100.0 * first,
@@ -383,7 +383,7 @@ class BadTetrahedra(Page):
         # three arbitrary cells of the 384
         turned_cells[[17, 200, 301]] = cells[[17, 200, 301]][:, [1, 0, 2, 3]]
         repaired, repairs = repair_tets(nodes, turned_cells)
-        volume = float(signed_volumes(repaired.nodes_m, repaired.cells).sum())
+        volume = signed_volumes(repaired.nodes_m, repaired.cells).sum()
         # 1e-12 is the rounding of a sum of 384 volumes
         whole = "Turned 3 inverted" in repairs[0] and abs(volume / SIZE_M**3 - 1.0) < 1e-12
         folded = nodes.copy()
@@ -391,7 +391,7 @@ class BadTetrahedra(Page):
         folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
         # as flat as the slivers of the sweep
         mesh, sliver = repair_tets(*squashed(1e-4))
-        flat = len(sliver) > 0 and bool(mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER)
+        flat = len(sliver) > 0 and mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER
         return [
             shown(
                 "three inverted cells, from a file",

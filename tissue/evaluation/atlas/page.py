@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file, write_columns
+from meshes.base.whole_file import whole_file, write_columns, write_text
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
@@ -122,8 +122,8 @@ class Verdict:
         Both results in words, with the figures of the sweep.
     """
 
-    fails: bool
-    holds: bool
+    fails: bool | np.bool_
+    holds: bool | np.bool_
     sentence: str
 
 
@@ -174,7 +174,9 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
     return Answer(asked, Conduct.SILENT, "accepted without a report")
 
 
-def shown(asked: str, right: bool, result: str, conduct: Conduct = Conduct.HOLDS) -> Answer:
+def shown(
+    asked: str, right: bool | np.bool_, result: str, conduct: Conduct = Conduct.HOLDS
+) -> Answer:
     """Return an answer whose figures the caller has checked.
 
     The answer counts as silently wrong if the figures are not right.
@@ -206,12 +208,12 @@ def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: 
 
 def log_slope(x: Array, y: Array) -> float:
     """Return the exponent p of y ~ x^p, by a fit to the logarithms."""
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+    return np.polyfit(np.log(x), np.log(y), 1)[0]
 
 
 def error_of(found: Array, expected: Array) -> float:
     """Return the largest error relative to the expected values."""
-    return float(np.abs(found / expected - 1.0).max())
+    return np.abs(found / expected - 1.0).max()
 
 
 def picture(page: Page, data: Data) -> bytes:
@@ -304,7 +306,7 @@ class Entry:
         A silent answer is a wrong answer without a message.
         """
         silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
-        return self.verdict.fails and self.verdict.holds and not silent
+        return bool(self.verdict.fails and self.verdict.holds and not silent)
 
 
 def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> list[Page]:
@@ -341,8 +343,7 @@ def write_atlas(
         for number, page in enumerate(pages):
             progress(page.title, number / len(pages))
             entries.append(_written(page, folder))
-        with whole_file(folder / INDEX) as temporary:
-            temporary.write_text(_document(entries), "utf-8")
+        write_text(folder / INDEX, _document(entries))
     return entries
 
 

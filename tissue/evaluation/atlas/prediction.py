@@ -81,11 +81,11 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
     position = run.position_m @ TURN.T
     force = run.force_N @ TURN.T
     seen = [
-        Contact(stiffness_N_m, p + f / stiffness_N_m, f).row()
+        Contact(stiffness_N_m, p + f / stiffness_N_m, f)
         for p, f in zip(position, force, strict=True)
     ]
     velocity = np.gradient(position, TICK_S, axis=0)
-    return Recording(position, velocity, force, np.array(seen), "novice", seed)
+    return Recording(position, velocity, force, seen, "novice", seed)
 
 
 def recordings() -> list[Recording]:
@@ -108,7 +108,7 @@ def relative_error(predictions: Array, force: Array, horizon: int) -> float:
     # in the first 0.1 s the operator's delays of up to 80 ticks fill up
     later = force[100 + horizon :]
     predicted = predictions[100 : len(predictions) - horizon]
-    error = float(np.linalg.norm(predicted - later) / np.linalg.norm(later))
+    error = np.linalg.norm(predicted - later) / np.linalg.norm(later)
     # a force that diverges must not hide the other curves of a chart
     return min(float(np.nan_to_num(error, nan=1e6, posinf=1e6)), 1e6)
 
@@ -161,13 +161,13 @@ class Horizon(Page):
             worse = horizon[table[name] > hold]
             ends[name] = f"beyond {worse.min():.0f} ms" if len(worse) else "nowhere"
         within = horizon <= LEADS_MS
-        gain = float((table["koopman"] / hold)[within].max())
-        at = {name: 100.0 * float(table[name][horizon == 8.0][0]) for name in LABELS}
+        gain = (table["koopman"] / hold)[within].max()
+        at = {name: 100.0 * table[name][horizon == 8.0][0] for name in LABELS}
         return Verdict(
             # measured at 64 ms: error of the filter 1.8 and of the hold 0.45 times the force; up to
             # 10 ms, the error of the Koopman predictor is at most 0.82 times that of the hold
-            bool(table["kalman"][-1] > 2.0 * hold[-1] and (table["koopman"][-1] > 0.25)),
-            gain < 1.0 and bool((table["koopman"] < 1.1 * hold).all()),
+            table["kalman"][-1] > 2.0 * hold[-1] and (table["koopman"][-1] > 0.25),
+            gain < 1.0 and (table["koopman"] < 1.1 * hold).all(),
             f"At 8 ms the error is {at['hold']:.1f} % of the force by zero-order hold, "
             f"{at['linear']:.1f} % by the straight line, {at['kalman']:.1f} % by the Kalman filter "
             f"and {at['koopman']:.1f} % by the Koopman predictor. Worse than hold: the line "
@@ -186,13 +186,13 @@ class Horizon(Page):
         force = recording.force_N
         deep = int(np.argmax(np.linalg.norm(force, axis=1)))
         for tick in range(deep):
-            predictor.meet(Contact.of_row(recording.contact[tick]))
+            predictor.meet(recording.contact[tick])
             predictor.observe(position[tick], np.zeros(3), force[tick])
         before = predictor.is_primary
         predictor.observe(np.full(3, np.nan), np.zeros(3), force[deep])
         # `HORIZON_TICKS` ahead
-        kept = float(np.linalg.norm(predictor.predict(5)))
-        size = float(np.linalg.norm(force[deep]))
+        kept = np.linalg.norm(predictor.predict(5))
+        size = np.linalg.norm(force[deep])
         # 15 samples in a row are too many to bridge by prediction
         for tick in range(deep + 1, deep + 16):
             predictor.observe(position[min(tick, len(force) - 1)], np.zeros(3), np.full(3, np.nan))
@@ -202,12 +202,12 @@ class Horizon(Page):
                 "5 ms ahead after a sample that is NaN",
                 # 5 ms ahead, the force changes by 5 % on average (`Horizon`), and more while a tap
                 # begins or ends
-                before and bool(abs(kept - size) < 0.2 * size),
+                before and abs(kept - size) < 0.2 * size,
                 f"the sample is ignored: {kept:.3f} N where the force is {size:.3f} N",
             ),
             shown(
                 "5 ms ahead after 15 samples that are NaN",
-                bool(np.isfinite(predictor.predict(5)).all()),
+                np.isfinite(predictor.predict(5)).all(),
                 f"the last force is held: {np.linalg.norm(predictor.predict(5)):.3f} N",
                 Conduct.FALLS_BACK,
             ),
@@ -311,13 +311,13 @@ class TrainedElsewhere(Page):
         # about a factor of two from the wall of the training, where the error caused by the other
         # wall exceeds the operator's own error
         far = np.abs(np.log2(table["stiffness_N_m"] / HOME_N_M)) > 0.9
-        worst = float((table["bare"] / table["hold"]).max())
+        worst = (table["bare"] / table["hold"]).max()
         return Verdict(
             # measured: worst 176; bare within 1 % of theory; ratio 0.31 to 0.81, on the own wall
             # 0.43; trusted in 90 % of the ticks. The bounds leave space for operators that are
             # trained anew
             worst > 5.0 and error_of(table["bare"][far], table["theory"][far]) < 0.6,
-            bool((ratio < 1.0).all() and ratio[home] < 0.8 and (table["own_share"] > 0.8).all()),
+            (ratio < 1.0).all() and ratio[home] < 0.8 and (table["own_share"] > 0.8).all(),
             "Five ticks ahead the error of a regression on positions is "
             f"{100 * table['bare'][home]:.1f} % on its own wall, where zero-order hold has "
             f"{100 * table['hold'][home]:.1f} %. On other walls it is up to {worst:.0f} times that "
@@ -353,7 +353,7 @@ class TrainedElsewhere(Page):
             shown(
                 "a device that moves at 17 m/s",
                 # after 0.2 s the delays of 80 ticks hold nothing but the wild motion
-                bool(np.isfinite(forces).all()) and not is_primary[200:].any(),
+                np.isfinite(forces).all() and not is_primary[200:].any(),
                 "falls back to zero-order hold; no tick changes the force by more than "
                 f"{steps:.2f} N",
                 Conduct.FALLS_BACK,

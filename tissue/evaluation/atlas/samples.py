@@ -150,13 +150,13 @@ class LostSamples(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare stale or jumping forces without the guard with the fading force of the guard."""
         tables = data.values()
-        off = max(float(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max()) for t in tables)
+        off = max(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max() for t in tables)
         # 25 ms: the 20 ms of the fade, and the age that a repeated sample may have
-        gone = max(float(t["guarded_at_end"][t["gap_s"] > 0.025].max()) for t in tables)
-        back = min(float(t["guarded_after"].min()) for t in tables)
-        step = max(float(t["guarded_step"].max()) for t in tables)
-        stale = float(data["duplicated"]["bare_at_end"].min())
-        jump = float(data["dropped"]["bare_step"].max())
+        gone = max(t["guarded_at_end"][t["gap_s"] > 0.025].max() for t in tables)
+        back = min(t["guarded_after"].min() for t in tables)
+        step = max(t["guarded_step"].max() for t in tables)
+        stale = data["duplicated"]["bare_at_end"].min()
+        jump = data["dropped"]["bare_step"].max()
         return Verdict(
             # measured: stale 1.00, jump 1.00; gone 0, back 1.00, step 0.05 (1/20), off 0
             stale > 0.5 and jump > 0.9,
@@ -181,7 +181,7 @@ class LostSamples(Page):
             assert guard is not None
             # the first 0.1 s are the start of the device
             events = [event for time_s, event in guard.events if time_s > 0.1]
-            right = events[-1] == "samples are good again" and bool(np.isfinite(size).all())
+            right = events[-1] == "samples are good again" and np.isfinite(size).all()
             asked = f"40 ms of {kind} samples"
             answers.append(shown(asked, right, "; ".join(events), Conduct.FALLS_BACK))
         return answers
@@ -259,13 +259,13 @@ class WildInput(Page):
         table = data["jump"]
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])
-        worst = float(table["guarded_N"].max())
+        worst = table["guarded_N"].max()
         # a rejected sample takes 1/20 of the force
         bridged = error_of(table["guarded_N"][beyond], 0.95 * table["before_N"][beyond])
         return Verdict(
             # measured: bare up to 1.5e12 N, off below 1e-15; the device limit holds to rounding
-            bool(table["bare_N"].max() > 1e6 and off < 0.01),
-            bool((table["not_believed"] == beyond).all())
+            table["bare_N"].max() > 1e6 and off < 0.01,
+            (table["not_believed"] == beyond).all()
             and worst <= OMNI.force_limit_N * (1.0 + 1e-12)
             and bridged < 1e-6,
             f"Without a guard one sample commands k·jump, up to {table['bare_N'].max():.1e} N. The "
@@ -292,7 +292,7 @@ class WildInput(Page):
             ),
             shown(
                 "a model that returns NaN for 10 ms",
-                bool(np.isfinite(force).all()) and 0.0 < force[1] < 1.0,
+                np.isfinite(force).all() and 0.0 < force[1] < 1.0,
                 f"{guard.events[-1][1]}; {force[1]:.2f} of 1 N is left",
                 Conduct.FALLS_BACK,
             ),

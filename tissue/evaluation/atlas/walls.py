@@ -110,7 +110,7 @@ class WallMap(Page):
             for name in ("measured_N_m", *BOUNDS)
         )
         off = error_of(exact, measured)
-        passive, first_order, pade = (float((bound / measured).max()) for bound in bounds)
+        passive, first_order, pade = ((bound / measured).max() for bound in bounds)
         return Verdict(
             # measured: error of the eigenvalues 0.02 %; the passive bound always lies below; the
             # bounds of first order in the delay and by Padé are 2.4 and 2.2 times too high
@@ -133,7 +133,7 @@ class WallMap(Page):
             refused("the scene wall at 6 kN/m", lambda: simulate(load_scene("wall", stiff))),
             shown(
                 "five times the force limit of the device",
-                compressed and float(played[2]) < limit,
+                compressed and played[2] < limit,
                 f"compressed to {played[2]:.2f} of {limit:g} N, and reported",
                 Conduct.FALLS_BACK,
             ),
@@ -209,7 +209,7 @@ def swing_steps(stiffness: float, friction: float) -> float:
             assert sample is not None
             depth.append(device.translation.position[2])
             device.command(np.array([0.0, 0.0, -stiffness * sample.position_m[2]]), np.zeros(3))
-        worst = max(worst, float(np.ptp(depth[-333:])) / ENCODER_M)
+        worst = max(worst, np.ptp(depth[-333:]) / ENCODER_M)
     return worst
 
 
@@ -278,10 +278,10 @@ class Quantisation(Page):
         """
         table = data["friction"]
         swing = data["swing"]
-        early = float((table["buzzes_from_N_m"] / table["critical_N_m"]).min())
+        early = (table["buzzes_from_N_m"] / table["critical_N_m"]).min()
         bound = np.interp(swing["friction_N"], table["friction_N"], table["bound_N_m"])
         inside = swing["stiffness_N_m"] <= bound
-        worst = float(swing["swing_steps"][inside].max(initial=0.0))
+        worst = swing["swing_steps"][inside].max(initial=0.0)
         return Verdict(
             # measured: 23 % of the critical stiffness
             early < 0.5,
@@ -436,7 +436,7 @@ class ThinWalls(Page):
         return Verdict(
             # The sampling changes the crossing speed: a device may enter the wall at a sample and
             # leave it before it was pushed much.
-            bool((np.abs(ratio - 1.0) < 0.25).all()),
+            (np.abs(ratio - 1.0) < 0.25).all(),
             kept == len(thrown["end_m"]),
             f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times the "
             f"speed (h/2)√(K/m) on: a wall of {1e3 * penalty['thickness_m'][0]:.1f} mm at "

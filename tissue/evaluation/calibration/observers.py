@@ -14,6 +14,7 @@ over a population may rise or fall.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +46,8 @@ RESAMPLES = 2000
 
 The probability beyond an end is then known to 2.5 ± 0.35 %, one standard error.
 """
+TOUCH = ForceRange(limit_N=3.3)
+"""Range of a Touch."""
 Command = Callable[[Array], Array]
 """Function from the force that shall be felt to the force at the device [N], any shape."""
 
@@ -132,20 +135,14 @@ class SimulatedObservers:
         return rng.standard_t(self.freedom, len(self)) * sqrt((self.freedom - 2.0) / self.freedom)
 
 
-def draw_observers(
-    group: str,
-    count: int,
-    rng: np.random.Generator,
-    *,
-    freedom: float = np.inf,
-    fatigue: float = 0.0,
-) -> SimulatedObservers:
+def draw_observers(group: str, count: int, rng: np.random.Generator) -> SimulatedObservers:
     """Draw observers of a group (novice, intermediate, expert).
 
     The parameters are from ``observers.toml`` and ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
-    return SimulatedObservers(**people.draws(count, rng), freedom=freedom, fatigue=fatigue)
+    drawn: dict[str, Any] = people.draws(count, rng)
+    return SimulatedObservers(**drawn)
 
 
 @dataclass(frozen=True)
@@ -157,11 +154,7 @@ class Stimulus:
 
 
 def calibrated_commands(
-    people: SimulatedObservers,
-    rng: np.random.Generator,
-    *,
-    numbers: int = 24,
-    limits: ForceRange | None = None,
+    people: SimulatedObservers, rng: np.random.Generator, *, numbers: int = 24
 ) -> list[Command]:
     """Return the function that gives the force to command for each person after a calibration.
 
@@ -176,12 +169,8 @@ def calibrated_commands(
         Generator of the scatter.
     numbers
         Rated numbers per person. 0 uses the true exponent and factor of each person instead.
-    limits
-        Range of the device, default 3.3 N.
     """
-    # the limit of a Touch
-    device = limits or ForceRange(limit_N=3.3)
-    knee_N = device.knee_share * device.limit_N
+    knee_N = TOUCH.knee_share * TOUCH.limit_N
     wanted = intensity_of(reference_observer())
     forces = np.resize(MAGNITUDE_FORCES_N, numbers)
     given = np.array([people.number(force, rng) for force in forces])
@@ -212,7 +201,7 @@ def share_right(
     seed: int,
     trials: int = 100,
     commands: Sequence[Command] | None = None,
-    limits: ForceRange | None = None,
+    limits: ForceRange = TOUCH,
 ) -> Array:
     """Return the share of right answers of each person, shape (n,).
 
@@ -233,12 +222,10 @@ def share_right(
     commands
         Force to command for each person. None for the unchanged force.
     limits
-        Range of the device, default 3.3 N. Forces above its knee are compressed.
+        Range of the device. Forces above its knee are compressed.
     """
     if first.level_N > second.level_N:
         first, second = second, first
-    # the limit of a Touch
-    device = limits or ForceRange(limit_N=3.3)
     scatter, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
     shape = (trials, len(people))
     felt = []
@@ -248,7 +235,7 @@ def share_right(
             force = np.column_stack(
                 [command(force[:, who]) for who, command in enumerate(commands)]
             )
-        felt.append(_played(force, device))
+        felt.append(_played(force, limits))
     less, more = felt
     threshold = people.kappa * (np.minimum(less, more) + people.offset_N)
     distance = D_PRIME_75 * (more - less) / threshold
@@ -265,12 +252,9 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
-    scatter = per_newton * float(np.hypot(first.scatter_N, second.scatter_N))
-    return np.asarray(
-        # the noise of two intervals has variance 2, so that a scatter s of the difference adds s**2
-        # / 2 to 1
-        per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2)
-    )
+    scatter = per_newton * np.hypot(first.scatter_N, second.scatter_N)
+    # The noise of two intervals has variance 2: a scatter s of the difference adds s**2 / 2 to 1.
+    return per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2)
 
 
 def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
@@ -278,11 +262,9 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
     The forces are forces at the skin, and the noise is normal.
     """
-    return np.asarray(
-        people.lapse
-        # in two intervals P = Phi(d' / sqrt(2))
-        + (1.0 - 2.0 * people.lapse) * ndtr(sensitivity(people, first, second) / 2.0**0.5)
-    )
+    # in two intervals P = Phi(d' / sqrt(2))
+    right = ndtr(sensitivity(people, first, second) / 2.0**0.5)
+    return people.lapse + (1.0 - 2.0 * people.lapse) * right
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:

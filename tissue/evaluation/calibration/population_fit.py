@@ -1,12 +1,13 @@
 """Fit of a population to the logs of many sessions."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from rich.panel import Panel
 
 from meshes.base.errors import InputError, counted
-from meshes.base.whole_file import require_new_file, whole_file
+from meshes.base.whole_file import require_new_file, write_text
 from tissue.evaluation.calibration.session import Session, read_log
 from tissue.perception.hierarchy import (
     ESS,
@@ -17,34 +18,34 @@ from tissue.perception.hierarchy import (
     PopulationTrials,
     fit_hierarchy,
 )
-from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, with_lapse
+from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer, write_observer
 from tissue.show.figures.figure import figure, save
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from rich.panel import Panel
-
-__all__ = ["draw_session", "fit_population", "new_person", "pooled_trials", "posterior_panel"]
+__all__ = ["draw_session", "fit_population", "new_person", "posterior_panel"]
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
     """Return the trials of many sessions, end to end."""
     compared = [
-        (who, asked, answer) for who, each in enumerate(sessions) for asked, answer in each.asked
+        (who, asked.base_N, asked.step_N, answer == asked.greater)
+        for who, each in enumerate(sessions)
+        for asked, answer in each.asked
     ]
     numbers = [
         (who, force, number) for who, each in enumerate(sessions) for force, number in each.given
     ]
+    who_compared, base_N, step_N, right = np.array(compared).reshape(-1, 4).T
+    who_rated, force_N, number = np.array(numbers).reshape(-1, 3).T
     return PopulationTrials(
         observers=len(sessions),
-        who_compared=np.array([who for who, _, _ in compared], dtype=int),
-        base_N=np.array([asked.base_N for _, asked, _ in compared]),
-        step_N=np.array([asked.step_N for _, asked, _ in compared]),
-        right=np.array([answer == asked.greater for _, asked, answer in compared], dtype=bool),
-        who_rated=np.array([who for who, _, _ in numbers], dtype=int),
-        force_N=np.array([force for _, force, _ in numbers]),
-        number=np.array([number for _, _, number in numbers]),
+        who_compared=who_compared.astype(int),
+        base_N=base_N,
+        step_N=step_N,
+        right=right.astype(bool),
+        who_rated=who_rated.astype(int),
+        force_N=force_N,
+        number=number,
     )
 
 
@@ -138,10 +139,7 @@ def fit_population(
         )
         for name in HYPER
     ]
-    with whole_file(table) as temporary:
-        temporary.write_text(
-            "\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8"
-        )
+    write_text(table, "\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n")
     kappa = fit.interval("log_kappa")
     beta = fit.interval("beta")
     worst = max(fit.r_hat.values())
@@ -167,10 +165,8 @@ ORANGE = "#E69F00"
 GREY = "0.6"
 
 
-def posterior_panel(session: Session) -> "Panel":
+def posterior_panel(session: Session) -> Panel:
     """Return the posterior of the Weber fraction as bars of text, with the estimates below."""
-    from rich.panel import Panel
-
     masses = session.threshold.weber_masses()[:, 0]
     # a character is an eighth of its height to its whole height tall
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
@@ -207,7 +203,7 @@ def draw_session(session: Session, path: Path) -> None:
     save(chart, path)
 
 
-def _posterior(session: Session, axes: "Axes") -> None:
+def _posterior(session: Session, axes: Axes) -> None:
     prior = session.plan.prior
     masses = prior.parameters()[3].reshape(prior.cells, -1).sum(axis=1)
     edges = 100.0 * prior.weber_edges
@@ -235,7 +231,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
     axes.legend()
 
 
-def _answers(session: Session, axes: "Axes") -> None:
+def _answers(session: Session, axes: Axes) -> None:
     """Draw the shares of right answers against the step in thresholds, in bins of equal count."""
     weber, offset, lapse = (
         float(get()[0])
@@ -264,8 +260,8 @@ def _answers(session: Session, axes: "Axes") -> None:
             )
     # from steps at which answers are guesses to steps at which nearly all answers are right
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
-    share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
-    axes.semilogx(at, 100.0 * share, color=BLUE)
+    # a base of 0, a Weber fraction of 1 and an offset of 1 N have a threshold of 1 N
+    axes.semilogx(at, 100.0 * two_interval(0.0, at, 1.0, 1.0, lapse), color=BLUE)
     _ticks(axes, [0.1, 0.3, 1, 3, 10])
     # at the threshold, 75 % of the answers are right, see `D_PRIME_75`
     axes.axhline(75.0, color=GREY, ls=":")
@@ -278,7 +274,7 @@ def _answers(session: Session, axes: "Axes") -> None:
     )
 
 
-def _numbers(session: Session, axes: "Axes") -> None:
+def _numbers(session: Session, axes: Axes) -> None:
     if not session.given:
         axes.text(0.5, 0.5, "no numbers were asked", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -297,7 +293,7 @@ def _numbers(session: Session, axes: "Axes") -> None:
     axes.grid(alpha=0.3, which="both")
 
 
-def _ticks(axes: "Axes", ticks: list[float]) -> None:
+def _ticks(axes: Axes, ticks: list[float]) -> None:
     """Set the ticks of a logarithmic axis."""
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)

@@ -6,7 +6,7 @@ laws.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from math import nan
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from meshes.base.arrays import Array
-from meshes.base.cache import cached_arrays
+from meshes.base.cache import Arrays, cached_arrays
 from meshes.base.errors import InputError, counted
 from meshes.base.progress import Progress, silent
 from meshes.paths.toolpath import arc_length, points_along
@@ -113,7 +113,7 @@ class LawError:
         return (
             f"the force error of the linear law against the neo-Hookean law is "
             f"{100.0 * self.error:.2g} % on this motion, with every setting "
-            f"({counted(int(on.sum()), 'instant')} without friction, at depths of up to "
+            f"({counted(on.sum(), 'instant')} without friction, at depths of up to "
             f"{1e3 * self.depth_m[on].max():.2g} mm{lost})"
         )
 
@@ -134,7 +134,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
     if organ.fibre_direction is not None or organ.capsule or organ.gravity:
         return None
 
-    def make() -> dict[str, NDArray[np.generic]]:
+    def make() -> Arrays:
         """Solve both laws at the instants."""
         from tissue.fem.hyperelastic import Law
 
@@ -150,10 +150,8 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         neo_N, _ = press(solvers[1])
         return {"depth_m": depth_m, "linear_N": linear_N, "neo_N": neo_N}
 
-    kept = cached_arrays(
-        "law", (scene_text(scene), INSTANTS, POSES, COARSER, TOLERANCE, sources()), make
-    )
-    return LawError(**{entry.name: kept[entry.name] for entry in fields(LawError)})  # type: ignore[arg-type]
+    key = (scene_text(scene), INSTANTS, POSES, COARSER, TOLERANCE, sources())
+    return LawError(**cached_arrays("law", key, make))
 
 
 def _pressed_by_a_ball(scene: Scene) -> bool:
@@ -251,7 +249,7 @@ def linear_error(depth: float, law: str = LAW) -> float:
     depths, errors = np.array([(0.0, 0.0), *known]).T
     # a press deeper than the last one in the table has a larger error: the last slope is continued
     beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
-    return float(np.interp(depth, depths, errors)) + float(beyond)
+    return np.interp(depth, depths, errors) + beyond
 
 
 def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
@@ -335,9 +333,7 @@ def _largest_depth_mm(scene: Scene) -> float:
     """
     coarse = changed(of_model(scene), settings_of(scene, quick=True)[0].changes)
 
-    def make() -> dict[str, NDArray[np.generic]]:
+    def make() -> Arrays:
         return {"depth_mm": simulate(coarse).trace["indentation_mm"].max(keepdims=True)}
 
-    return float(
-        np.asarray(cached_arrays("depth", (scene_text(coarse), sources()), make)["depth_mm"])[0]
-    )
+    return cached_arrays("depth", (scene_text(coarse), sources()), make)["depth_mm"][0]

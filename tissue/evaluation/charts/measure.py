@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.cache import cached_arrays
+from meshes.base.cache import Arrays, cached_arrays
 from meshes.base.errors import InputError
 from meshes.paths.toolpath import arc_length, points_along
 from tissue.evaluation.charts.settings import (
@@ -49,7 +49,6 @@ __all__ = [
     "excerpt",
     "float32_error",
     "force_and_reference_N",
-    "grid_force_N",
     "measure",
     "of_model",
     "reference_gap",
@@ -78,7 +77,7 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
         (scene_text(at), sources(), version("warp-lang")),
         lambda: {"force_N": simulate(at).trace.vectors("model_force", "N")},
     )
-    return np.asarray(forces["force_N"], dtype=np.float64)
+    return forces["force_N"]
 
 
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
@@ -272,7 +271,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
     The result is kept on disk.
     """
 
-    def found() -> dict[str, NDArray[np.generic]]:
+    def found() -> Arrays:
         """Run the scene with its duration doubled again and again until the tool touches."""
         whole = _length_s(scene)
         span = span_s
@@ -300,7 +299,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
         return {"time_s": TICK_S * touching[:1].astype(float)}
 
     key = (scene_text(scene), span_s, sources())
-    return float(np.asarray(cached_arrays("contact", key, found)["time_s"])[0])
+    return float(cached_arrays("contact", key, found)["time_s"][0])
 
 
 def _length_s(scene: Scene) -> float:
@@ -354,7 +353,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
     took_s = (perf_counter() - started) / len(runs)
     # Other work of the machine only adds time.
-    run = min(runs, key=lambda each: float(np.median(each.timing["tick_us"])))
+    run = min(runs, key=lambda each: np.median(each.timing["tick_us"]))
     ticks = run.timing["tick_us"]
     touching = run.trace["contact_mm2"] > 0.0
     touched = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))

@@ -3,9 +3,10 @@ force.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
@@ -25,10 +26,6 @@ from tissue.simulation.builders.prediction import CAUTION, perception_for
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import OwnedFolder
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 __all__ = ["perception_charts"]
 
 
@@ -47,7 +44,7 @@ Its perceived intensity grows less with the force than that of the reference obs
 """
 
 
-def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = False) -> list[Path]:
+def perception_charts(out: Path, observer: Path | None, *, overwrite: bool) -> list[Path]:
     """Draw all pictures of an observer's file, or of an example, into a folder.
 
     Raises
@@ -116,7 +113,7 @@ def _command(someone: Observer, path: Path) -> None:
         played = np.array([device.play(np.array([force, 0.0, 0.0]))[0][0] for force in commands])
         left.plot(forces, played, color=colour, label=f"{who.name}, gain {law.gain:.2f}")
         felt = intensity_of(who)
-        shown = felt.expected(played) / float(felt.expected(law.command_N(1.0)))
+        shown = felt.expected(played) / felt.expected(law.command_N(1.0))
         plain = felt.expected(forces) / felt.expected(1.0)
         right.plot(forces, shown, color=colour, label=f"{who.name}, commanded")
         right.plot(forces, plain, "-.", color=colour, label=f"{who.name}, physical force")
@@ -168,7 +165,7 @@ def _deadband(someone: Observer, path: Path) -> None:
     _finish(chart, path)
 
 
-def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
+def _panels(rows: int, columns: int) -> tuple[Figure, tuple[Axes, Axes]]:
     """Return a figure with two panels."""
     # inches; two panels side by side, or one below the other
     chart = figure(10.0, 4.6)
@@ -177,7 +174,7 @@ def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
     return chart, (first, second)
 
 
-def _finish(chart: "Figure", path: Path) -> None:
+def _finish(chart: Figure, path: Path) -> None:
     """Add grids and legends, and write the file."""
     for axes in chart.axes:
         axes.grid(alpha=0.3)

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.evaluation.statistics.intervals import Interval, mean_interval, signed_interval
 from tissue.evaluation.training import (
     HORIZONS,
@@ -24,7 +24,7 @@ from tissue.evaluation.training import (
     trial,
 )
 from tissue.haptics.device.device import device_parameters
-from tissue.prediction.predictor import Contact, Predictor, SeesContact
+from tissue.prediction.predictor import Predictor, SeesContact
 from tissue.prediction.trained import Trained, is_trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
@@ -32,11 +32,7 @@ from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.simulation.builders.prediction import trained_predictor
 from tissue.system.owned_folder import OwnedFolder
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 __all__ = [
-    "OURS",
     "PredictorComparison",
     "chart_prediction",
     "comparison_lines",
@@ -127,7 +123,7 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
         unseen.append(
             recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share))
         )
-    model_us = 1e6 * float(np.median([run.model_s for run in unseen]))
+    model_us = 1e6 * np.median([run.model_s for run in unseen])
     errors = {}
     cost_us = {}
     slow = {"1 kHz": (Interval(0.0, 0.0, 0.0), model_us)}
@@ -162,17 +158,16 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
     # like the loop, this shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
-    for position, velocity, force, row in zip(
+    for position, velocity, force, contact in zip(
         run.position_m, run.velocity_m_s, run.force_N, run.contact, strict=True
     ):
-        contact = Contact.of_row(row)
         start = perf_counter()
         if shown is not None:
             shown.meet(contact)
         predictor.observe(position, velocity, force)
         predictor.predict(DELAY_MS)
         times.append(perf_counter() - start)
-    return 1e6 * float(np.median(times)), 1e6 * float(np.quantile(times, 0.99))
+    return 1e6 * np.median(times), 1e6 * np.quantile(times, 0.99)
 
 
 def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
@@ -283,8 +278,7 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
         ]
     for name, head in HEADS.items():
         lines = [head, *(",".join(map(str, row)) for row in rows[name])]
-        with whole_file(folder / name) as temporary:
-            temporary.write_text("\n".join(lines) + "\n", "utf-8")
+        write_text(folder / name, "\n".join(lines) + "\n")
 
 
 LIMIT_US = 20.0
@@ -336,7 +330,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     save(chart, path)
 
 
-def _whiskers(axes: "Axes", x: float, at: Interval, *, color: str, fmt: str) -> None:
+def _whiskers(axes: Axes, x: float, at: Interval, *, color: str, fmt: str) -> None:
     """Draw a mean with its interval, in per cent."""
     mean, low, high = 100 * np.array(at)
     axes.errorbar(x, mean, [[mean - low], [high - mean]], fmt=fmt, color=color)

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
 
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.evaluation.charts.measure import of_model, reference_words
 from tissue.evaluation.charts.settings import (
@@ -21,10 +22,7 @@ from tissue.scene.tool import Tool
 from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.system.owned_folder import OwnedFolder
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-__all__ = ["chart_lines", "chart_scenes", "charted", "draw_frontiers", "notes_before"]
+__all__ = ["chart_lines", "chart_scenes", "charted", "notes_before"]
 
 
 def chart_scenes(
@@ -68,8 +66,7 @@ def chart_scenes(
             draw_frontiers(drawn[-1], out / f"{scene.name}.png")
             write_measured(out / f"{scene.name}.csv", rows)
         draw_overview(drawn, out / "frontier.png")
-        with whole_file(out / "machine.txt") as temporary:
-            temporary.write_text(machine() + "\n", "utf-8")
+        write_text(out / "machine.txt", machine() + "\n")
     return found
 
 
@@ -194,7 +191,7 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
     save(chart, path)
 
 
-def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
+def _draw_best(axes: Axes, found: Frontier, colour: str, label: str) -> None:
     """Draw the Pareto-optimal settings of a frontier with their names."""
     ticks = [point.median_us for point in found.best]
     errors = [_percent(point.force_error) for point in found.best]
@@ -205,7 +202,7 @@ def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
         axes.annotate(point.setting, place, (4, 4), textcoords="offset points", color=colour)
 
 
-def _draw_frontier(axes: "Axes", found: Frontier) -> None:
+def _draw_frontier(axes: Axes, found: Frontier) -> None:
     """Draw all settings of a scene."""
     for point in found.points:
         colour, mark, label = FAMILIES[point.family]
@@ -247,7 +244,7 @@ def _percent(error: float) -> float:
     return max(100.0 * error, LEAST)
 
 
-def _log_axes(axes: "Axes", **settings: str) -> None:
+def _log_axes(axes: Axes, **settings: str) -> None:
     """Use logarithmic axes with plain numbers."""
     axes.set(xscale="log", yscale="log", **settings)
     for axis in (axes.xaxis, axes.yaxis):

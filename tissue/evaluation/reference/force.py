@@ -216,11 +216,9 @@ class _AtTick:
             0.5 * (cells.size[:, 0] / piece.radius if isinstance(piece, Arc) else 0.0)
             + 0.5 * cells.size[:, 1]
         )
-        speed = (
-            float(np.linalg.norm(self.velocity))
-            + float(np.linalg.norm(self.turning)) * self.path.reach_m
-        )
-        change = speed * bend + float(np.linalg.norm(self.turning)) * reach
+        turning = np.linalg.norm(self.turning)
+        speed = np.linalg.norm(self.velocity) + turning * self.path.reach_m
+        change = speed * bend + turning * reach
         kept = np.flatnonzero(advance > -change)
         world = self.path.in_world(self.tick, points[kept])
         depth = self.solid.distance(world)

@@ -5,14 +5,14 @@ The force is interpolated between evaluated ticks and stored on disk.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
-from meshes.base.cache import cached_arrays
-from meshes.base.progress import Progress, silent
+from meshes.base.cache import Arrays, cached_arrays
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
@@ -30,7 +30,6 @@ __all__ = [
     "grid_index",
     "has_exact_geometry",
     "means_over_50_ms",
-    "observed_order",
     "path_of_trace",
     "reference_force",
     "solid_of_scene",
@@ -73,13 +72,10 @@ class ReferenceForce:
         Error of the reference relative to the force: the difference from an evaluation with twice
         the resolution, interpolation included. Both are root mean squares over ticks spread over
         the contact.
-    evaluations
-        Ticks at which the reference was evaluated.
     """
 
     wrench: Array
     uncertainty: float
-    evaluations: int
 
     @property
     def force_N(self) -> Array:
@@ -90,9 +86,10 @@ class ReferenceForce:
 def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
     """Return poses and velocities of a run's tool."""
     low, high = cutter.profile.height_range_m
-    return ToolPath.from_quaternions(
+    quaternions = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+    return ToolPath(
         1e-3 * trace.vectors("tool", "mm"),
-        np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]),
+        Rotation.from_quat(quaternions).as_matrix(),
         1e-3 * trace.vectors("velocity", "mm_s"),
         trace.vectors("angular_velocity", "rad_s"),
         reach_m=float(np.hypot(cutter.profile.radius_m, max(abs(low), abs(high)))),
@@ -116,11 +113,7 @@ def solid_of_scene(scene: Scene) -> Solid:
 
 
 def reference_force(
-    scene: Scene,
-    trace: Table,
-    *,
-    resolution: Resolution | None = None,
-    progress: Progress | None = None,
+    scene: Scene, trace: Table, *, resolution: Resolution | None = None
 ) -> ReferenceForce:
     """Compute the force of the exact geometry on the motion of a run.
 
@@ -140,9 +133,7 @@ def reference_force(
         scene.tool.model_copy(update={"shell_spacing_mm": None}),
         solid.coefficients,
     )
-    return force_on_path(
-        path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress
-    )
+    return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution)
 
 
 def force_on_path(
@@ -152,7 +143,6 @@ def force_on_path(
     *,
     kept_by: tuple[object, ...] = (),
     resolution: Resolution | None = None,
-    progress: Progress | None = None,
 ) -> ReferenceForce:
     """Compute the force of the exact geometry on a path.
 
@@ -163,15 +153,11 @@ def force_on_path(
         Without it nothing is stored.
     """
     fine = resolution or Resolution()
-    report = progress or silent
 
-    def make() -> dict[str, NDArray[np.generic]]:
-        """Return the wrench [N], [N m] at every tick, its relative error, and the evaluated ticks.
-
-        The error is known at some ticks only. The number of evaluated ticks is returned.
-        """
-        wrench, known = _over_ticks(
-            lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report
+    def make() -> Arrays:
+        """Return the wrench [N], [N m] at every tick, and its relative error at some ticks."""
+        wrench = _over_ticks(
+            lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path
         )
         contact = np.flatnonzero(wrench.any(axis=1))
         checked = (
@@ -183,14 +169,10 @@ def force_on_path(
             wrench_at(int(tick), path, cutter, solid, resolution=fine.finer())[:3]
             for tick in checked
         ]
-        off = float(np.linalg.norm(np.array(again) - wrench[checked, :3])) if len(checked) else 0.0
+        off = np.linalg.norm(np.array(again) - wrench[checked, :3]) if len(checked) else 0.0
         # without contact both are zero
         error = off / max(float(np.linalg.norm(wrench[checked, :3])), 1e-300)
-        return {
-            "wrench": wrench,
-            "uncertainty": np.array(error),
-            "evaluations": np.array(known.sum()),
-        }
+        return {"wrench": wrench, "uncertainty": np.array(error)}
 
     key = (
         path.tips_m,
@@ -203,44 +185,25 @@ def force_on_path(
         COARSEST_TICKS,
     )
     found = cached_arrays("reference-force", key, make) if kept_by else make()
-    return ReferenceForce(
-        np.asarray(found["wrench"], dtype=np.float64),
-        float(found["uncertainty"].item()),
-        int(found["evaluations"].item()),
-    )
+    return ReferenceForce(found["wrench"], found["uncertainty"].item())
 
 
-def _over_ticks(
-    evaluate: Callable[[int], Array], path: ToolPath, report: Progress
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Compute the wrench at every tick, shape (n, 6), and its evaluation flag, shape (n,).
+def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
+    """Compute the wrench at every tick, shape (n, 6).
 
     Every part of the path without a jump is halved until the line between two evaluations agrees
     with the tick between them. A part in which contact begins or ends is halved down to single
     ticks.
     """
-    count = len(path.tips_m)
-    wrench = np.zeros((count, 6))
-    known = np.zeros(count, dtype=bool)
-    share = 0.0
-
-    def at(tick: int) -> Array:
-        if not known[tick]:
-            wrench[tick] = evaluate(tick)
-            known[tick] = True
-        return wrench[tick, :3]
-
+    wrench = np.zeros((len(path.tips_m), 6))
     waiting: list[tuple[int, int]] = []
     for first, last in _stretches(path):
         knots = np.unique(np.append(np.arange(first, last, COARSEST_TICKS), last)).tolist()
-        for k, tick in enumerate(knots):
-            at(tick)
-            # the knots are the first half of the progress, the ticks between them the second
-            report("computing the reference force", share := max(share, 0.5 * tick / count))
-            if k:
-                waiting.append((knots[k - 1], tick))
-    sizes = np.linalg.norm(wrench[known, :3], axis=1)
-    allowed = INTERPOLATION * float(sizes[sizes > 0.0].mean()) if sizes.any() else 0.0
+        for tick in knots:
+            wrench[tick] = evaluate(tick)
+        waiting += pairwise(knots)
+    sizes = np.linalg.norm(wrench[:, :3], axis=1)
+    allowed = INTERPOLATION * sizes[sizes > 0.0].mean() if sizes.any() else 0.0
     while waiting:
         first, last = waiting.pop()
         middle = (first + last) // 2
@@ -251,16 +214,13 @@ def _over_ticks(
         # The force has a kink where contact begins. A line over the kink can agree with the middle
         # by chance, and would then give a force before the contact.
         begins_or_ends = wrench[first].any() != wrench[last].any()
-        if np.linalg.norm(at(middle) - line[:3]) > allowed or begins_or_ends:
+        wrench[middle] = evaluate(middle)
+        if np.linalg.norm((wrench[middle] - line)[:3]) > allowed or begins_or_ends:
             waiting += [(first, middle), (middle, last)]
         else:
-            _fill(wrench, known, first, middle)
-            _fill(wrench, known, middle, last)
-        report(
-            "computing the reference force",
-            share := max(share, 0.5 + 0.5 * (1.0 - len(waiting) / count)),
-        )
-    return wrench, known
+            _fill(wrench, first, middle)
+            _fill(wrench, middle, last)
+    return wrench
 
 
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
@@ -277,7 +237,7 @@ def _stretches(path: ToolPath) -> list[tuple[int, int]]:
     return list(zip(begins, [*(first - 1 for first in begins[1:]), len(speed) - 1], strict=True))
 
 
-def _fill(wrench: Array, known: NDArray[np.bool_], first: int, last: int) -> None:
+def _fill(wrench: Array, first: int, last: int) -> None:
     """Interpolate between two evaluated ticks."""
     share = (np.arange(first + 1, last) - first)[:, None] / (last - first)
     wrench[first + 1 : last] = wrench[first] + share * (wrench[last] - wrench[first])

@@ -10,12 +10,11 @@ from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["ConvexPart", "ToolPath", "convex_parts"]
+__all__ = ["ToolPath", "convex_parts"]
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
@@ -48,10 +47,10 @@ class ConvexPart:
         # 64 parts of each piece
         share = np.linspace(0.0, 1.0, 65)
         outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
-        centre = 0.5 * float(outline[:, 1].min() + outline[:, 1].max())
+        centre = 0.5 * (outline[:, 1].min() + outline[:, 1].max())
         # an arc of half a turn bulges by 3e-4 of its radius between 65 samples
-        slack = 1e-3 * float(np.abs(outline).max())
-        return centre, float(np.hypot(outline[:, 0], outline[:, 1] - centre).max()) + slack
+        slack = 1e-3 * np.abs(outline).max()
+        return centre, np.hypot(outline[:, 0], outline[:, 1] - centre).max() + slack
 
     def distance(self, points: Array) -> Array:
         """Return the signed distance [m], shape (n,), negative inside.
@@ -91,7 +90,7 @@ class ConvexPart:
         """
         low = np.zeros(len(start))
         high = np.ones(len(start))
-        longest = float(np.linalg.norm(along, axis=1).max())
+        longest = np.linalg.norm(along, axis=1).max()
         ends = np.minimum(self.distance(start), self.distance(start + along))
         left = high - GOLDEN
         right = low + GOLDEN
@@ -124,9 +123,9 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
         ball = len(pieces) == 1 and isinstance(arc, Arc) and arc.last - arc.first > pi - 1e-9
         return (ConvexPart(pieces, ball),)
     first = next(k for k, piece in enumerate(pieces) if piece.cutting)
-    foot = pieces[first].at(np.zeros(1))[0][0]
-    bottom = Line((0.0, float(foot[1])), (float(foot[0]), float(foot[1])), False)
-    lid = Line((float(foot[0]), float(foot[1])), (0.0, float(foot[1])), False)
+    radius, height = pieces[first].at(np.zeros(1))[0][0].tolist()
+    bottom = Line((0.0, height), (radius, height), False)
+    lid = Line((radius, height), (0.0, height), False)
     return ConvexPart((bottom, *pieces[first:]), False), ConvexPart((*pieces[:first], lid), False)
 
 
@@ -190,21 +189,6 @@ class ToolPath:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "legs", self._found_legs())
-
-    @classmethod
-    def from_quaternions(
-        cls,
-        tips_m: Array,
-        quaternions: Array,
-        velocities: Array,
-        turnings: Array,
-        *,
-        reach_m: float,
-    ) -> "ToolPath":
-        """Path with orientations (x, y, z, w), shape (n, 4)."""
-        return cls(
-            tips_m, Rotation.from_quat(quaternions).as_matrix(), velocities, turnings, reach_m
-        )
 
     def in_tool(self, tick: int, points: Array) -> Array:
         """Convert points of the world [m], shape (n, 3), to the tool's frame at a tick."""

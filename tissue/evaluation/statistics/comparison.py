@@ -41,9 +41,7 @@ __all__ = [
     "compare",
     "corrected",
     "manova",
-    "stratum_test",
     "tukey_groups",
-    "tukey_levels",
 ]
 
 ROUNDING = 1e-12
@@ -178,7 +176,7 @@ def stratum_test(
     )
     question = f"{cells.metric}: {name}"
     exact = strata(values, groups, sizes, within, between=between)
-    if float(exact.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
+    if exact.error_square <= (ROUNDING * np.abs(values).max()) ** 2:
         raise InputError(
             cells.metric,
             "vary among users",
@@ -237,7 +235,7 @@ def _f_tests(
         p = mauchly(scores, groups)
         # NaN, where users are too few for the test, counts as not shown.
         finding = f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}"
-        assumptions.append(Assumption("sphericity", bool(p >= ALPHA), finding))
+        assumptions.append(Assumption("sphericity", p >= ALPHA, finding))
         degrees = tuple(epsilon * each for each in exact.degrees)
         p = float(exact.corrected_p)
         others.append(HypothesisTest("Greenhouse-Geisser", question, "F", statistic, degrees, p))
@@ -315,8 +313,8 @@ def _pairs(signs: SignTest, tukey: Sequence[HypothesisTest]) -> list[HypothesisT
     """Return the test of each pair by sign flips, with Tukey's test as an alternative."""
     found = []
     for index, other in enumerate(tukey):
-        difference = float(signs.differences[index])
-        error = float(signs.errors[index])
+        difference = signs.differences[index]
+        error = signs.errors[index]
         reach = signs.critical * error
         effect = Effect("difference", difference, difference - reach, difference + reach)
         found.append(
@@ -326,7 +324,7 @@ def _pairs(signs: SignTest, tukey: Sequence[HypothesisTest]) -> list[HypothesisT
                 "t",
                 difference / error,
                 (),
-                float(signs.pair_p[index]),
+                signs.pair_p[index],
                 effect,
                 alternatives=(other,),
             )
@@ -351,7 +349,7 @@ def _equal_variances(scores: Array, groups: Ints) -> Assumption:
     The result is the smallest p of the columns, corrected by Bonferroni's factor.
     """
     found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
-    p = min(1.0, len(found) * float(found.min()))
+    p = min(1.0, len(found) * found.min())
     return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")
 
 
@@ -394,9 +392,9 @@ def tukey_groups(
     for pair in combinations(range(len(groups)), 2):
         at = pair[::-1]
         question = f"{metric}: {names[pair[1]]} minus {names[pair[0]]}"
-        difference = float(pooled.statistic[at])
-        effect = Effect("difference", difference, float(ends.low[at]), float(ends.high[at]))
-        p = float(pooled.pvalue[at])
+        difference = pooled.statistic[at]
+        effect = Effect("difference", difference, ends.low[at], ends.high[at])
+        p = pooled.pvalue[at]
         test = HypothesisTest("Tukey HSD", question, "difference", difference, (), p, effect)
         found.append(test)
     return tuple(found)
@@ -425,17 +423,17 @@ def tukey_levels(
     found = strata(values, groups, (values.shape[1],), (0,), between=False)
     counts = np.bincount(groups)
     means = group_means(values, groups).mean(axis=0)
-    error = float(np.sqrt(float(found.error_square) * (1.0 / counts).sum() / len(counts) ** 2))
+    error = np.sqrt(found.error_square * (1.0 / counts).sum() / len(counts) ** 2)
     degrees = (len(means), found.degrees[1])
     # The quantile takes 0.3 s.
-    reach = float(studentized_range.ppf(LEVEL, *degrees)) * error
+    reach = studentized_range.ppf(LEVEL, *degrees) * error
     tests = []
     for a, b in combinations(range(len(names)), 2):
         question = f"{metric}: {names[b]} minus {names[a]}"
-        difference = float(means[b] - means[a])
+        difference = means[b] - means[a]
         statistic = abs(difference) / error
         effect = Effect("difference", difference, difference - reach, difference + reach)
-        p = float(studentized_range.sf(statistic, *degrees))
+        p = studentized_range.sf(statistic, *degrees)
         tests.append(
             HypothesisTest("Tukey HSD within users", question, "q", statistic, degrees, p, effect)
         )

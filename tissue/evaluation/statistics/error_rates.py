@@ -1,8 +1,8 @@
 """Rejection rates of the tests of a study, with and without an effect."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import combinations
 
 import numpy as np
@@ -15,7 +15,7 @@ from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
 from tissue.evaluation.statistics.strata import Strata, group_means, pillai, scores_of, strata
 from tissue.evaluation.statistics.trials import Cells
 
-__all__ = ["QUESTIONS", "Power", "joint_rates", "redrawn_power", "rejection_rates"]
+__all__ = ["QUESTIONS", "Power", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 2_000
 """Number of populations. A rate of 5 % then has a standard error of 0.5 %."""
@@ -100,9 +100,7 @@ def redrawn_power(
     shape = (populations, users, metrics, methods)
     null = np.moveaxis(null.reshape(shape), 2, 1)
     planted = null + np.moveaxis(means.reshape(shape[1:]), 1, 0)
-    if metrics > 1:
-        return joint_rates(null, planted, groups, rng=rng)
-    return rejection_rates(null[:, 0], planted[:, 0], groups, rng=rng)
+    return rejection_rates(null, planted, groups, rng=rng)
 
 
 def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Generator) -> Array:
@@ -126,21 +124,16 @@ def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Gene
         group.
     """
     columns = residuals.shape[1]
-    parts = []
-    for count in np.bincount(groups):
+    found = []
+    for group, count in enumerate(np.bincount(groups)):
         # Silverman (1986, equation 4.14), in standard deviations of the group
         width = (4.0 / ((columns + 2.0) * count)) ** (1.0 / (columns + 4.0))
         drawn = np.eye(count)[rng.integers(count, size=(populations, count))]
         noise = rng.standard_normal((populations, count, count))
         # a drawn residual has the variance (n - 1) / n of the unbiased one, noise needs 1 / (n - 1)
         weights = count**0.5 * drawn + width * noise
-        parts.append(weights / ((count - 1.0) * (1.0 + width**2)) ** 0.5)
-    found = []
-    start = 0
-    for weights in parts:
-        stop = start + weights.shape[1]
-        found.append(weights @ residuals[start:stop])
-        start = stop
+        weights = weights / ((count - 1.0) * (1.0 + width**2)) ** 0.5
+        found.append(weights @ residuals[groups == group])
     return np.concatenate(found, axis=1)
 
 
@@ -152,23 +145,44 @@ def rejection_rates(
     rng: np.random.Generator,
     questions: Sequence[str] = tuple(QUESTIONS),
 ) -> tuple[Power, ...]:
-    """Return the shares of populations in which each test of one metric rejects.
+    """Return the shares of populations in which each test rejects.
 
     Parameters
     ----------
     null, planted
-        Populations without and with an effect, each of shape (populations, users, methods).
+        Populations without and with an effect, each of shape (populations, metrics, users,
+        methods). Several metrics are tested together.
     groups
         Group of every user, shape (users,).
     rng
         Generator of the sign flips.
     questions
-        Questions to answer. Those that the design cannot answer are skipped.
+        Questions to answer. Those that the design cannot answer are skipped. Several metrics have
+        no test of group x method.
     """
     found: list[Power] = []
-    for question in _answerable(questions, null.shape[-1], groups):
-        plain = _rejections(null, groups, question, rng)
-        found += _rates(question, plain, _rejections(planted, groups, question, rng), groups)
+    metrics, _, methods = null.shape[1:]
+    for question in questions:
+        chosen, between = QUESTIONS[question]
+        lacks_groups = between and groups.max() == 0
+        lacks_methods = bool(chosen) and methods < 2
+        if lacks_groups or lacks_methods or (metrics > 1 and chosen and between):
+            continue
+        reject = partial(_rejections, groups=groups, question=question, rng=rng)
+        name = question
+        if metrics > 1:
+            by_pillai = _pillai_applies(null[0], groups, question)
+            reject = partial(
+                _joint_rejections, groups=groups, question=question, rng=rng, by_pillai=by_pillai
+            )
+            name = f"{question}, {metrics} metrics"
+        alarms = reject(null)
+        hits = reject(planted)
+        users = int(np.bincount(groups).min())
+        found += [
+            Power(name, test, users, len(alarms[test]), _share(alarms[test]), _share(hits[test]))
+            for test in alarms
+        ]
     return tuple(found)
 
 
@@ -176,6 +190,7 @@ def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
 ) -> dict[str, Rejects]:
     """Return the populations in which each test of one metric rejects, by the name of the test."""
+    values = values[:, 0]
     chosen, between = QUESTIONS[question]
     sizes = (values.shape[-1],)
     scores = pair_scores(values, sizes, chosen)
@@ -191,42 +206,6 @@ def _rejections(
     if question == "group":
         found["Tukey HSD"] = _tukey_groups(values.mean(axis=-1), groups)
     return found
-
-
-def joint_rates(
-    null: Array,
-    planted: Array,
-    groups: Ints,
-    *,
-    rng: np.random.Generator,
-    questions: Sequence[str] = ("method", "group"),
-) -> tuple[Power, ...]:
-    """Return the shares of populations in which each test of several metrics together rejects.
-
-    Parameters
-    ----------
-    null, planted
-        Populations without and with an effect, each of shape (populations, metrics, users,
-        methods).
-    groups
-        Group of every user, shape (users,).
-    rng
-        Generator of the sign flips.
-    questions
-        Questions to answer. Those that the design cannot answer are skipped.
-    """
-    found: list[Power] = []
-    metrics, _, methods = null.shape[1:]
-    for question in _answerable(questions, methods, groups):
-        by_pillai = _pillai_applies(null[0], groups, question)
-        plain = _joint_rejections(null, groups, question, rng, by_pillai=by_pillai)
-        found += _rates(
-            f"{question}, {metrics} metrics",
-            plain,
-            _joint_rejections(planted, groups, question, rng, by_pillai=by_pillai),
-            groups,
-        )
-    return tuple(found)
 
 
 def _joint_rejections(
@@ -252,19 +231,7 @@ def _pillai_applies(values: Array, groups: Ints, question: str) -> bool:
     scores = _joined(scores_of(values, (values.shape[-1],), chosen))
     users, width = scores.shape
     residuals = scores - group_means(scores, groups)[groups]
-    return bool(np.linalg.matrix_rank(residuals) == width < users - int(groups.max()) - 1)
-
-
-def _answerable(questions: Sequence[str], methods: int, groups: Ints) -> list[str]:
-    """Return the questions that a design with these methods and groups can answer."""
-    found = []
-    for question in questions:
-        chosen, between = QUESTIONS[question]
-        lacks_groups = between and groups.max() == 0
-        lacks_methods = bool(chosen) and methods < 2
-        if not lacks_groups and not lacks_methods:
-            found.append(question)
-    return found
+    return np.linalg.matrix_rank(residuals) == width < users - groups.max() - 1
 
 
 @lru_cache(maxsize=64)
@@ -273,24 +240,13 @@ def _critical_range(levels: int, degrees: int) -> float:
 
     The computation takes 0.3 s.
     """
-    return float(studentized_range.ppf(LEVEL, levels, degrees))
+    return studentized_range.ppf(LEVEL, levels, degrees)
 
 
 def _joined(scores: Array) -> Array:
     """Join the scores of all metrics, from (..., metrics, users, scores) to (..., users, all)."""
     moved = np.moveaxis(scores, -3, -2)
     return moved.reshape(*moved.shape[:-2], -1)
-
-
-def _rates(
-    question: str, null: Mapping[str, Rejects], planted: Mapping[str, Rejects], groups: Ints
-) -> list[Power]:
-    """Return the rates of each test of one question from its rejections."""
-    users = int(np.bincount(groups).min())
-    return [
-        Power(question, name, users, len(alarms), _share(alarms), _share(planted[name]))
-        for name, alarms in null.items()
-    ]
 
 
 def _tukey_levels(values: Array, groups: Ints, exact: Strata) -> Rejects:

@@ -33,7 +33,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
     Ints
         Indices of users, shape (count, users).
     """
-    members = (np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1))
+    members = (np.flatnonzero(groups == group) for group in range(groups.max() + 1))
     return np.concatenate(
         [each[rng.integers(len(each), size=(count, len(each)))] for each in members], axis=1
     )
@@ -128,14 +128,14 @@ def composite_index(
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
     tasks = np.unique(table.task[kept], return_inverse=True)[1]
     scaled = np.empty_like(raw)
-    for task in range(int(tasks.max(initial=-1)) + 1):
+    for task in range(tasks.max(initial=-1) + 1):
         chosen = raw[tasks == task]
         spread = chosen.std(axis=0)
         # Equal numbers leave a rounding error in proportion to their size, which is not a spread.
         flat = spread <= 1e-12 * np.abs(chosen).max(axis=0)
         if flat.any():
             raise InputError(
-                names[int(flat.argmax())], "vary within a task", "a constant", "leave it out"
+                names[flat.argmax()], "vary within a task", "a constant", "leave it out"
             )
         scaled[tasks == task] = (chosen - chosen.mean(axis=0)) / spread
     people, person = np.unique(table.people()[kept], return_inverse=True)
@@ -191,8 +191,8 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
     # a loading of zero may be negative by rounding
     agree = bool((loadings > -1e-9).all())
     # of two metrics that agree entirely, the second variance is zero
-    gap = float(variances[0] / max(float(variances[1]), 1e-300))
-    widest = float((spread[1] - spread[0]).max())
+    gap = variances[0] / max(variances[1], 1e-300)
+    widest = (spread[1] - spread[0]).max()
     return (
         Assumption(
             "metrics agree",

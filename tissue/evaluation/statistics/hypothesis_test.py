@@ -176,11 +176,11 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
     other = np.asarray(second, dtype=float)
     if paired:
         degrees = len(one) - 1
-        spread = float((one - other).std(ddof=1))
+        spread = (one - other).std(ddof=1)
         scale = len(one) ** 0.5
     else:
         degrees = len(one) + len(other) - 2
-        spread = float(np.sqrt((one.var() * len(one) + other.var() * len(other)) / degrees))
+        spread = np.sqrt((one.var() * len(one) + other.var() * len(other)) / degrees)
         scale = (len(one) * len(other) / (len(one) + len(other))) ** 0.5
     if spread == 0.0:
         raise InputError(
@@ -189,8 +189,8 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
             "a spread of 0",
             "leave this comparison out: the standardised difference needs a spread",
         )
-    value = float(one.mean() - other.mean()) / spread
-    low, high = (float(nctdtrinc(degrees, chance, value * scale)) / scale for chance in TAILS)
+    value = (one.mean() - other.mean()) / spread
+    low, high = (nctdtrinc(degrees, chance, value * scale) / scale for chance in TAILS)
     return Effect("Cohen's d of differences" if paired else "Cohen's d", value, low, high)
 
 
@@ -220,7 +220,7 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
     """
 
     def excess(shift: float) -> float:
-        return chance - float(ncf.cdf(statistic, above, below, shift))
+        return chance - ncf.cdf(statistic, above, below, shift)
 
     if excess(0.0) >= 0.0:
         return 0.0
@@ -229,7 +229,7 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
     while excess(high) < 0.0:
         high *= 2.0
     # an effect size is reported with three digits
-    return float(brentq(excess, 0.0, high, xtol=1e-9))
+    return brentq(excess, 0.0, high, xtol=1e-9)
 
 
 def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") -> Assumption:
@@ -258,17 +258,14 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
             f"{values[0]:g} throughout",
             "leave it out: constant values have no distribution to test",
         )
-    p_values = {"Shapiro-Wilk": float(shapiro(values).pvalue)} if len(values) <= MOST else {}
-    p_values["Anderson-Darling"] = float(normal_ad(values)[1])
+    p_values = {"Shapiro-Wilk": shapiro(values).pvalue} if len(values) <= MOST else {}
+    p_values["Anderson-Darling"] = normal_ad(values)[1]
     holds = min(p_values.values()) >= ALPHA / len(p_values)
     tests_text = ", ".join(f"{test} {format_p(p)}" for test, p in p_values.items())
     return Assumption(
         name,
         holds,
-        (
-            f"{tests_text}, skewness {float(skew(values)):.2f}, excess kurtosis "
-            f"{float(kurtosis(values)):.2f}"
-        ),
+        (f"{tests_text}, skewness {skew(values):.2f}, excess kurtosis {kurtosis(values):.2f}"),
     )
 
 
@@ -283,8 +280,8 @@ def symmetric_residuals(residuals: Array) -> Assumption:
         Shape (users, columns), 8 users or more, columns not all constant.
     """
     columns = residuals[:, np.ptp(residuals, axis=0) > 0.0]
-    p = min(1.0, columns.shape[1] * float(np.min(skewtest(columns, axis=0).pvalue)))
-    largest = float(np.abs(skew(columns, axis=0)).max())
+    p = min(1.0, columns.shape[1] * np.min(skewtest(columns, axis=0).pvalue))
+    largest = np.abs(skew(columns, axis=0)).max()
     return Assumption(
         "symmetric residuals",
         p >= ALPHA,
@@ -315,7 +312,7 @@ def mardia(residuals: ArrayLike) -> Assumption:
     # the expected kurtosis of normal columns, and below its variance 8 p (p + 2) / n
     tails = (np.diag(distances) ** 2).mean() - width * (width + 2)
     tailed = 2.0 * norm.sf(abs(tails) / np.sqrt(8.0 * width * (width + 2) / count))
-    holds = bool(min(skewed, tailed) >= 0.5 * ALPHA)
+    holds = min(skewed, tailed) >= 0.5 * ALPHA
     return Assumption(
         "joint normality",
         holds,

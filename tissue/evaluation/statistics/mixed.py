@@ -1,7 +1,7 @@
 """Linear mixed models with random users, by statsmodels."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 if TYPE_CHECKING:
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
-__all__ = ["Components", "MixedModel", "Posterior", "mixed_model", "regression", "trial_regression"]
+__all__ = ["Components", "MixedModel", "Posterior", "mixed_model", "regression"]
 
 ITERATIONS = 400
 """Number of iterations after which the fit counts as not converged.
@@ -129,7 +129,7 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
         parts["both"] = "0 + C(task):C(method)"
     if "method" in parts and frame.duplicated(["user", "trial"]).any():
         parts["trial"] = "0 + C(trial)"
-    scale = float(frame["value"].std())
+    scale = frame["value"].std()
     frame["value"] = frame["value"] / scale
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -149,9 +149,9 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
         fitted.scale,
         found.get("task", 0.0),
     )
-    components = Components(*(scale**2 * float(each) for each in variances))
+    components = Components(*(scale**2 * each for each in variances))
     assumptions = (
-        _convergence(bool(fitted.converged), components, caught),
+        _convergence(fitted.converged, components, caught),
         normal_residuals(fitted.resid),
         *_normal_users(fitted),
     )
@@ -191,7 +191,7 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
     """
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
-        free *= int(levels[factor]) - 1 if f"C({factor}" in name else 1
+        free *= levels[factor] - 1 if f"C({factor}" in name else 1
     return free
 
 
@@ -206,7 +206,7 @@ def _tests(
             continue
         above = int(row["df_constraint"])
         below = _freedom(fitted, term, free)
-        statistic = float(row["statistic"]) / above
+        statistic = row["statistic"] / above
         found.append(
             HypothesisTest(
                 "mixed model",
@@ -214,7 +214,7 @@ def _tests(
                 "F",
                 statistic,
                 (above, below),
-                float(f.sf(statistic, above, below)),
+                f.sf(statistic, above, below),
                 partial_eta_squared(statistic, above, below),
                 assumptions,
             )
@@ -227,7 +227,7 @@ def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
 
     The check needs enough users whose effects are not all zero.
     """
-    users = np.array([float(each.iloc[0]) for each in fitted.random_effects.values()])
+    users = np.array([each.iloc[0] for each in fitted.random_effects.values()])
     return (
         [normal_residuals(users, name="normal users")]
         # Anderson and Darling's test needs eight values; effects of a variance estimated as zero
@@ -289,16 +289,6 @@ class Posterior:
     correlation: float
     chances: tuple[float, ...]
     sentence: str
-
-
-def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]) -> Posterior:
-    """Regress one metric on other metrics of the trials that did not fail, see :func:`regression`.
-
-    Users are random effects.
-    """
-    kept = table.complete()
-    columns = {name: kept.values(name) for name in predictors}
-    return regression(kept.values(response), columns, kept.people(), response=response)
 
 
 def regression(
@@ -380,12 +370,12 @@ def regression(
         width = spreads[:, index + 1]
 
         def below(x: float, centre: Array = centre, width: Array = width) -> float:
-            return float(mass @ stdtr(degrees, (x - centre) / width))
+            return mass @ stdtr(degrees, (x - centre) / width)
 
         # the 2.5 and 97.5 % quantiles of Student's t are within 13 scales at any degrees of freedom
-        ends = float((centre - 40.0 * width).min()), float((centre + 40.0 * width).max())
+        ends = (centre - 40.0 * width).min(), (centre + 40.0 * width).max()
         median, low, high = (
-            float(brentq(lambda x, wanted=wanted: below(x) - wanted, *ends)) * unit[index]
+            brentq(lambda x, wanted=wanted: below(x) - wanted, *ends) * unit[index]
             for wanted in (0.5, 0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
         )
         slopes.append(Effect(f"{response} per {name}", median, low, high))
@@ -397,7 +387,7 @@ def regression(
         )
         for each, chance in zip(slopes, chances, strict=True)
     )
-    correlation = float(mass @ shares)
+    correlation = mass @ shares
     sentence = (
         f"{slopes_text}. Of the variance about the line {100.0 * correlation:.0f} % is "
         f"between {len(names)} users. "

@@ -32,8 +32,12 @@ number of 35 people by up to 2.
 """
 
 
-def effect_names(factors: list[str]) -> list[str]:
-    """Return the names of main effects and interactions of factors, such as "group x method"."""
+def effect_names(**levels: int) -> list[str]:
+    """Return the names of main effects and interactions of factors, such as "group x method".
+
+    Factors with one level are left out.
+    """
+    factors = [name for name, count in levels.items() if count > 1]
     return [
         " x ".join(chosen)
         for count in range(1, len(factors) + 1)
@@ -93,7 +97,7 @@ def planned_power(
         return {}
     return {
         test: _simulated_power(test, people, groups, methods, alpha=alpha, rng=rng, effect=effect)
-        for test in effect_names(["group"] * (groups > 1) + ["method"] * (methods > 1))
+        for test in effect_names(group=groups, method=methods)
     }
 
 
@@ -118,7 +122,7 @@ def planned_people(
         A test that needs more than 200 people per group is left out.
     """
     found = {}
-    for test in effect_names(["group"] * (groups > 1) + ["method"] * (methods > 1)):
+    for test in effect_names(group=groups, method=methods):
         low, high = 1, MOST_PEOPLE + 1
         while high - low > 1:
             middle = (low + high) // 2

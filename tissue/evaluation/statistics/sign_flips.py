@@ -15,7 +15,6 @@ from tissue.evaluation.statistics.strata import effect_scores, group_means
 
 __all__ = [
     "SignTest",
-    "flipped_p",
     "largest_squared_t",
     "pair_differences",
     "pair_scores",
@@ -148,7 +147,7 @@ def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
     """
     means = []
     variances = []
-    for group in range(int(groups.max()) + 1):
+    for group in range(groups.max() + 1):
         members = groups == group
         held = scores[..., members, :]
         count = held.shape[-2]
@@ -185,7 +184,7 @@ def flipped_p(measured: Array, flipped: Array) -> Array:
         flip.
     """
     reached = (flipped >= measured[..., None] * (1.0 - EQUAL)).sum(axis=-1)
-    return np.asarray((1.0 + reached) / (flipped.shape[-1] + 1.0))
+    return (1.0 + reached) / (flipped.shape[-1] + 1.0)
 
 
 def sign_test(
@@ -227,7 +226,7 @@ def sign_test(
     differences, squared_errors = _compared(means[0], variances[0], between=between)
     squares = differences**2 / squared_errors
     held = _flipped(scores, groups, between=between)
-    block = max(1, BLOCK // (len(squares) * (int(groups.max()) + 1)))
+    block = max(1, BLOCK // (len(squares) * (groups.max() + 1)))
     largest = []
     for start in range(0, flips, block):
         signs = _signs(min(block, flips - start), len(groups), rng)
@@ -235,11 +234,11 @@ def sign_test(
     flipped = np.concatenate(largest)
     ordered = np.sort(flipped)
     # the flips that reach it and the measured statistic are 5 % of all
-    critical = float(ordered[-max(1, int(ALPHA * (flips + 1)))]) ** 0.5
+    critical = ordered[-max(1, int(ALPHA * (flips + 1)))] ** 0.5
     pair_p = flipped_p(squares, np.broadcast_to(flipped, (len(squares), flips)))
     return SignTest(
-        float(squares.max()) ** 0.5,
-        float(pair_p.min()),
+        squares.max() ** 0.5,
+        pair_p.min(),
         differences,
         np.sqrt(squared_errors),
         pair_p,
@@ -271,7 +270,7 @@ def sign_test_p(
     """
     ones = np.ones((1, len(groups)))
     held = _flipped(scores, groups, between=between)
-    widest = scores.shape[-1] * (int(groups.max()) + 1) * flips
+    widest = scores.shape[-1] * (groups.max() + 1) * flips
     block = max(1, BLOCK // widest)
     found = []
     for start in range(0, len(scores), block):

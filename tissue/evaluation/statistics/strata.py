@@ -169,12 +169,12 @@ def strata(
         statistic = squares / above / error
         epsilon = (error * contrasts) ** 2 / (contrasts * (products**2).sum(axis=(-2, -1)))
     return Strata(
-        np.asarray(statistic),
-        np.asarray(f.sf(statistic, above, below)),
-        np.asarray(error),
+        statistic,
+        f.sf(statistic, above, below),
+        error,
         (above, below),
-        np.asarray(epsilon),
-        np.asarray(f.sf(statistic, epsilon * above, epsilon * below)),
+        epsilon,
+        f.sf(statistic, epsilon * above, epsilon * below),
     )
 
 
@@ -253,9 +253,7 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
     rank = min(width, above)
     degrees = (rank * (abs(width - above) + rank), rank * (below - width + rank))
     statistic = trace / degrees[0] / ((rank - trace) / degrees[1])
-    return Pillai(
-        np.asarray(trace), np.asarray(statistic), np.asarray(f.sf(statistic, *degrees)), degrees
-    )
+    return Pillai(trace, statistic, f.sf(statistic, *degrees), degrees)
 
 
 def multivariate(
@@ -339,4 +337,4 @@ def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
     )
     # Box's test is known to refuse too readily without normality and is customarily held to 0.001
     # (Tabachnick 2013).
-    return Assumption(name, bool(found.pvalue >= 1e-3), f"Box's M {format_p(float(found.pvalue))}")
+    return Assumption(name, found.pvalue >= 1e-3, f"Box's M {format_p(found.pvalue)}")

@@ -33,7 +33,7 @@ from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.scene.registry import GROUPS
 
-__all__ = ["case_sections", "median_interval", "needle_section", "travel_by_people"]
+__all__ = ["case_sections", "median_interval", "travel_by_people"]
 
 TEETH = ("carious", "sound")
 """Specimens of the drilling task.
@@ -68,12 +68,10 @@ def _reaming(table: TrialTable, seed: int) -> Section:
                 "trials": str(len(part)),
             }
         )
-    level, scatter = (
-        float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm")
-    )
+    level, scatter = (table.values(name).mean() for name in ("torque_Nm", "torque_scatter_Nm"))
     torque = constants("perception", "torque")
     # of force at the device
-    scale = float(np.median(table.values("force_rms_N") / table.values("tracking_rms_N")))
+    scale = np.median(table.values("force_rms_N") / table.values("tracking_rms_N"))
     people = draw_observers("expert", PEOPLE, np.random.default_rng(seed))
     kappa = torque["kappa"].value * people.kappa / np.median(people.kappa)
     holders = replace(people, kappa=kappa, offset_N=np.full(PEOPLE, torque["offset_Nm"].value))
@@ -90,7 +88,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
         f"RMS of the force's tracking error over {rows[0]['trials']} trials, in newtons at the "
-        f"reamer, of forces up to {float(table.values('peak_force_N').max()) / scale:.1f} N; the "
+        f"reamer, of forces up to {table.values('peak_force_N').max() / scale:.1f} N; the "
         f"paper prints less than {force} N. The force changes slowly, so that this depends little "
         "on latency. Bone guides the reamer: its distance from the path depends little on hands.",
         f"A step of {TORQUE_STEP_NM} N m on {level:.3f} N m (SD {scatter:.3f}) is discriminated in "
@@ -163,7 +161,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     # of five values, even the whole range misses the median with a probability of 2 / 2^5 = 6 %
     if len(ordered) < 6:
         return _middle(ordered), -inf, inf
-    return _middle(ordered), float(ordered[rank - 1]), float(ordered[len(ordered) - rank])
+    return _middle(ordered), ordered[rank - 1], ordered[len(ordered) - rank]
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
@@ -241,7 +239,7 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
     for line, method in enumerate(methods):
         middle, low, high = median_interval(travel_by_people(shared, method))
-        noticed = 100.0 * float(shared.where(method=method).values("noticed").mean())
+        noticed = 100.0 * shared.where(method=method).values("noticed").mean()
         medians.append(middle)
         shares.append(noticed)
         bounds = f" [{_travel_text(low)}, {_travel_text(high)}]" if low > -inf else ""
@@ -275,4 +273,4 @@ def _middle(ordered: Array) -> float:
     """Return the median of sorted values, some of which may be infinite."""
     low = ordered[(len(ordered) - 1) // 2]
     high = ordered[len(ordered) // 2]
-    return float(low if low == high else 0.5 * (low + high))
+    return low if low == high else 0.5 * (low + high)

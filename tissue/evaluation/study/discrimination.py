@@ -89,7 +89,7 @@ class Felt:
         trials: Array = np.bincount(person, minlength=count).astype(np.float64)
         means = np.bincount(person, forces_N, count).astype(np.float64) / trials
         squares = np.bincount(person, (forces_N - means[person]) ** 2, count)
-        return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
+        return cls(means, np.asarray(squares, dtype=np.float64), trials - 1.0)
 
     def of(self, who: Ints) -> "Felt":
         """Return the forces of selected people. A person may occur several times."""
@@ -99,8 +99,8 @@ class Felt:
     def stimulus(self) -> Stimulus:
         """Mean over people, and scatter over one person's trials."""
         return Stimulus(
-            float(self.means_N.mean()),
-            float(np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0))),
+            self.means_N.mean(),
+            np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0)),
         )
 
 
@@ -161,7 +161,7 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
     )
     error = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
     # two-sided 95 % interval; a single person has no interval
-    reach = float(t.ppf(0.975, max(count - 1, 1))) * error
+    reach = t.ppf(0.975, max(count - 1, 1)) * error
     return np.column_stack([value, value - reach, value + reach])
 
 
@@ -192,9 +192,7 @@ def sides(needle: TrialTable) -> FeltPair | None:
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
     """Return the right answers of simulated people by group [%]."""
-    return {
-        group: 100.0 * float(pair.felt_by(people_of(group, seed))[1].mean()) for group in GROUPS
-    }
+    return {group: 100.0 * pair.felt_by(people_of(group, seed))[1].mean() for group in GROUPS}
 
 
 def _pair(
@@ -232,7 +230,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         found = {method: pair for method, pair in pairs.items() if pair is not None}
         for group, method in product(GROUPS, found):
             people = people_of(group, seed)
-            d, right = (float(each.mean()) for each in found[method].felt_by(people))
+            d, right = (each.mean() for each in found[method].felt_by(people))
             levels = [found[method].less.stimulus, found[method].more.stimulus]
             softer, stiffer = (f"{each.level_N:.3f} (SD {each.scatter_N:.3f})" for each in levels)
             row = {

@@ -11,7 +11,7 @@ from tissue.scene.load import changed, load_scene
 from tissue.simulation.simulate import simulate
 from tissue.system.progress import duration_text
 
-__all__ = ["COSTS", "cost", "expected_s", "expected_text", "probe_s"]
+__all__ = ["COSTS", "cost", "expected_text", "probe_s"]
 
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
 """Processor time of one method of a trial divided by the time of `probe_s`, by task.
@@ -50,28 +50,10 @@ def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
     return total
 
 
-def expected_s(
-    plan: Plan, keys: Iterable[TrialKey], *, workers: int, cores: int, probed_s: float
-) -> float:
-    """Return the expected time of trials [s].
-
-    Parameters
-    ----------
-    plan, keys
-        Plan, and its trials that are to be run.
-    workers, cores
-        Numbers of processes and of cores. Two processes on two cores are twice as fast as one
-        process.
-    probed_s
-        Time of `probe_s` [s].
-    """
-    return probed_s * cost(plan, keys) / min(workers, cores)
-
-
 def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> str:
     """Return the expected time of trials on this machine as a sentence."""
-    cores = os.cpu_count() or 1
-    seconds = expected_s(plan, keys, workers=workers, cores=cores, probed_s=probe_s())
+    # two processes on two cores are twice as fast as one process
+    seconds = probe_s() * cost(plan, keys) / min(workers, os.cpu_count() or 1)
     about = "" if seconds < 60.0 else "about "
     return (
         f"{counted(len(keys), 'trial')} will take {about}{duration_text(seconds)} on "

@@ -127,7 +127,7 @@ def _unresolved(table: TrialTable) -> list[str]:
     above = []
     for task in tasks_of(table):
         part = table.where(task=task)
-        share = float((part.values("least_error") >= part.values("force_error")).mean())
+        share = (part.values("least_error") >= part.values("force_error")).mean()
         if share > UNRESOLVED:
             above.append(f"{task} {100.0 * share:.0f} %")
     if not above:
@@ -158,7 +158,7 @@ def _left_over(table: TrialTable) -> list[str]:
         ),
     ):
         if {first, second} <= set(methods_of(table)) and metric in table.metrics:
-            means = {key: float(part.values(metric).mean()) for key, part in parts.items()}
+            means = {key: part.values(metric).mean() for key, part in parts.items()}
             ratios = {task: means[task, second] / means[task, first] for task in tasks_of(table)}
             worse = ", ".join(task for task, ratio in ratios.items() if ratio >= 1.0)
             found = ", ".join(f"{task} {ratio:.2f}" for task, ratio in ratios.items())
@@ -293,7 +293,7 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
         variant = VARIANTS[name]
         known = (ratios / usual)[np.isfinite(ratios / usual)]
         # no trial yet: no change
-        moves[name] = float(known.mean()) if len(known) else 1.0
+        moves[name] = known.mean() if len(known) else 1.0
         rows.append(
             {"parameter": variant.parameter, "value": variant.value}
             | _as_texts(tasks, ratios)

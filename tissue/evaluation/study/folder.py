@@ -19,7 +19,7 @@ from meshes.base.errors import InputError, counted, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import claim, package_version, require_version, whole_file
+from meshes.base.whole_file import claim, package_version, require_version, write_text
 from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.duration import cost, expected_text
@@ -36,7 +36,7 @@ from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial,
 from tissue.system.owned_folder import LOCK, MARKER, OwnedFolder, require_listed
 from tissue.system.workers import LOST, executor, first_done
 
-__all__ = ["Stamp", "StudyFolder", "run_study"]
+__all__ = ["StudyFolder", "run_study"]
 
 
 FORMAT = 2
@@ -317,8 +317,7 @@ def _is_row(row: Row) -> bool:
 
 def _write(path: Path, content: Mapping[str, object]) -> None:
     """Write JSON so that a reader never sees an incomplete file."""
-    with whole_file(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1), "utf-8")
+    write_text(path, json.dumps(content, indent=1))
 
 
 TRIALS_PER_WORKER = 3

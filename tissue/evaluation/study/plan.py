@@ -24,6 +24,7 @@ __all__ = [
     "TrialKey",
     "Variant",
     "method_settings",
+    "seeded",
 ]
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
@@ -424,10 +425,14 @@ class Plan:
     def rng(self, key: TrialKey) -> np.random.Generator:
         """Return the generator of a trial. A variant has the generator of its original trial."""
         place = (list(TASKS).index(key.task), GROUPS.index(key.group), key.trial)
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
+        return seeded(self.seed, *place)
 
     def person(self, key: TrialKey) -> np.random.Generator:
         """Return the generator of the person of the trial, the same in every task."""
         # 1000 separates people from the streams of trials, which begin with the index of a task
-        place = (1000, GROUPS.index(key.group), key.user)
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
+        return seeded(self.seed, 1000, GROUPS.index(key.group), key.user)
+
+
+def seeded(seed: int, *place: int) -> np.random.Generator:
+    """Return the generator of one place in the streams of a seed."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=place))

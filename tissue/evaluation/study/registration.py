@@ -11,7 +11,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tomli_w
 
 from meshes.base.errors import InputError
@@ -34,6 +33,7 @@ from tissue.evaluation.study.plan import (
     USERS,
     Plan,
     method_settings,
+    seeded,
 )
 
 __all__ = [
@@ -192,27 +192,18 @@ def planned_tests(plan: Plan) -> list[str]:
     The tests are: every effect on every compared metric on every task, then all metrics together by
     multivariate analysis, then each metric over all tasks.
     """
-    methods = len(plan.methods) > 1
-    groups = len(plan.groups) > 1
+    groups = len(plan.groups)
+    methods = len(plan.methods)
+    factors = ["method"] * (methods > 1) + ["group"] * (groups > 1)
+    together = ", ".join(COMPARED)
     found = []
     for task in plan.compared:
-        found += [
-            f"{task} {metric}: {effect}"
-            for metric in COMPARED
-            for effect in effect_names(["group"] * groups + ["method"] * methods)
-        ]
-        together = ", ".join(COMPARED)
-        found += [
-            f"{task} {together}: {factor}" for factor in ["method"] * methods + ["group"] * groups
-        ]
-    tasks = len(plan.compared) > 1
-    factors = ["group"] * groups + ["task"] * tasks + ["method"] * methods
-    found += [
-        f"all {metric}: {effect}"
-        for metric in COMPARED
-        for effect in effect_names(factors)
-        if plan.compared
-    ]
+        effects = effect_names(group=groups, method=methods)
+        found += [f"{task} {metric}: {effect}" for metric in COMPARED for effect in effects]
+        found += [f"{task} {together}: {factor}" for factor in factors]
+    if plan.compared:
+        effects = effect_names(group=groups, task=len(plan.compared), method=methods)
+        found += [f"all {metric}: {effect}" for metric in COMPARED for effect in effects]
     return found
 
 
@@ -294,18 +285,15 @@ def _powers(plan: Plan, people: int, alpha: float) -> dict[str, dict[str, float]
     `alpha` is the share of false alarms of one test after correction.
     """
     design = (len(plan.groups), len(plan.methods))
-    rng = _stream(plan)
+    rng = seeded(plan.seed, STREAM)
     return {
         "corrected": _rounded(planned_power(people, *design, alpha=alpha, rng=rng)),
         # a test decides after correction
         "people_per_group": planned_people(*design, alpha=alpha, rng=rng),
-        "uncorrected": _rounded(planned_power(people, *design, alpha=ALPHA, rng=_stream(plan))),
+        "uncorrected": _rounded(
+            planned_power(people, *design, alpha=ALPHA, rng=seeded(plan.seed, STREAM))
+        ),
     }
-
-
-def _stream(plan: Plan) -> np.random.Generator:
-    """Return the generator of planned powers."""
-    return np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(STREAM,)))
 
 
 def _rounded(power: dict[str, float]) -> dict[str, float]:

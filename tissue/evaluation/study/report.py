@@ -10,7 +10,7 @@ import numpy as np
 
 from meshes.base.errors import InputError, counted
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import package_version, whole_file
+from meshes.base.whole_file import package_version, write_text
 from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.discrimination import discrimination_section
@@ -119,10 +119,7 @@ def write_report(
             f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections
         )
         body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)
-        with whole_file(page) as temporary:
-            temporary.write_text(
-                html_page("Study", f'<p class="soft">{links}</p>\n{body}', style=WIDE), "utf-8"
-            )
+        write_text(page, html_page("Study", f'<p class="soft">{links}</p>\n{body}', style=WIDE))
     return page, [sentence for section in sections[:3] for sentence in section.sentences]
 
 

@@ -19,7 +19,7 @@ from tissue.evaluation.statistics.comparison import (
 from tissue.evaluation.statistics.error_rates import Power, redrawn_power
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, Effect, HypothesisTest, format_p
-from tissue.evaluation.statistics.mixed import trial_regression
+from tissue.evaluation.statistics.mixed import regression
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
 from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
@@ -273,8 +273,10 @@ def _regression(table: TrialTable, rng: np.random.Generator) -> Content:
     rows = []
     remarks = []
     for task in tasks_of(table):
-        trials = table.where(task=task)
-        found = trial_regression(trials, "position_error_mm", ("force_error", "latency_ms"))
+        trials = table.where(task=task).complete()
+        columns = {name: trials.values(name) for name in ("force_error", "latency_ms")}
+        response = "position_error_mm"
+        found = regression(trials.values(response), columns, trials.people(), response=response)
         remarks.append(f"{task}: {found.sentence}")
         for slope, chance in zip(found.slopes, found.chances, strict=True):
             row = {"task": task, "slope": slope.name} | _interval(slope, ".4g")

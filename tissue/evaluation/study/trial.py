@@ -45,7 +45,6 @@ __all__ = [
     "WITHIN_SPREAD",
     "Row",
     "Trial",
-    "TrialScene",
     "error_sentence",
     "failures_of",
     "methods_of_trial",
@@ -241,12 +240,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     """
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
-    alpha, beta, kappa, offset_N, lapse, sigma = (
-        float(getattr(drawn, each)[0]) for each in PARAMETERS
-    )
-    truth = Observer.known(
-        name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma
-    )
+    medians = {each: getattr(drawn, each)[0] for each in PARAMETERS}
+    truth = Observer.known(name, **medians)
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
     mean = truth.mean.copy()
@@ -276,7 +271,7 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     if key.task == "needle":
         run = pierce(
             scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S
-        ).run
+        )
     else:
         run = simulate(scene, cores=1)
     if key.variant == REFERENCE:

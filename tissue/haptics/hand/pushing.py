@@ -20,8 +20,6 @@ THRESHOLDS = 2.0
 
 At one threshold, 75 % of answers are right. This is too unreliable to end a push.
 """
-EASED = 0.2
-"""Relative speed of the aim after a cue; assumed, because no measurement was found."""
 
 
 @dataclass
@@ -73,8 +71,7 @@ class PushingHand:
 
     The hand stops a reaction time after it has noticed an event: a drop of the felt force, or a
     report to `see`. The aim then moves by one minimum-jerk submovement to the position of the
-    device at that time. A reaction time after a cue, the speed of the aim is multiplied by `EASED`.
-    Noise and tremor are as in `tissue.haptics.hand.hand.Hand`.
+    device at that time. Noise and tremor are as in `tissue.haptics.hand.hand.Hand`.
 
     The felt force is the force that skin and tendons carry: the sum of grip, reflex and noise.
 
@@ -101,9 +98,8 @@ class PushingHand:
         Force on the device along the push [N].
     aim_m, advance_m
         Positions of the aim and of the device along the push [m].
-    noticed_s, stop_s, eased_s
-        Times at which an event is noticed, the hand stops, and a cue slows the hand [s]. They are
-        infinite before.
+    noticed_s, stop_s
+        Times at which an event is noticed and the hand stops [s]. They are infinite before.
     """
 
     def __init__(
@@ -127,7 +123,7 @@ class PushingHand:
         self.aim_m = self._speed = 0.0
         self._left: tuple[float, float] | None = None
         self.felt_N = self.advance_m = 0.0
-        self.noticed_s = self.stop_s = self.eased_s = inf
+        self.noticed_s = self.stop_s = inf
         self._hand = Hand(parameters, self, rng=rng)
 
     def see(self, time_s: float) -> None:
@@ -139,10 +135,6 @@ class PushingHand:
     def stop(self, time_s: float) -> None:
         """Stop at a time, without the reaction time that a human needs."""
         self.noticed_s = self.stop_s = time_s
-
-    def cue(self, time_s: float) -> None:
-        """Slow the hand a reaction time after a cue."""
-        self.eased_s = time_s + self._person.reaction_s
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
         """Return position [m] and velocity [m/s] of the aim."""
@@ -180,7 +172,7 @@ class PushingHand:
         """Update the speed of the aim."""
         if time_s < self.stop_s:
             follows = (self._past[self._window] - self._past[0]) / (self._window * TICK_S)
-            self._speed = (EASED if time_s >= self.eased_s else 1.0) * (follows + self._gain)
+            self._speed = follows + self._gain
             return
         if self._left is None:
             self._left = self.aim_m, self.advance_m
