@@ -10,6 +10,7 @@ the value of the nearest voxel is used. Lengths are in voxels.
 
 import warp as wp
 
+from kernels.arrays import Int32s3D, Shorts2D, Words2D
 from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, layer_of
 
 __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
@@ -45,9 +46,9 @@ class Bone:
 
 @wp.func
 def bone_at(
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
+    brick_of: Int32s3D,
+    material: Words2D,
+    nearby: Shorts2D,
     row: int,
     column: int,
     point: wp.vec3,

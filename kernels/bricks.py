@@ -12,6 +12,8 @@ in the lower.
 
 import warp as wp
 
+from kernels.arrays import Int32s3D, Shorts2D, Singles, SingleVectors
+
 __all__ = [
     "BRICK",
     "BRICK_VOXELS",
@@ -47,7 +49,7 @@ LOST, REACHED = 1, 2
 
 
 @wp.func
-def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
+def voxel_row(brick_of: Int32s3D, ix: int, iy: int, iz: int):
     """Return the row of the brick that holds voxel (ix, iy, iz).
 
     The row is -1 outside the grid or where no brick is stored.
@@ -86,8 +88,8 @@ def density_of(word: wp.uint32):
 
 @wp.func
 def stored(
-    brick_of: wp.array3d(dtype=wp.int32),
-    remaining: wp.array2d(dtype=wp.uint16),
+    brick_of: Int32s3D,
+    remaining: Shorts2D,
     ix: int,
     iy: int,
     iz: int,
@@ -136,7 +138,7 @@ class Corners:
 
 
 @wp.func
-def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
+def corners_of(brick_of: Int32s3D, cell: Cell, row: int):
     """Find the storage locations of a cell's corners.
 
     At least one corner lies in the brick of ``row``.
@@ -165,8 +167,8 @@ def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
 
 @wp.func
 def trilinear(
-    brick_of: wp.array3d(dtype=wp.int32),
-    remaining: wp.array2d(dtype=wp.uint16),
+    brick_of: Int32s3D,
+    remaining: Shorts2D,
     point: wp.vec3,
 ):
     """Interpolate the filled fraction at ``point`` [voxel], trilinear between voxel centres."""
@@ -269,13 +271,13 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def sample(
     # points
-    point: wp.array(dtype=wp.vec3),  # [voxel]
+    point: SingleVectors,  # [voxel]
     offset: int,
     # grid
-    brick_of: wp.array3d(dtype=wp.int32),
-    remaining: wp.array2d(dtype=wp.uint16),
+    brick_of: Int32s3D,
+    remaining: Shorts2D,
     # out
-    fraction_out: wp.array(dtype=wp.float32),
+    fraction_out: Singles,
 ):
     """Sample the filled fraction at each point, trilinear between voxel centres.
 

@@ -24,6 +24,7 @@ the same integers on any number of threads.
 
 import warp as wp
 
+from kernels.arrays import Bits, Bytes, Doubles2D, Int32s3D, Int64s, Int64s2D, Shorts2D, Words2D
 from kernels.bricks import LOST, REACHED, cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
@@ -75,23 +76,23 @@ def carve(
     tool: Revolution,
     # Rows of tip xyz [voxel] and axis xyz. Row 0: present pose. Row 1 + g: pose at the last visit
     # of group g. Row OLDER_ROW + g: pose at which cuts of group g last became older cuts.
-    pose: wp.array2d(dtype=wp.float64),
-    plan: wp.array(dtype=wp.int64),  # see FIRST
+    pose: Doubles2D,
+    plan: Int64s,  # see FIRST
     worker_offset: int,
     worker_count: int,
     # grid
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
+    brick_of: Int32s3D,
+    material: Words2D,
     # out
-    remaining_out: wp.array2d(dtype=wp.uint16),
+    remaining_out: Shorts2D,
     # distance to the volume that the tool has swept, see `swept_steps`
-    swept_out: wp.array2d(dtype=wp.uint16),
-    middle_out: wp.array2d(dtype=wp.uint16),  # distance to the cuts up to the last `book`
-    older_out: wp.array2d(dtype=wp.uint16),  # distance to older cuts
+    swept_out: Shorts2D,
+    middle_out: Shorts2D,  # distance to the cuts up to the last `book`
+    older_out: Shorts2D,  # distance to older cuts
     # [brick], one bit for each block of 2 x 2 x 2 voxels that may hold material
-    alive_out: wp.array(dtype=wp.uint64),
-    touched_out: wp.array(dtype=wp.uint8),  # [brick], flags LOST and REACHED are added
-    removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed in this launch
+    alive_out: Bits,
+    touched_out: Bytes,  # [brick], flags LOST and REACHED are added
+    removed_out: Int64s2D,  # [worker, layer], stored steps removed in this launch
 ):
     """Carve the planned groups of bricks.
 
@@ -151,8 +152,8 @@ def carve(
 @wp.func
 def carve_brick(
     tool: Revolution,
-    pose: wp.array2d(dtype=wp.float64),
-    plan: wp.array(dtype=wp.int64),
+    pose: Doubles2D,
+    plan: Int64s,
     axis: wp.vec3,
     group: int,
     bx: int,
@@ -160,14 +161,14 @@ def carve_brick(
     bz: int,
     row: int,
     worker: int,
-    material: wp.array2d(dtype=wp.uint32),
-    remaining_out: wp.array2d(dtype=wp.uint16),
-    swept_out: wp.array2d(dtype=wp.uint16),
-    middle_out: wp.array2d(dtype=wp.uint16),
-    older_out: wp.array2d(dtype=wp.uint16),
-    alive_out: wp.array(dtype=wp.uint64),
-    touched_out: wp.array(dtype=wp.uint8),
-    removed_out: wp.array2d(dtype=wp.int64),
+    material: Words2D,
+    remaining_out: Shorts2D,
+    swept_out: Shorts2D,
+    middle_out: Shorts2D,
+    older_out: Shorts2D,
+    alive_out: Bits,
+    touched_out: Bytes,
+    removed_out: Int64s2D,
 ):
     """Carve one brick, block by block.
 
@@ -269,9 +270,9 @@ def book(
     first: int,
     grows_old: int,
     enters_reach: int,
-    swept: wp.array2d(dtype=wp.uint16),
-    middle_out: wp.array2d(dtype=wp.uint16),
-    older_out: wp.array2d(dtype=wp.uint16),
+    swept: Shorts2D,
+    middle_out: Shorts2D,
+    older_out: Shorts2D,
 ):
     """Mark cuts in a block as older cuts.
 
@@ -293,11 +294,11 @@ def clear_block(
     row: int,
     first: int,
     worker: int,
-    material: wp.array2d(dtype=wp.uint32),
-    remaining_out: wp.array2d(dtype=wp.uint16),
-    swept_out: wp.array2d(dtype=wp.uint16),
-    older_out: wp.array2d(dtype=wp.uint16),
-    removed_out: wp.array2d(dtype=wp.int64),
+    material: Words2D,
+    remaining_out: Shorts2D,
+    swept_out: Shorts2D,
+    older_out: Shorts2D,
+    removed_out: Int64s2D,
 ):
     """Remove a block that lies completely inside the tool."""
     for v in range(8):
@@ -310,7 +311,7 @@ def clear_block(
 
 
 @wp.func
-def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
+def booked_by(removed: Int64s2D, worker: int):
     """Return the stored steps that a worker has removed in this launch, over all layers."""
     total = wp.int64(0)
     for m in range(removed.shape[1]):
@@ -354,10 +355,10 @@ def carve_block(
     row: int,
     first: int,
     worker: int,
-    material: wp.array2d(dtype=wp.uint32),
-    remaining_out: wp.array2d(dtype=wp.uint16),
-    swept_out: wp.array2d(dtype=wp.uint16),
-    removed_out: wp.array2d(dtype=wp.int64),
+    material: Words2D,
+    remaining_out: Shorts2D,
+    swept_out: Shorts2D,
+    removed_out: Int64s2D,
 ):
     """Carve eight voxels around ``near``, the tool surface nearest to the middle of their block."""
     plane = plane_of(near.slope)

@@ -23,6 +23,8 @@ from typing import Any
 
 import warp as wp
 
+from kernels.arrays import Int32s
+
 __all__ = ["LANES", "WEIGHTS", "lanes_of", "strip_products"]
 
 LANES = 8
@@ -133,13 +135,15 @@ def strip_products(scalar: Any) -> Any:
     The scalar type is `wp.float32` or `wp.float64`.
     """
     V = lanes_of(scalar)
+    Strips = wp.array(dtype=V)
+    Strips2D = wp.array2d(dtype=V)
     half, quarter, two = scalar(0.5), scalar(0.25), scalar(2.0)
     # Energy of the gradients of XYZ in a full cell with Lame constants of 1, divided by the weight
     # w of the other modes.
     trilinear = scalar(20.0 / 3.0)
 
     @wp.func
-    def put(values: wp.array(dtype=V), at: int, linear: V, first: V, second: V, both: V):
+    def put(values: Strips, at: int, linear: V, first: V, second: V, both: V):
         """Write a derivative in four cubes."""
         v0, v1, v2, v3 = to_cubes(linear, first, second, both)
         values[at] = v0
@@ -148,7 +152,7 @@ def strip_products(scalar: Any) -> Any:
         values[at + 3] = v3
 
     @wp.func
-    def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
+    def take(stress: Strips, at: int, across: int, first: int, second: int):
         """Sum a stress along an axis and compute the modes of the sum.
 
         `across`, `first` and `second` are the steps in ``stress`` along that axis and the other
@@ -164,10 +168,10 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_gradient(
-        vector: wp.array2d(dtype=V),
+        vector: Strips2D,
         s: wp.vec4i,
-        gradient_out: wp.array(dtype=V),
-        mode_out: wp.array(dtype=V),
+        gradient_out: Strips,
+        mode_out: Strips,
     ):
         """Compute gradients and unresolved modes of a strip from the corner values.
 
@@ -198,10 +202,10 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_stress(
-        weight: wp.array2d(dtype=V),
+        weight: Strips2D,
         k: int,
-        gradient: wp.array(dtype=V),
-        stress_out: wp.array(dtype=V),
+        gradient: Strips,
+        stress_out: Strips,
     ):
         """Compute the weighted stress of a strip's cubes from their gradients."""
         for cube in range(8):
@@ -223,7 +227,7 @@ def strip_products(scalar: Any) -> Any:
             stress_out[at + 5] = wp.cw_mul(mu, gradient[across_y] + gradient[12 + across_x])
 
     @wp.func
-    def set_unseen(w: V, mode_out: wp.array(dtype=V)):
+    def set_unseen(w: V, mode_out: Strips):
         """Convert the unresolved modes to the forces on these modes.
 
         Strains that are linear in one of x, y and z come first, then strains that are linear in
@@ -250,10 +254,10 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def add_force(
-        stress: wp.array(dtype=V),
-        mode: wp.array(dtype=V),
+        stress: Strips,
+        mode: Strips,
         s: wp.vec4i,
-        force_out: wp.array2d(dtype=V),
+        force_out: Strips2D,
     ):
         """Add the forces of a strip's corners: the transpose of `set_gradient`."""
         for c in range(3):
@@ -285,15 +289,15 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def products(
-        pencils: wp.array(dtype=wp.int32),  # pencils of one colour
-        strip_start: wp.array(dtype=wp.int32),  # [pencil + 1], first strip of each pencil
+        pencils: Int32s,  # pencils of one colour
+        strip_start: Int32s,  # [pencil + 1], first strip of each pencil
         # [strip], slot of the lowest node at the corner edges (0, 0), (0, 1), (1, 0) and (1, 1)
         slot: wp.array(dtype=wp.vec4i),
-        weight: wp.array2d(dtype=V),  # [strip, WEIGHTS]
-        vector: wp.array2d(dtype=V),  # [component, slot], eight from the slot on
+        weight: Strips2D,  # [strip, WEIGHTS]
+        vector: Strips2D,  # [component, slot], eight from the slot on
         offset: int,
         # out
-        force_out: wp.array2d(dtype=V),  # [component, slot], as above; the product is added
+        force_out: Strips2D,  # [component, slot], as above; the product is added
     ):
         """Compute strains and stresses of the cubes and forces of the corners, strip by strip."""
         pencil = pencils[wp.tid() + offset]

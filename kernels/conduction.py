@@ -13,6 +13,8 @@ the surface of the remaining body is insulated.
 
 import warp as wp
 
+from kernels.arrays import Singles3D
+
 __all__ = ["OPEN", "conduct"]
 
 wp.set_module_options({"enable_backward": False})
@@ -33,18 +35,18 @@ def open_share(filled: float, other: float):
 @wp.kernel
 def conduct(
     # state
-    temperature: wp.array3d(dtype=wp.float32),  # rise [K]
-    filled: wp.array3d(dtype=wp.float32),  # fraction of the cell that holds material
+    temperature: Singles3D,  # rise [K]
+    filled: Singles3D,  # fraction of the cell that holds material
     # conductance between a cell and the next one along an axis [W/K], if both are full
-    along_x: wp.array3d(dtype=wp.float32),
-    along_y: wp.array3d(dtype=wp.float32),
-    along_z: wp.array3d(dtype=wp.float32),
-    heat_capacity: wp.array3d(dtype=wp.float32),  # heat capacity of the full cell [J/K]
-    power: wp.array3d(dtype=wp.float32),  # heat put into the cell [W]
+    along_x: Singles3D,
+    along_y: Singles3D,
+    along_z: Singles3D,
+    heat_capacity: Singles3D,  # heat capacity of the full cell [J/K]
+    power: Singles3D,  # heat put into the cell [W]
     step_s: float,
     plane_offset: int,
     # out
-    temperature_out: wp.array3d(dtype=wp.float32),
+    temperature_out: Singles3D,
 ):
     """Compute the temperature rise after one time step."""
     i, j, m = wp.tid()

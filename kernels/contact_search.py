@@ -6,13 +6,14 @@ tool penetrates.
 
 import warp as wp
 
+from kernels.arrays import Doubles, Doubles2D, Vectors
+from kernels.constants import THREE, ZERO
 from kernels.contact_state import (
     LARGEST,
     NEARBY,
     SHELL,
     TICK,
     WORKING,
-    ZERO,
     Body,
     Lists,
     Points,
@@ -51,15 +52,15 @@ Contact with parts of a triangle that has grown more may be missed.
 @wp.kernel
 def find_near(
     # body
-    centre: wp.array(dtype=wp.vec3d),  # [triangle], at rest [m]
-    radius: wp.array(dtype=wp.float64),  # [triangle], radius of the ball around it [m]
+    centre: Vectors,  # [triangle], at rest [m]
+    radius: Doubles,  # [triangle], radius of the ball around it [m]
     # tool
     kind: int,
     # [m]; of a shell: radius of the enclosing ball, height of its centre above the tip
     size: wp.vec2d,
-    pose_rows: wp.array2d(dtype=wp.float64),
+    pose_rows: Doubles2D,
     reach: wp.float64,  # [m]
-    results: wp.array(dtype=wp.float64),  # of the last tick
+    results: Doubles,  # of the last tick
     # in and out
     body_out: Body,
     lists_out: Lists,
@@ -175,7 +176,7 @@ def join_touching(
             # is searched.
             close = kind == SHELL
             if not close:
-                middle = (pa + pb + pc) / wp.float64(3.0)
+                middle = (pa + pb + pc) / THREE
                 wide = wp.max(
                     wp.length_sq(pa - middle),
                     wp.max(wp.length_sq(pb - middle), wp.length_sq(pc - middle)),

@@ -27,6 +27,9 @@ function.
 
 import warp as wp
 
+from kernels.arrays import Doubles, Doubles2D, Int32s, Int32s2D, Matrices2D, Vectors
+from kernels.constants import HALF, ONE, TWO, ZERO
+
 __all__ = [
     "AREA",
     "CONTACTS",
@@ -47,7 +50,6 @@ __all__ = [
     "TICK",
     "TORQUE",
     "WORKING",
-    "ZERO",
     "Body",
     "Lists",
     "Points",
@@ -62,9 +64,6 @@ __all__ = [
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ZERO = wp.constant(wp.float64(0.0))
-ONE = wp.constant(wp.float64(1.0))
-HALF = wp.constant(wp.float64(0.5))
 
 SPHERE = 0
 CYLINDER = 1
@@ -143,32 +142,32 @@ DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 class Body:
     """Surface of a body with s nodes and f triangles."""
 
-    free: wp.array(dtype=wp.vec3d)  # [node], positions without contact [m]
-    last_free: wp.array(dtype=wp.vec3d)  # [node], positions without contact in the last tick [m]
+    free: Vectors  # [node], positions without contact [m]
+    last_free: Vectors  # [node], positions without contact in the last tick [m]
     scale: wp.float64  # factor of the compliance
-    compliance: wp.array2d(dtype=wp.float64)  # [3 node, 3 node] [m/N]
-    corners: wp.array2d(dtype=wp.int32)  # [triangle, 3]
-    force: wp.array(dtype=wp.vec3d)  # [node] [N]
-    moved: wp.array(dtype=wp.vec3d)  # [node], displacement of nearby nodes before this tick [m]
+    compliance: Doubles2D  # [3 node, 3 node] [m/N]
+    corners: Int32s2D  # [triangle, 3]
+    force: Vectors  # [node] [N]
+    moved: Vectors  # [node], displacement of nearby nodes before this tick [m]
 
 
 @wp.struct
 class Points:
     """Contact points and the forces they carry."""
 
-    first: wp.array(dtype=wp.int32)  # [triangle], its first point, -1 if it has no point
-    following: wp.array(dtype=wp.int32)  # [point], next point of the triangle, -1 after the last
-    weight: wp.array(dtype=wp.vec3d)  # [point], barycentric
-    area: wp.array(dtype=wp.float64)  # [point] [m2]
-    tool_point: wp.array(dtype=wp.vec3d)  # [point], present position of a shell's point [m]
-    tool_normal: wp.array(dtype=wp.vec3d)
-    force: wp.array(dtype=wp.vec3d)  # [point], force on the body [N]
+    first: Int32s  # [triangle], its first point, -1 if it has no point
+    following: Int32s  # [point], next point of the triangle, -1 after the last
+    weight: Vectors  # [point], barycentric
+    area: Doubles  # [point] [m2]
+    tool_point: Vectors  # [point], present position of a shell's point [m]
+    tool_normal: Vectors
+    force: Vectors  # [point], force on the body [N]
     # [point], its last position, moved along with the tool [m]
-    anchor: wp.array(dtype=wp.vec3d)
+    anchor: Vectors
     # [point, 5]: compliance of the three nodes and of the point [m/N], and the point's inverse
     # [N/m]
-    response: wp.array2d(dtype=wp.mat33d)
-    ready: wp.array(dtype=wp.int32)  # [point], 1 if the compliance is available
+    response: Matrices2D
+    ready: Int32s  # [point], 1 if the compliance is available
 
 
 NEARBY, WORKING, TICK = 0, 1, 2
@@ -179,14 +178,14 @@ NEARBY, WORKING, TICK = 0, 1, 2
 class Lists:
     """Lists of nearby and working triangles."""
 
-    count: wp.array(dtype=wp.int32)  # [3], see NEARBY
-    near: wp.array(dtype=wp.int32)  # triangles
-    working: wp.array(dtype=wp.int32)  # triangles
-    working_mark: wp.array(dtype=wp.int32)  # [triangle], 1 while it works
+    count: Int32s  # [3], see NEARBY
+    near: Int32s  # triangles
+    working: Int32s  # triangles
+    working_mark: Int32s  # [triangle], 1 while it works
 
 
 @wp.func
-def pose_of(pose: wp.array2d(dtype=wp.float64)):
+def pose_of(pose: Doubles2D):
     """Convert rows to a pose: tip, rotation, last tip, last rotation."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
@@ -272,14 +271,14 @@ def slipping_force(
     s00 = wp.dot(first, compliance * first) - c0 * c0 * stiff
     s11 = wp.dot(second, compliance * second) - c1 * c1 * stiff
     s01 = wp.dot(first, compliance * second) - c0 * c1 * stiff
-    angle = HALF * wp.atan2(wp.float64(2.0) * s01, s00 - s11)
+    angle = HALF * wp.atan2(TWO * s01, s00 - s11)
     turn = wp.cos(angle)
     lift = wp.sin(angle)
     along = turn * first + lift * second  # principal directions of S
     across = turn * second - lift * first
     a0 = turn * c0 + lift * c1
     a1 = turn * c1 - lift * c0
-    k0 = turn * turn * s00 + wp.float64(2.0) * turn * lift * s01 + lift * lift * s11
+    k0 = turn * turn * s00 + TWO * turn * lift * s01 + lift * lift * s11
     k1 = s00 + s11 - k0
     r0 = wp.dot(along, drift) - a0 * apart * stiff
     r1 = wp.dot(across, drift) - a1 * apart * stiff
@@ -313,7 +312,7 @@ def slipping_force(
         # Outside the bracket: bisect, or increase the value if there is no upper end yet. k0 + k1
         # sets the scale.
         if guess <= low or (high >= ZERO and guess >= high):
-            guess = wp.float64(2.0) * share + k0 + k1
+            guess = TWO * share + k0 + k1
             if high >= ZERO:
                 guess = HALF * (low + high)
         share = guess

@@ -24,7 +24,9 @@ It processes eight elements at once.
 
 import warp as wp
 
-from kernels.elements import CHUNK, LANES, LEAST_ADVANCE, Elements, lanes8
+from kernels.arrays import Doubles, Doubles2D
+from kernels.constants import ZERO
+from kernels.elements import CHUNK, LANES, LEAST_ADVANCE, Elements, Lanes2D, lanes8
 from kernels.engagement import (
     CHIP,
     DISTANCE,
@@ -65,19 +67,19 @@ class Loads:
 def cutting_forces(
     elements: Elements,
     coefficients: Coefficients,
-    found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
-    engaged: wp.array(dtype=wp.float64),  # [chunk], 1 where an element has bone
+    found: Lanes2D,  # [eight elements, row], see `kernels.engagement.DISTANCE`
+    engaged: Doubles,  # [chunk], 1 where an element has bone
     # Rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s]; the velocity
     # and the angular velocity with which a tick would end at the pose of `found`; number of
     # unknowns, length of the tick [s] and speed.
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     chunk_offset: int,
     # out
     # scratch: the sums of each of the eight lanes
-    lanes_out: wp.array2d(dtype=lanes8),
+    lanes_out: Lanes2D,
     # [chunk, AREA + layers + 36], tool frame, see VALUE; not written for chunks without bone
-    sums_out: wp.array2d(dtype=wp.float64),
+    sums_out: Doubles2D,
 ):
     """Sum the forces on one chunk of elements, and their derivatives by the unknowns.
 
@@ -86,7 +88,7 @@ def cutting_forces(
     speed 1.
     """
     chunk = wp.tid() + chunk_offset
-    if engaged[chunk] == wp.float64(0.0):
+    if engaged[chunk] == ZERO:
         return
     unknowns = int(motion[4, 0])
     rows = AREA + coefficients.size.shape[0] + 6 * unknowns
@@ -133,7 +135,7 @@ def cutting_forces(
 def add_eight(
     elements: Elements,
     coefficients: Coefficients,
-    found: wp.array2d(dtype=lanes8),
+    found: Lanes2D,
     eight: int,
     width: lanes8,
     velocity: wp.vec3,
@@ -146,7 +148,7 @@ def add_eight(
     chip_per_speed: float,
     least: float,
     chunk: int,
-    sums_out: wp.array2d(dtype=lanes8),
+    sums_out: Lanes2D,
 ):
     """Add the forces on eight elements."""
     px = elements.lanes[eight, 0]
@@ -248,7 +250,7 @@ def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, c
 @wp.func
 def chip_law(
     coefficients: Coefficients,
-    found: wp.array2d(dtype=lanes8),
+    found: Lanes2D,
     eight: int,
     chip_per_speed: float,
     advance: lanes8,
@@ -280,7 +282,7 @@ def chip_law(
 
 
 @wp.func
-def row_of(motion: wp.array2d(dtype=wp.float64), row: int):
+def row_of(motion: Doubles2D, row: int):
     """Convert a row of ``motion`` to single precision."""
     return wp.vec3(float(motion[row, 0]), float(motion[row, 1]), float(motion[row, 2]))
 
@@ -298,7 +300,7 @@ def above(values: lanes8):
 
 
 @wp.func
-def loads_of(found: wp.array2d(dtype=lanes8), eight: int, chip: lanes8, edge: lanes8):
+def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
     """Return the loads on eight cutting elements.
 
     ``chip`` and ``edge`` are the weights of the chip force and the edge force of each element.
@@ -324,7 +326,7 @@ def add_forces(
     factor: lanes8,
     chunk: int,
     place: int,
-    sums_out: wp.array2d(dtype=lanes8),
+    sums_out: Lanes2D,
 ):
     """Multiply loads by a factor and add their force to the sums of a chunk.
 
@@ -350,7 +352,7 @@ def add_torques(
     factor: lanes8,
     chunk: int,
     place: int,
-    sums_out: wp.array2d(dtype=lanes8),
+    sums_out: Lanes2D,
 ):
     """Multiply loads by a factor and add their torque to the sums of a chunk, see `add_forces`."""
     tangential = wp.cw_mul(loads.tangential, factor)
@@ -385,7 +387,7 @@ def add_derivatives(
     unknowns: int,
     chunk: int,
     place: int,
-    sums_out: wp.array2d(dtype=lanes8),
+    sums_out: Lanes2D,
 ):
     """Add the derivatives of force and torque by the velocities to the sums of a chunk.
 

@@ -6,11 +6,14 @@ elements, and find the elements that may cut bone.
 
 import warp as wp
 
+from kernels.arrays import Bits, Doubles2D, Int32s3D, Singles, SingleVectors
+
 __all__ = [
     "CHUNK",
     "LANES",
     "LEAST_ADVANCE",
     "Elements",
+    "Lanes2D",
     "Travel",
     "advance_of",
     "lanes8",
@@ -33,6 +36,7 @@ This saves a tenth of the force kernel's time, together with sums that are compu
 branches, see docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
+Lanes2D = wp.array2d(dtype=lanes8)
 # Largest advance of an element that does not cut, relative to the speed of the tip. It is more than
 # the rounding error of an advance in single precision.
 LEAST_ADVANCE = wp.constant(1.0e-5)
@@ -42,21 +46,21 @@ LEAST_ADVANCE = wp.constant(1.0e-5)
 class Elements:
     """Point shell of a cutter in its own frame: origin at the tip, z along the axis."""
 
-    point: wp.array(dtype=wp.vec3)  # [m]
-    lanes: wp.array2d(dtype=lanes8)  # [eight elements, 6]: x, y, z of points, then of normals
-    normal: wp.array(dtype=wp.vec3)  # outward, unit
+    point: SingleVectors  # [m]
+    lanes: Lanes2D  # [eight elements, 6]: x, y, z of points, then of normals
+    normal: SingleVectors  # outward, unit
     # Factors from tangential, radial and axial loads to force and torque, for eight elements. Rows
     # for an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y).
     # The tangent is the unit direction in which the spin moves the element.
-    lever: wp.array2d(dtype=lanes8)
-    area: wp.array(dtype=wp.float32)  # [m2]
+    lever: Lanes2D
+    area: Singles  # [m2]
     areas: wp.array(dtype=lanes8)  # areas of eight elements [m2], 0 after the last element
     # curvature of the tool at the element, see `kernels.revolution.Revolution`
-    bend: wp.array(dtype=wp.float32)
+    bend: Singles
     # mean curvature of the tool [1/m] at eight elements, 0 at an edge
     curvature: wp.array(dtype=lanes8)
     # N A / (2 pi r): mean length of cutting edge in the element [m]
-    edge_length: wp.array(dtype=wp.float32)
+    edge_length: Singles
     # centre and radius of a ball around each chunk's points [m]
     chunk_ball: wp.array(dtype=wp.vec4)
     # axis of a cone around each chunk's normals, sine of its half angle (2: no cone)
@@ -82,7 +86,7 @@ class Travel:
 
 
 @wp.func
-def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
+def travel_of(motion: Doubles2D, spacing: float):
     """Convert the rows of ``motion`` to single precision and derive the limits."""
     travel = Travel()
     travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
@@ -105,8 +109,8 @@ def may_cut(
     travel: Travel,
     spacing: float,
     everywhere: bool,
-    brick_of: wp.array3d(dtype=wp.int32),
-    alive: wp.array(dtype=wp.uint64),
+    brick_of: Int32s3D,
+    alive: Bits,
 ):
     """Return whether an element of a chunk may advance into bone.
 
@@ -150,8 +154,8 @@ def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
 
 @wp.func
 def meets_bone(
-    brick_of: wp.array3d(dtype=wp.int32),
-    alive: wp.array(dtype=wp.uint64),
+    brick_of: Int32s3D,
+    alive: Bits,
     middle: wp.vec3,
     radius: float,
 ):

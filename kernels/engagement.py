@@ -11,12 +11,24 @@ from the tool's last poses, see `kernels.recent_cuts`.
 
 import warp as wp
 
+from kernels.arrays import (
+    Bits,
+    Doubles,
+    Doubles2D,
+    Int32s3D,
+    Shorts2D,
+    Singles2D,
+    SingleVectors,
+    Words2D,
+)
 from kernels.bone_lookup import bone_at
 from kernels.bricks import corner8f, voxel_column, voxel_row
+from kernels.constants import ZERO
 from kernels.elements import (
     CHUNK,
     LANES,
     Elements,
+    Lanes2D,
     Travel,
     advance_of,
     lanes8,
@@ -78,12 +90,12 @@ NEAR = wp.constant(0.2)
 class Coefficients:
     """Cutting coefficients of each layer at its reference density: tangential, radial, axial."""
 
-    chip: wp.array(dtype=wp.vec3)  # [Pa]
-    edge: wp.array(dtype=wp.vec3)  # [N/m]
+    chip: SingleVectors  # [Pa]
+    edge: SingleVectors  # [N/m]
     # [layer, density in kg/m3]: (density / reference) ** exponent
-    strength: wp.array2d(dtype=wp.float32)
+    strength: Singles2D
     # exponent m of the size effect, minimum and reference chip thickness [m]
-    size: wp.array(dtype=wp.vec3)
+    size: SingleVectors
     has_size_effect: wp.int32  # 1 if an exponent is not 0
 
 
@@ -97,38 +109,38 @@ def find_bone(
     # the tool's frame. Last row: 1 to find bone around the whole tool, 0 to find bone only in front
     # of elements that advance; 1 if the tool has turned recently; lower limit of the minimum chip
     # thickness [m].
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     # [pose, 6]: displacements [m] and rotations [rad] to the tool's last poses, in the tool's
     # frame. The first row is the present pose.
-    recent: wp.array2d(dtype=wp.float32),
+    recent: Singles2D,
     spacing: float,  # [m]
     chunk_offset: int,
     # grid
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
-    older: wp.array2d(dtype=wp.uint16),
-    alive: wp.array(dtype=wp.uint64),
+    brick_of: Int32s3D,
+    material: Words2D,
+    nearby: Shorts2D,
+    older: Shorts2D,
+    alive: Bits,
     # out
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
-    found_out: wp.array2d(dtype=lanes8),  # [eight elements, row], see `DISTANCE`
-    engaged_out: wp.array(dtype=wp.float64),  # [chunk], 1 with bone; 1 at the first launch
+    found_out: Lanes2D,  # [eight elements, row], see `DISTANCE`
+    engaged_out: Doubles,  # [chunk], 1 with bone; 1 at the first launch
 ):
     """Find the bone in front of one chunk of elements."""
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
-    everywhere = motion[6, 0] != wp.float64(0.0)
+    everywhere = motion[6, 0] != ZERO
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
-    turns = motion[6, 1] != wp.float64(0.0)
+    turns = motion[6, 1] != ZERO
     count = elements.edge_length.shape[0]
     meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
     poses = Poses()
     has_poses = int(0)
     enough = wp.where(everywhere, NEAR, 0.0) * spacing + CLOSE
     # If there is no bone now and there was no bone before, all widths are already 0.
-    if not meets and engaged_out[chunk] == wp.float64(0.0):
+    if not meets and engaged_out[chunk] == ZERO:
         last = first
     engaged = int(0)
     for eight in range(first, last):
@@ -217,7 +229,7 @@ def set_strengths(
     eight: int,
     layer: lanes8,
     density: lanes8,
-    found: wp.array2d(dtype=lanes8),
+    found: Lanes2D,
 ):
     """Write the cutting coefficients of eight elements, scaled by the strength of their bone."""
     minimum = lanes8()
@@ -265,14 +277,14 @@ class Met:
 def bone_met(
     tool: Revolution,
     elements: Elements,
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     travel: Travel,
     spacing: float,
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
-    older: wp.array2d(dtype=wp.uint16),
-    alive: wp.array(dtype=wp.uint64),
+    brick_of: Int32s3D,
+    material: Words2D,
+    nearby: Shorts2D,
+    older: Shorts2D,
+    alive: Bits,
     e: int,
     at: wp.vec3,
     gap: float,
@@ -339,9 +351,7 @@ def bone_met(
 
 
 @wp.func
-def remaining_voxel(
-    brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
-):
+def remaining_voxel(brick_of: Int32s3D, alive: Bits, at: wp.vec3):
     """Return brick row and column of the voxel at a point [voxel].
 
     The row is -1 if no bone is left in the voxel's block of eight.

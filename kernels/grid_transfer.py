@@ -22,6 +22,18 @@ same bits on any number of threads.
 
 import warp as wp
 
+from kernels.arrays import (
+    Bytes,
+    Int32s,
+    Int32s2D,
+    Matrices,
+    Matrices2D,
+    SingleMatrices,
+    Singles,
+    SingleVectors,
+    Vectors,
+)
+from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import block_of, carries, cell_block
 
 __all__ = [
@@ -48,24 +60,24 @@ def share(child: int, a: int, parent: int):
         at = ((child >> axis) & 1) + ((a >> axis) & 1)  # in half edges of the parent: 0, 1, 2
         if ((parent >> axis) & 1) == 0:
             at = 2 - at
-        weight = weight * wp.float64(0.5) * wp.float64(at)
+        weight = weight * HALF * wp.float64(at)
     return weight
 
 
 @wp.kernel
 def coarse_stiffness(
     # fine
-    cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, corner]
-    live: wp.array(dtype=wp.uint8),  # [cell]
-    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block]
-    free: wp.array(dtype=wp.vec3d),  # [node]
+    cell_nodes: Int32s2D,  # [cell, corner]
+    live: Bytes,  # [cell]
+    stiffness: Matrices2D,  # [cell, block]
+    free: Vectors,  # [node]
     # coarse
-    children: wp.array2d(dtype=wp.int32),  # [coarse cell, child] or -1
-    changed: wp.array(dtype=wp.int32),  # coarse cells to recompute
+    children: Int32s2D,  # [coarse cell, child] or -1
+    changed: Int32s,  # coarse cells to recompute
     offset: int,
     # out
-    stiffness_out: wp.array2d(dtype=wp.mat33d),  # [coarse cell, block]
-    live_out: wp.array(dtype=wp.uint8),
+    stiffness_out: Matrices2D,  # [coarse cell, block]
+    live_out: Bytes,
 ):
     """Compute the stiffness of the changed coarse cells from their children."""
     coarse = changed[wp.tid() + offset]
@@ -85,10 +97,10 @@ def coarse_stiffness(
                     )
                     for parent_a in range(8):
                         share_a = share(child, a, parent_a)
-                        if share_a != wp.float64(0.0):
+                        if share_a != ZERO:
                             for parent_b in range(parent_a, 8):
                                 weight = share_a * share(child, b, parent_b)
-                                if weight != wp.float64(0.0):
+                                if weight != ZERO:
                                     block = block_of(parent_a, parent_b)
                                     stiffness_out[coarse, block] = (
                                         stiffness_out[coarse, block] + weight * part
@@ -99,12 +111,12 @@ def coarse_stiffness(
 @wp.kernel
 def restrict(
     # [coarse node, 27], fine node at 9 (dx+1) + 3 (dy+1) + dz+1, or -1
-    fine_of: wp.array2d(dtype=wp.int32),
-    free: wp.array(dtype=wp.vec3f),  # [fine node]
-    residual: wp.array(dtype=wp.vec3f),  # [fine node]
+    fine_of: Int32s2D,
+    free: SingleVectors,  # [fine node]
+    residual: SingleVectors,  # [fine node]
     offset: int,
     # out
-    load_out: wp.array(dtype=wp.vec3f),  # [coarse node]
+    load_out: SingleVectors,  # [coarse node]
 ):
     """Compute the load of the coarse grid from the residual, by the transposed interpolation."""
     coarse = wp.tid() + offset
@@ -127,13 +139,13 @@ def restrict(
 
 @wp.kernel
 def interpolate(
-    coarse_of: wp.array2d(dtype=wp.int32),  # [fine node, 8], coarse node or -1
-    weight: wp.array(dtype=wp.float32),  # [fine node], the same for all its coarse nodes
-    free: wp.array(dtype=wp.vec3f),  # [fine node]
-    correction: wp.array(dtype=wp.vec3f),  # [coarse node]
+    coarse_of: Int32s2D,  # [fine node, 8], coarse node or -1
+    weight: Singles,  # [fine node], the same for all its coarse nodes
+    free: SingleVectors,  # [fine node]
+    correction: SingleVectors,  # [coarse node]
     offset: int,
     # out
-    vector_out: wp.array(dtype=wp.vec3f),  # [fine node], corrected in place
+    vector_out: SingleVectors,  # [fine node], corrected in place
 ):
     """Add the coarse grid's correction to the nodes of the fine grid that may move.
 
@@ -152,21 +164,21 @@ def interpolate(
 @wp.kernel
 def assemble_rows(
     # nodes
-    rows: wp.array(dtype=wp.int32),  # nodes whose rows are assembled again
-    row_start: wp.array(dtype=wp.int32),  # [node + 1], first block of each row
-    node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
+    rows: Int32s,  # nodes whose rows are assembled again
+    row_start: Int32s,  # [node + 1], first block of each row
+    node_cells: Int32s2D,  # [node, corner]
     # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
-    neighbour_block: wp.array2d(dtype=wp.int32),
-    free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
+    neighbour_block: Int32s2D,
+    free: Vectors,  # [node], 1 where a component may move, 0 where it is held
     # cells
-    cell_nodes: wp.array2d(dtype=wp.int32),
-    live: wp.array(dtype=wp.uint8),  # [cell]
-    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
+    cell_nodes: Int32s2D,
+    live: Bytes,  # [cell]
+    stiffness: Matrices2D,  # [cell, block] [N/m]
     offset: int,
     # out
-    block_out: wp.array(dtype=wp.mat33d),  # [block] [N/m]
+    block_out: Matrices,  # [block] [N/m]
     # [node], a copy of the node's own block, with 1 for held components
-    diagonal_out: wp.array(dtype=wp.mat33d),
+    diagonal_out: Matrices,
 ):
     """Assemble rows of ``M K M``, where M is the mask of the components that may move.
 
@@ -193,18 +205,16 @@ def assemble_rows(
                     mask, cell_block(stiffness, cell, a, b)
                 )
     centre = neighbour_block[node, 13]
-    diagonal_out[node] = block_out[centre] + wp.diag(
-        wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - free_here
-    )
+    diagonal_out[node] = block_out[centre] + wp.diag(wp.vec3d(ONE, ONE, ONE) - free_here)
 
 
 @wp.kernel
 def invert_diagonal(
-    rows: wp.array(dtype=wp.int32),
-    diagonal: wp.array(dtype=wp.mat33d),  # [node] [N/m]
+    rows: Int32s,
+    diagonal: Matrices,  # [node] [N/m]
     offset: int,
     # out
-    inverse_out: wp.array(dtype=wp.mat33f),  # [node] [m/N]
+    inverse_out: SingleMatrices,  # [node] [m/N]
 ):
     """Invert each node's own block; the inverse is zero where a node carries no load.
 
@@ -214,7 +224,7 @@ def invert_diagonal(
     block = diagonal[node]
     size = wp.trace(block)
     inverse = wp.mat33d()
-    if size > wp.float64(0.0):
+    if size > ZERO:
         # Less than the rounding error of single precision, 6e-8, in which the inverse is used.
         tiny = wp.float64(1e-9) * size
         inverse = wp.inverse(block + wp.diag(wp.vec3d(tiny, tiny, tiny)))
@@ -223,12 +233,12 @@ def invert_diagonal(
 
 @wp.kernel
 def to_single(
-    rows: wp.array(dtype=wp.int32),
-    row_start: wp.array(dtype=wp.int32),
-    block: wp.array(dtype=wp.mat33d),
+    rows: Int32s,
+    row_start: Int32s,
+    block: Matrices,
     offset: int,
     # out
-    block_out: wp.array(dtype=wp.mat33f),
+    block_out: SingleMatrices,
 ):
     """Round rows to single precision, for the preconditioner."""
     node = rows[wp.tid() + offset]
@@ -238,18 +248,18 @@ def to_single(
 
 @wp.kernel
 def first_sweep(
-    nodes: wp.array(dtype=wp.int32),  # nodes of one colour
-    row_start: wp.array(dtype=wp.int32),
+    nodes: Int32s,  # nodes of one colour
+    row_start: Int32s,
     # [node], the node's own block; blocks of lower colours come before it, of higher colours after
     # it
-    diagonal_block: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    block: wp.array(dtype=wp.mat33f),
-    inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
-    load: wp.array(dtype=wp.vec3f),
+    diagonal_block: Int32s,
+    column: Int32s,
+    block: SingleMatrices,
+    inverse: SingleMatrices,  # [node], inverse of the node's own block
+    load: SingleVectors,
     offset: int,
     # out
-    vector_out: wp.array(dtype=wp.vec3f),  # [node]
+    vector_out: SingleVectors,  # [node]
 ):
     """Run the first Gauss-Seidel sweep, from zero displacements.
 
@@ -264,14 +274,14 @@ def first_sweep(
 
 @wp.kernel
 def first_residuals(
-    row_start: wp.array(dtype=wp.int32),
-    diagonal_block: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    block: wp.array(dtype=wp.mat33f),
-    vector: wp.array(dtype=wp.vec3f),  # [node]
+    row_start: Int32s,
+    diagonal_block: Int32s,
+    column: Int32s,
+    block: SingleMatrices,
+    vector: SingleVectors,  # [node]
     offset: int,
     # out
-    residual_out: wp.array(dtype=wp.vec3f),  # [node]
+    residual_out: SingleVectors,  # [node]
 ):
     """Compute the residual of the load after the first sweep.
 
@@ -286,15 +296,15 @@ def first_residuals(
 
 @wp.kernel
 def sweep_colour(
-    nodes: wp.array(dtype=wp.int32),  # nodes of one colour
-    row_start: wp.array(dtype=wp.int32),
-    column: wp.array(dtype=wp.int32),
-    block: wp.array(dtype=wp.mat33f),
-    inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
-    load: wp.array(dtype=wp.vec3f),
+    nodes: Int32s,  # nodes of one colour
+    row_start: Int32s,
+    column: Int32s,
+    block: SingleMatrices,
+    inverse: SingleMatrices,  # [node], inverse of the node's own block
+    load: SingleVectors,
     offset: int,
     # out
-    vector_out: wp.array(dtype=wp.vec3f),  # [node], corrected in place
+    vector_out: SingleVectors,  # [node], corrected in place
 ):
     """Run a Gauss-Seidel sweep over one colour.
 

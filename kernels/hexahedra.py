@@ -12,6 +12,9 @@ no atomic operations, and the result has the same bits on any number of threads.
 
 import warp as wp
 
+from kernels.arrays import Bytes, Int32s, Int32s2D, Matrices2D, Vectors, Vectors2D
+from kernels.constants import ONE
+
 __all__ = [
     "BLOCKS",
     "CornerGradients",
@@ -37,7 +40,7 @@ def block_of(a: int, b: int):
 
 
 @wp.func
-def carries(live: wp.array(dtype=wp.uint8), cell: int):
+def carries(live: Bytes, cell: int):
     """Return whether the cell exists (-1 means no cell) and carries load."""
     if cell < 0:
         return False
@@ -45,7 +48,7 @@ def carries(live: wp.array(dtype=wp.uint8), cell: int):
 
 
 @wp.func
-def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int):
+def cell_block(stiffness: Matrices2D, cell: int, a: int, b: int):
     """Return the stiffness block [N/m] of corners a and b of a cell."""
     if a <= b:
         return stiffness[cell, block_of(a, b)]
@@ -58,24 +61,23 @@ def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
 
     The position runs from 0 to 1 along each edge.
     """
-    one = wp.float64(1.0)
     gradients = CornerGradients()
     for a in range(8):
         x = at[0]
         y = at[1]
         z = at[2]
-        sx = one
-        sy = one
-        sz = one
+        sx = ONE
+        sy = ONE
+        sz = ONE
         if (a & 4) == 0:
-            x = one - x
-            sx = -one
+            x = ONE - x
+            sx = -ONE
         if (a & 2) == 0:
-            y = one - y
-            sy = -one
+            y = ONE - y
+            sy = -ONE
         if (a & 1) == 0:
-            z = one - z
-            sz = -one
+            z = ONE - z
+            sz = -ONE
         gradients[a, 0] = sx * y * z * inverse_edge
         gradients[a, 1] = x * sy * z * inverse_edge
         gradients[a, 2] = x * y * sz * inverse_edge
@@ -85,15 +87,15 @@ def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
 @wp.kernel
 def cell_products(
     # cells
-    cells: wp.array(dtype=wp.int32),  # cells to multiply
-    row: wp.array(dtype=wp.int32),  # row of each cell in the stiffness
-    cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, corner]
-    live: wp.array(dtype=wp.uint8),  # [cell], 0 if the cell carries no load
-    stiffness: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m]
-    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    cells: Int32s,  # cells to multiply
+    row: Int32s,  # row of each cell in the stiffness
+    cell_nodes: Int32s2D,  # [cell, corner]
+    live: Bytes,  # [cell], 0 if the cell carries no load
+    stiffness: Matrices2D,  # [row, block] [N/m]
+    displacement: Vectors,  # [node] [m]
     offset: int,
     # out
-    corner_force_out: wp.array2d(dtype=wp.vec3d),  # [place in cells, corner] [N]
+    corner_force_out: Vectors2D,  # [place in cells, corner] [N]
 ):
     """Compute the corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
     i = wp.tid() + offset
@@ -119,13 +121,13 @@ def cell_products(
 @wp.kernel
 def gather_cells(
     # nodes
-    nodes: wp.array(dtype=wp.int32),  # nodes of the cells
+    nodes: Int32s,  # nodes of the cells
     # [index in nodes, corner]: index of the cell in which the node is this corner
-    node_cells: wp.array2d(dtype=wp.int32),
-    corner_force: wp.array2d(dtype=wp.vec3d),  # [place in the cells, corner] [N]
+    node_cells: Int32s2D,
+    corner_force: Vectors2D,  # [place in the cells, corner] [N]
     offset: int,
     # out
-    force_out: wp.array(dtype=wp.vec3d),  # [node] [N], the forces are added
+    force_out: Vectors,  # [node] [N], the forces are added
 ):
     """Add the forces of adjacent cells to the force at each node, in the order of the corners."""
     i = wp.tid() + offset

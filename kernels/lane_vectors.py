@@ -8,7 +8,21 @@ from typing import Any
 
 import warp as wp
 
+from kernels.arrays import (
+    Bytes,
+    Doubles,
+    Doubles2D,
+    Doubles3D,
+    Int32s,
+    Int32s2D,
+    Matrices2D,
+    Shorts,
+    Singles2D,
+    Singles3D,
+    Vectors,
+)
 from kernels.cell_strips import lanes_of
+from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import block_of, carries
 
 __all__ = ["cube_weights", "from_lanes", "node_diagonals", "smooth", "to_lanes"]
@@ -17,38 +31,39 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 FULL_STEPS = wp.constant(wp.float64(65535.0))
 LANES_F = lanes_of(wp.float32)
+LaneRows = wp.array2d(dtype=LANES_F)
 
 
 @wp.kernel
 def cube_weights(
     # particles, sorted by cell
-    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
-    volume: wp.array(dtype=wp.float64),  # [m3]
-    lame: wp.array2d(dtype=wp.float64),  # [particle, 2]: lambda, mu [Pa]
-    remaining: wp.array(dtype=wp.uint16),  # steps of 1/65535
+    place: Vectors,  # position in the cell, 0 to 1 along each edge
+    volume: Doubles,  # [m3]
+    lame: Doubles2D,  # [particle, 2]: lambda, mu [Pa]
+    remaining: Shorts,  # steps of 1/65535
     # cells
-    cell_start: wp.array(dtype=wp.int32),  # [cell + 1], first particle of each cell
-    live: wp.array(dtype=wp.uint8),  # [cell], 0 if the cell carries no load
-    regular: wp.array(dtype=wp.uint8),  # [cell], 1 if its particles are centres of cubes
+    cell_start: Int32s,  # [cell + 1], first particle of each cell
+    live: Bytes,  # [cell], 0 if the cell carries no load
+    regular: Bytes,  # [cell], 1 if its particles are centres of cubes
     strip: wp.array(dtype=wp.vec2i),  # [cell]: its strip, and its lane in the strip
-    changed: wp.array(dtype=wp.int32),  # cells to recompute
+    changed: Int32s,  # cells to recompute
     edge: wp.float64,  # [m]
     strength: wp.float64,  # strength of the unresolved modes, see kernels.particle_stiffness
     offset: int,
     # out
     # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
-    weight_out: wp.array3d(dtype=wp.float64),
-    single_out: wp.array3d(dtype=wp.float32),  # rounded to single precision
+    weight_out: Doubles3D,
+    single_out: Singles3D,  # rounded to single precision
 ):
     """Compute the weights of the changed cells in `kernels.cell_strips`."""
     cell = changed[wp.tid() + offset]
     row = strip[cell][0]
     lane = strip[cell][1]
     for i in range(17):
-        weight_out[row, i, lane] = wp.float64(0.0)
+        weight_out[row, i, lane] = ZERO
     shear = wp.float64(0.0)
     moment = wp.vec3d()
-    middle = wp.vec3d(wp.float64(0.5), wp.float64(0.5), wp.float64(0.5))
+    middle = wp.vec3d(HALF, HALF, HALF)
     if live[cell] != wp.uint8(0) and regular[cell] != wp.uint8(0):
         for p in range(cell_start[cell], cell_start[cell + 1]):
             left = volume[p] * wp.float64(remaining[p]) / FULL_STEPS
@@ -56,7 +71,7 @@ def cube_weights(
             cube = int(0)
             for axis in range(3):
                 cube = 2 * cube
-                if at[axis] > wp.float64(0.0):
+                if at[axis] > ZERO:
                     cube += 1
             # V / 16 h^2, see WEIGHTS
             share = left / (wp.float64(16.0) * edge * edge)
@@ -67,7 +82,7 @@ def cube_weights(
     whole = edge * edge * edge
     # A full cell has the second moment V / 12 about its centre. The part that the particles lack is
     # unresolved.
-    missing = wp.max(wp.float64(1.0) - wp.float64(12.0) * wp.min(moment) / whole, wp.float64(0.0))
+    missing = wp.max(ONE - wp.float64(12.0) * wp.min(moment) / whole, ZERO)
     weight_out[row, 16, lane] = strength * missing * shear / whole * edge / wp.float64(12.0)
     for i in range(17):
         single_out[row, i, lane] = wp.float32(weight_out[row, i, lane])
@@ -75,7 +90,7 @@ def cube_weights(
 
 @wp.kernel
 def to_lanes(
-    slot: wp.array(dtype=wp.int32),  # [node]
+    slot: Int32s,  # [node]
     vector: wp.array(dtype=Any),  # [node]
     offset: int,
     # out
@@ -89,7 +104,7 @@ def to_lanes(
 
 @wp.kernel
 def from_lanes(
-    slot: wp.array(dtype=wp.int32),  # [node]
+    slot: Int32s,  # [node]
     lanes: wp.array2d(dtype=Any),  # [component, slot]
     offset: int,
     # out
@@ -106,18 +121,18 @@ def from_lanes(
 
 @wp.kernel
 def node_diagonals(
-    nodes: wp.array(dtype=wp.int32),  # nodes whose cells changed
-    node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
-    live: wp.array(dtype=wp.uint8),  # [cell]
-    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
-    free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
-    slot: wp.array(dtype=wp.int32),  # [node]
+    nodes: Int32s,  # nodes whose cells changed
+    node_cells: Int32s2D,  # [node, corner]
+    live: Bytes,  # [cell]
+    stiffness: Matrices2D,  # [cell, block] [N/m]
+    free: Vectors,  # [node], 1 where a component may move, 0 where it is held
+    slot: Int32s,  # [node]
     largest: wp.float64,  # upper bound of the eigenvalues of D^-1 K
     offset: int,
     # out
-    diagonal_out: wp.array(dtype=wp.vec3d),  # [node] [N/m], 1 on held components
+    diagonal_out: Vectors,  # [node] [N/m], 1 on held components
     # [component, slot] [m/N], 1 / (bound D); 0 if held or empty
-    inverse_out: wp.array2d(dtype=wp.float32),
+    inverse_out: Singles2D,
 ):
     """Compute the diagonal of the nodes' stiffness and its inverse."""
     node = nodes[wp.tid() + offset]
@@ -128,25 +143,25 @@ def node_diagonals(
             total += wp.get_diag(stiffness[cell, block_of(a, a)])
     for c in range(3):
         inverse = wp.float64(0.0)
-        if free[node][c] * total[c] > wp.float64(0.0):
-            inverse = wp.float64(1.0) / (largest * total[c])
+        if free[node][c] * total[c] > ZERO:
+            inverse = ONE / (largest * total[c])
         inverse_out[c, slot[node]] = wp.float32(inverse)
-        total[c] = wp.where(free[node][c] > wp.float64(0.0), total[c], wp.float64(1.0))
+        total[c] = wp.where(free[node][c] > ZERO, total[c], ONE)
     diagonal_out[node] = total
 
 
 @wp.kernel
 def smooth(
     # [component, lanes], 1 / (largest eigenvalue x diagonal); 0 if held
-    inverse: wp.array2d(dtype=LANES_F),
+    inverse: LaneRows,
     share: float,  # weight of the last direction in the next direction
     gain: float,  # weight of the residual in the next direction
     offset: int,
     # out
-    force_out: wp.array2d(dtype=LANES_F),  # K times the last direction; set to zero
-    residual_out: wp.array2d(dtype=LANES_F),  # reduced by this product
-    direction_out: wp.array2d(dtype=LANES_F),  # set to the next direction
-    vector_out: wp.array2d(dtype=LANES_F),  # increased by the last direction
+    force_out: LaneRows,  # K times the last direction; set to zero
+    residual_out: LaneRows,  # reduced by this product
+    direction_out: LaneRows,  # set to the next direction
+    vector_out: LaneRows,  # increased by the last direction
 ):
     """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``."""
     i = wp.tid() + offset

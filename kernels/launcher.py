@@ -161,7 +161,7 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
     return parallel
 
 
-def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_counter) -> float:
+def calibrate(pool: CoreThreads, parts: int) -> float:
     """Measure the gain for work that only needs processor time.
 
     The measurement takes a few milliseconds.
@@ -172,11 +172,9 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
         Threads that take all parts but one.
     parts
         Parts to split into.
-    now
-        Clock [s].
     """
     # Use the shortest of three times, because an interruption can only lengthen a time.
-    one_s = min(_hash_time(bytes(SAMPLE_BYTES), now) for _ in range(3))
+    one_s = min(_hash_time(bytes(SAMPLE_BYTES)) for _ in range(3))
     work = bytes(
         SAMPLE_BYTES * max(1, round(CALIBRATION_S / one_s)) if one_s > 0.0 else SAMPLE_BYTES
     )
@@ -185,20 +183,20 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
     run_split(pool, jobs)  # start the threads
     ratios = []
     for _ in range(SAMPLES):
-        start = now()
+        start = perf_counter()
         for job in jobs:
             job()
-        middle = now()
+        middle = perf_counter()
         run_split(pool, jobs)
         # 1e-9 s: the reading of a coarse clock may not have changed.
-        ratios.append((middle - start) / max(now() - middle, 1e-9))
+        ratios.append((middle - start) / max(perf_counter() - middle, 1e-9))
     return median(ratios)
 
 
-def _hash_time(work: bytes, now: Callable[[], float]) -> float:
-    start = now()
+def _hash_time(work: bytes) -> float:
+    start = perf_counter()
     hashlib.sha256(work)
-    return now() - start
+    return perf_counter() - start
 
 
 SPLIT_ABOVE_S = 2.5e-4

@@ -11,6 +11,7 @@ copied.
 import numpy as np
 import warp as wp
 
+from kernels.arrays import Doubles, Doubles2D, Int32s
 from kernels.contact_state import Body, block
 
 __all__ = [
@@ -54,14 +55,14 @@ In order: number of slots, number of loaded slots, and 1 if rows must be copied 
 class Patch:
     """Nodes near the tool, s at most."""
 
-    count: wp.array(dtype=wp.int32)  # [3], see SLOTS
-    node: wp.array(dtype=wp.int32)  # [slot]
-    slot: wp.array(dtype=wp.int32)  # [node], -1 without a slot
-    near_mark: wp.array(dtype=wp.int32)  # [node], last tick in which the node was near the tool
-    loaded_mark: wp.array(dtype=wp.int32)  # [node], last tick in which the node was loaded
-    row: wp.array2d(dtype=wp.float64)  # [3 loaded slot, 3 slot], with scale [m/N]
+    count: Int32s  # [3], see SLOTS
+    node: Int32s  # [slot]
+    slot: Int32s  # [node], -1 without a slot
+    near_mark: Int32s  # [node], last tick in which the node was near the tool
+    loaded_mark: Int32s  # [node], last tick in which the node was loaded
+    row: Doubles2D  # [3 loaded slot, 3 slot], with scale [m/N]
     row_packs: wp.array2d(dtype=Pack)  # the same memory
-    moved: wp.array(dtype=wp.float64)  # [3 slot], displacement [m]
+    moved: Doubles  # [3 slot], displacement [m]
     moved_packs: wp.array(dtype=Pack)  # the same memory
 
 

@@ -12,6 +12,7 @@ the tool, and linear interpolation underestimates it. Lengths are in voxels.
 
 import warp as wp
 
+from kernels.arrays import Doubles2D, Int32s3D, Shorts2D
 from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
@@ -41,10 +42,10 @@ NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
 @wp.func
 def bone_left(
     tool: Revolution,
-    pose: wp.array2d(dtype=wp.float64),
+    pose: Doubles2D,
     axis: wp.vec3,
-    brick_of: wp.array3d(dtype=wp.int32),
-    older: wp.array2d(dtype=wp.uint16),
+    brick_of: Int32s3D,
+    older: Shorts2D,
     row: int,
     column: int,
     point: wp.vec3,
@@ -115,7 +116,7 @@ def kept_distance(kept: int):
 @wp.func
 def tool_distances(
     tool: Revolution,
-    pose: wp.array2d(dtype=wp.float64),
+    pose: Doubles2D,
     axis: wp.vec3,
     cell: Cell,
     seen: wp.array2d(dtype=corner8f),

@@ -29,6 +29,17 @@ Commun. ACM 4:168)."""  # noqa: E501 a table
 
 import warp as wp
 
+from kernels.arrays import (
+    Doubles,
+    Doubles2D,
+    Int32s,
+    Int32s2D,
+    Matrices,
+    Matrices2D,
+    Shorts,
+    Vectors,
+)
+from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 from kernels.hexahedra import block_of, corner_gradients
 
 __all__ = ["invariants", "particle_stiffness", "point_stress"]
@@ -41,26 +52,24 @@ FULL_STEPS = wp.constant(wp.float64(65535.0))
 @wp.kernel
 def particle_stiffness(
     # particles, sorted by cell
-    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
-    volume: wp.array(dtype=wp.float64),  # [m3]
-    lame: wp.array2d(dtype=wp.float64),  # [particle, 2]: lambda, mu [Pa]
-    remaining: wp.array(dtype=wp.uint16),  # steps of 1/65535
+    place: Vectors,  # position in the cell, 0 to 1 along each edge
+    volume: Doubles,  # [m3]
+    lame: Doubles2D,  # [particle, 2]: lambda, mu [Pa]
+    remaining: Shorts,  # steps of 1/65535
     # cells
-    cell_start: wp.array(dtype=wp.int32),  # [cell + 1], first particle of each cell
-    changed: wp.array(dtype=wp.int32),  # cells to recompute
+    cell_start: Int32s,  # [cell + 1], first particle of each cell
+    changed: Int32s,  # cells to recompute
     edge: wp.float64,  # [m]
     strength: wp.float64,
     # [block] [m], stiffness of a full cell with Lame constants of 1, minus the stiffness integrated
     # with one point at the centre
-    inner: wp.array(dtype=wp.mat33d),
-    spring_row: wp.array(dtype=wp.int32),  # [cell], its row in the next array, or -1
-    spring: wp.array2d(
-        dtype=wp.mat33d
-    ),  # [row, block] [N/m], contribution of springs to the ground
+    inner: Matrices,
+    spring_row: Int32s,  # [cell], its row in the next array, or -1
+    spring: Matrices2D,  # [row, block] [N/m], contribution of springs to the ground
     offset: int,
     # out
-    stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
-    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles / volume of the cell
+    stiffness_out: Matrices2D,  # [cell, block] [N/m]
+    fill_out: Doubles,  # [cell], volume of its particles / volume of the cell
 ):
     """Sum the stiffness of the changed cells over their particles.
 
@@ -74,9 +83,9 @@ def particle_stiffness(
     moment = wp.vec3d()
     for p in range(cell_start[cell], cell_start[cell + 1]):
         weight = volume[p] * wp.float64(remaining[p]) / FULL_STEPS
-        if weight > wp.float64(0.0):
+        if weight > ZERO:
             at = place[p]
-            gradients = corner_gradients(at, wp.float64(1.0) / edge)
+            gradients = corner_gradients(at, ONE / edge)
             w_lambda = weight * lame[p, 0]
             w_mu = weight * lame[p, 1]
             block = int(0)
@@ -88,28 +97,18 @@ def particle_stiffness(
                     k_ab = (
                         w_lambda * wp.outer(g_a, g_b)
                         + w_mu * wp.outer(g_b, g_a)
-                        + wp.mat33d(
-                            s,
-                            wp.float64(0.0),
-                            wp.float64(0.0),
-                            wp.float64(0.0),
-                            s,
-                            wp.float64(0.0),
-                            wp.float64(0.0),
-                            wp.float64(0.0),
-                            s,
-                        )
+                        + wp.mat33d(s, ZERO, ZERO, ZERO, s, ZERO, ZERO, ZERO, s)
                     )
                     stiffness_out[cell, block] = stiffness_out[cell, block] + k_ab
                     block += 1
             fill += weight
             shear += w_mu
-            middle = at - wp.vec3d(wp.float64(0.5), wp.float64(0.5), wp.float64(0.5))
+            middle = at - wp.vec3d(HALF, HALF, HALF)
             moment += weight * wp.cw_mul(middle, middle)
     volume_of_cell = edge * edge * edge
     fill_out[cell] = fill / volume_of_cell
     seen = wp.float64(12.0) * wp.min(moment) / volume_of_cell
-    missing = strength * wp.max(wp.float64(1.0) - seen, wp.float64(0.0)) * shear / volume_of_cell
+    missing = strength * wp.max(ONE - seen, ZERO) * shear / volume_of_cell
     for block in range(36):
         stiffness_out[cell, block] = stiffness_out[cell, block] + missing * inner[block]
     row = spring_row[cell]
@@ -132,51 +131,49 @@ THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
 @wp.func
 def principal_values(stress: wp.mat33d):
     """Compute the eigenvalues of a symmetric matrix, largest first."""
-    mean = wp.trace(stress) / wp.float64(3.0)
+    mean = wp.trace(stress) / THREE
     shifted = stress - wp.diag(wp.vec3d(mean, mean, mean))
     size = wp.sqrt(wp.ddot(shifted, shifted) / wp.float64(6.0))
     values = wp.vec3d(mean, mean, mean)
     # Otherwise, all three eigenvalues are equal to the mean.
-    if size > wp.float64(0.0):
-        half = wp.determinant(shifted / size) / wp.float64(2.0)
-        angle = wp.acos(wp.clamp(half, wp.float64(-1.0), wp.float64(1.0))) / wp.float64(3.0)
-        first = mean + wp.float64(2.0) * size * wp.cos(angle)
-        last = mean + wp.float64(2.0) * size * wp.cos(angle + THIRD_TURN)
-        values = wp.vec3d(first, wp.float64(3.0) * mean - first - last, last)
+    if size > ZERO:
+        half = wp.determinant(shifted / size) / TWO
+        angle = wp.acos(wp.clamp(half, wp.float64(-1.0), ONE)) / THREE
+        first = mean + TWO * size * wp.cos(angle)
+        last = mean + TWO * size * wp.cos(angle + THIRD_TURN)
+        values = wp.vec3d(first, THREE * mean - first - last, last)
     return values
 
 
 @wp.kernel
 def point_stress(
     # points
-    point: wp.array(dtype=wp.int32),  # row of each point in the next three arrays
-    cell_of: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec3d),  # position in the cell, 0 to 1 along each edge
-    lame: wp.array2d(dtype=wp.float64),  # [row, 2]: lambda, mu [Pa]
+    point: Int32s,  # row of each point in the next three arrays
+    cell_of: Int32s,
+    place: Vectors,  # position in the cell, 0 to 1 along each edge
+    lame: Doubles2D,  # [row, 2]: lambda, mu [Pa]
     # cells
-    cell_nodes: wp.array2d(dtype=wp.int32),
-    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    cell_nodes: Int32s2D,
+    displacement: Vectors,  # [node] [m]
     edge: wp.float64,  # [m]
     offset: int,
     # out
-    stress_out: wp.array2d(dtype=wp.float64),  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
+    stress_out: Doubles2D,  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
 ):
     """Compute the stress at each point."""
     i = wp.tid() + offset
     row = point[i]
     cell = cell_of[row]
-    gradients = corner_gradients(place[row], wp.float64(1.0) / edge)
+    gradients = corner_gradients(place[row], ONE / edge)
     gradient = wp.mat33d()
     for a in range(8):
         gradient += wp.outer(
             displacement[cell_nodes[cell, a]],
             wp.vec3d(gradients[a, 0], gradients[a, 1], gradients[a, 2]),
         )
-    strain = wp.float64(0.5) * (gradient + wp.transpose(gradient))
+    strain = HALF * (gradient + wp.transpose(gradient))
     pressure = lame[row, 0] * wp.trace(strain)
-    stress = wp.float64(2.0) * lame[row, 1] * strain + wp.diag(
-        wp.vec3d(pressure, pressure, pressure)
-    )
+    stress = TWO * lame[row, 1] * strain + wp.diag(wp.vec3d(pressure, pressure, pressure))
     for k in range(3):
         stress_out[i, k] = stress[k, k]
     stress_out[i, 3] = stress[1, 2]
@@ -186,11 +183,11 @@ def point_stress(
 
 @wp.kernel
 def invariants(
-    components: wp.array2d(dtype=wp.float64),  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
+    components: Doubles2D,  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
     offset: int,
     # out
-    von_mises_out: wp.array(dtype=wp.float64),  # [point] [Pa]
-    principal_out: wp.array(dtype=wp.vec3d),  # [point] [Pa], largest first
+    von_mises_out: Doubles,  # [point] [Pa]
+    principal_out: Vectors,  # [point] [Pa], largest first
 ):
     """Compute von Mises and principal stresses of each stress."""
     i = wp.tid() + offset
@@ -198,7 +195,7 @@ def invariants(
     xz = components[i, 4]
     xy = components[i, 5]
     stress = wp.mat33d(components[i, 0], xy, xz, xy, components[i, 1], yz, xz, yz, components[i, 2])
-    mean = wp.trace(stress) / wp.float64(3.0)
+    mean = wp.trace(stress) / THREE
     deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
     von_mises_out[i] = wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))
     principal_out[i] = principal_values(stress)

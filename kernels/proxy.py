@@ -11,7 +11,9 @@ Khatib 1997, SIGGRAPH).
 
 import warp as wp
 
-from kernels.proxy_contacts import ZERO, Contacts, Shell, collect
+from kernels.arrays import Doubles
+from kernels.constants import ZERO
+from kernels.proxy_contacts import Contacts, Shell, collect
 from kernels.proxy_descent import (
     AT_REST,
     GOES_ON,
@@ -64,19 +66,19 @@ A step of half a voxel is then reduced to 0.002 voxels.
 
 
 @wp.func
-def position_in(pose: wp.array(dtype=wp.float64)):
+def position_in(pose: Doubles):
     """Return the position [m] in a state or a goal."""
     return wp.vec3d(pose[POSITION], pose[POSITION + 1], pose[POSITION + 2])
 
 
 @wp.func
-def rotation_in(pose: wp.array(dtype=wp.float64)):
+def rotation_in(pose: Doubles):
     """Return the rotation in a state or a goal."""
     return wp.quatd(pose[ROTATION], pose[ROTATION + 1], pose[ROTATION + 2], pose[ROTATION + 3])
 
 
 @wp.func
-def begin_descent(state: wp.array(dtype=wp.float64), tolerance: wp.float64):
+def begin_descent(state: Doubles, tolerance: wp.float64):
     """Return a descent whose trial pose is the last tick's pose."""
     descent = Descent()
     descent.position = position_in(state)
@@ -92,7 +94,7 @@ def begin_descent(state: wp.array(dtype=wp.float64), tolerance: wp.float64):
 
 
 @wp.func
-def write_state(descent: Descent, state_out: wp.array(dtype=wp.float64)):
+def write_state(descent: Descent, state_out: Doubles):
     """Write the last free pose and the path length."""
     for c in range(3):
         state_out[POSITION + c] = descent.position[c]
@@ -102,7 +104,7 @@ def write_state(descent: Descent, state_out: wp.array(dtype=wp.float64)):
 
 
 @wp.func
-def write_reaction(reaction: Reaction, report_out: wp.array(dtype=wp.float64)):
+def write_reaction(reaction: Reaction, report_out: Doubles):
     """Write the reaction of the contacts and its centre of pressure."""
     report_out[PRESSING] = wp.float64(reaction.pressing)
     for c in range(3):
@@ -118,11 +120,11 @@ def advance_proxy(
     shell: Shell,
     settings: DescentSettings,
     # device
-    goal: wp.array(dtype=wp.float64),  # position xyz [m], quaternion xyzw
+    goal: Doubles,  # position xyz [m], quaternion xyzw
     # in and out
     contacts_out: Contacts,
-    state_out: wp.array(dtype=wp.float64),
-    report_out: wp.array(dtype=wp.float64),
+    state_out: Doubles,
+    report_out: Doubles,
 ):
     """Move the proxy toward the goal. It ends at the last free pose that was found."""
     goal_position = position_in(goal)

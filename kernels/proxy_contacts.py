@@ -10,15 +10,16 @@ distance.
 
 import warp as wp
 
+from kernels.arrays import Doubles, Doubles2D, Int32s, Vectors, Vectors2D
+from kernels.constants import ZERO
 from kernels.voxmap import Field, solid_distance, voxel_clearance, voxel_level
 
-__all__ = ["VOXEL_PLANES", "ZERO", "Contacts", "Shell", "collect"]
+__all__ = ["VOXEL_PLANES", "Contacts", "Shell", "collect"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
-ZERO = wp.constant(wp.float64(0.0))
 FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
 """Number of steps ahead at which a point is checked again.
@@ -43,7 +44,7 @@ SLACK = wp.constant(wp.float64(1.0e-3))
 class Shell:
     """Tool represented by balls of one radius on its surface."""
 
-    point: wp.array(dtype=wp.vec3d)  # in the tool's frame [m]
+    point: Vectors  # in the tool's frame [m]
     radius: wp.float64  # [m]
     reach: wp.float64  # largest distance of a point from the tool's origin [m]
 
@@ -56,21 +57,21 @@ class Contacts:
     """
 
     slots: int  # a point
-    press: wp.array(dtype=wp.float64)  # [slot], normal force / coupling's stiffness [m]
-    wake: wp.array(dtype=wp.float64)  # [point], travel at which the point must be checked [m]
-    plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is no plane
-    plane_offset: wp.array2d(dtype=wp.float64)  # [m]
+    press: Doubles  # [slot], normal force / coupling's stiffness [m]
+    wake: Doubles  # [point], travel at which the point must be checked [m]
+    plane_normal: Vectors2D  # [point, plane], zero where there is no plane
+    plane_offset: Doubles2D  # [m]
     # candidates of the present pose
-    slot: wp.array(dtype=wp.int32)
-    arm: wp.array(dtype=wp.vec3d)  # from the tool's origin, in world axes [m]
-    normal: wp.array(dtype=wp.vec3d)
-    moment: wp.array(dtype=wp.vec3d)  # arm x normal [m]
-    gap: wp.array(dtype=wp.float64)  # [m]
-    chosen: wp.array(dtype=wp.int32)  # 1 for a member of the active set
+    slot: Int32s
+    arm: Vectors  # from the tool's origin, in world axes [m]
+    normal: Vectors
+    moment: Vectors  # arm x normal [m]
+    gap: Doubles  # [m]
+    chosen: Int32s  # 1 for a member of the active set
     # active set
-    member: wp.array(dtype=wp.int32)
-    lower: wp.array2d(dtype=wp.float64)
-    side: wp.array2d(dtype=wp.float64)
+    member: Int32s
+    lower: Doubles2D
+    side: Doubles2D
 
 
 @wp.func
@@ -88,8 +89,8 @@ def add_candidate(
 
 @wp.func
 def forget(
-    plane_normal_out: wp.array2d(dtype=wp.vec3d),
-    press_out: wp.array(dtype=wp.float64),
+    plane_normal_out: Vectors2D,
+    press_out: Doubles,
     point: int,
     first: int,
 ):

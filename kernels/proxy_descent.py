@@ -10,7 +10,8 @@ Rigid motions: rotations are unit quaternions. Path lengths are bounds for the p
 
 import warp as wp
 
-from kernels.proxy_contacts import ZERO, Contacts
+from kernels.constants import HALF, ONE, TWO, ZERO
+from kernels.proxy_contacts import Contacts
 from kernels.proxy_forces import resolve
 
 __all__ = [
@@ -60,7 +61,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
     sine = wp.length(imaginary)
     share = wp.float64(2.0)
     if sine > SMALL:
-        share = wp.float64(2.0) * wp.atan2(sine, cosine) / sine
+        share = TWO * wp.atan2(sine, cosine) / sine
     return share * imaginary
 
 
@@ -99,9 +100,6 @@ LITTLE = wp.constant(wp.float64(1.0e-4))
 """Smallest relative decrease of the springs' energy in a step near voxels that is not a stall."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
 """Penetration of a point, relative to the step length, above which the step is undone."""
-ONE = wp.constant(wp.float64(1.0))
-HALF = wp.constant(wp.float64(0.5))
-TWO = wp.constant(wp.float64(2.0))
 
 
 @wp.struct

@@ -22,7 +22,8 @@ patch.
 
 import warp as wp
 
-from kernels.proxy_contacts import ZERO, Contacts
+from kernels.constants import HALF, ONE, ZERO
+from kernels.proxy_contacts import Contacts
 
 __all__ = ["MEMBERS", "factorise", "friction_force", "normal_forces", "resolve", "solve_set"]
 
@@ -35,7 +36,6 @@ Six planes fix a rigid body, and one more plane may join before another plane le
 """
 ROUNDS = 64
 """Largest number of planes that join, several times `MEMBERS` in case planes alternate."""
-ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-13))
 """Relative increase of the set's matrix that makes dependent planes solvable."""
 
@@ -202,7 +202,6 @@ The bound depends on the normal forces, and the normal forces depend on friction
 """
 NEWTON_STEPS = 30
 """Largest number of Newton steps. From below, they converge quadratically without a bracket."""
-HALF = wp.constant(wp.float64(0.5))
 SOFT = wp.constant(wp.float64(1.0e-11))
 """Compliance assigned to a point that the planes hold, relative to about 1 for a free point.
 

@@ -12,6 +12,7 @@ second order.
 
 import warp as wp
 
+from kernels.arrays import Singles2D
 from kernels.elements import LANES, Elements, lanes8
 
 __all__ = ["CLOSE", "Poses", "poses_in_front", "recently_cut"]
@@ -35,7 +36,7 @@ class Poses:
 
 @wp.func
 def poses_in_front(
-    recent: wp.array2d(dtype=wp.float32),
+    recent: Singles2D,
     elements: Elements,
     chunk: int,
     first: int,
@@ -74,7 +75,7 @@ def poses_in_front(
 
 @wp.func
 def recently_cut(
-    recent: wp.array2d(dtype=wp.float32),
+    recent: Singles2D,
     elements: Elements,
     eight: int,
     turns: bool,
@@ -118,9 +119,7 @@ def recently_cut(
 
 
 @wp.func
-def cut_straight(
-    recent: wp.array2d(dtype=wp.float32), j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8
-):
+def cut_straight(recent: Singles2D, j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8):
     """Compute how far a tool without rotation has cut in front of eight elements [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
@@ -132,7 +131,7 @@ def cut_straight(
 
 @wp.func
 def cut_turned(
-    recent: wp.array2d(dtype=wp.float32),
+    recent: Singles2D,
     elements: Elements,
     eight: int,
     j: int,

@@ -5,6 +5,8 @@ Lengths are in voxels.
 
 import warp as wp
 
+from kernels.arrays import Doubles2D, Singles2D
+
 __all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
 
 EDGE_BEND = 8.0
@@ -22,10 +24,10 @@ of 1/3.
 class Revolution:
     """Signed distance to a body of revolution, tabulated by radius and height above the tip."""
 
-    distance: wp.array2d(dtype=wp.float32)  # [radius index, height index], negative inside [voxel]
+    distance: Singles2D  # [radius index, height index], negative inside [voxel]
     slope: wp.array2d(dtype=wp.vec2)  # gradient of the distance along (radius, height)
     # a sixth of the sum of the principal curvatures, or EDGE_BEND [voxel]
-    bend: wp.array2d(dtype=wp.float32)
+    bend: Singles2D
     height_min: wp.float32  # height of index 0 above the tip [voxel]
     cells_per_voxel: wp.float32
     radius: wp.float32  # largest radius of the body [voxel]
@@ -84,7 +86,7 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 
 @wp.func
-def offset_from(pose: wp.array2d(dtype=wp.float64), row: int, ix: int, iy: int, iz: int):
+def offset_from(pose: Doubles2D, row: int, ix: int, iy: int, iz: int):
     """Return the vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz).
 
     The vector is computed in double precision.

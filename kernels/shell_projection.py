@@ -5,13 +5,14 @@ Each point is projected along its normal onto the nearest triangle.
 
 import warp as wp
 
+from kernels.arrays import Doubles2D, Int32s, Vectors
+from kernels.constants import ONE
 from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
 
 __all__ = ["link_points", "project_shell"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ONE = wp.constant(wp.float64(1.0))
 TWICE = wp.constant(wp.float64(2.0))
 """Upper bound of the distance between a corner and a point of a triangle, in triangle radii."""
 GRAZING = wp.constant(wp.float64(0.1))
@@ -30,9 +31,9 @@ A slightly negative value assigns a point on an edge to the triangles on the two
 @wp.kernel
 def project_shell(
     # tool
-    shell_point: wp.array(dtype=wp.vec3d),  # [point], in the tool's frame [m]
-    shell_normal: wp.array(dtype=wp.vec3d),
-    pose_rows: wp.array2d(dtype=wp.float64),
+    shell_point: Vectors,  # [point], in the tool's frame [m]
+    shell_normal: Vectors,
+    pose_rows: Doubles2D,
     reach: wp.float64,  # [m]
     offset: int,
     # body
@@ -40,7 +41,7 @@ def project_shell(
     lists: Lists,
     # out
     points_out: Points,
-    triangle_out: wp.array(dtype=wp.int32),  # [point], -1 if the point meets no triangle
+    triangle_out: Int32s,  # [point], -1 if the point meets no triangle
 ):
     """Project every point onto the nearest triangle that the line along its normal crosses.
 
@@ -86,7 +87,7 @@ def project_shell(
 
 
 @wp.kernel
-def link_points(triangle: wp.array(dtype=wp.int32), lists: Lists, points_out: Points):
+def link_points(triangle: Int32s, lists: Lists, points_out: Points):
     """Link the points of each nearby triangle. A point without a triangle carries no force."""
     for k in range(lists.count[NEARBY]):
         points_out.first[lists.near[k]] = -1

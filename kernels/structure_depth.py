@@ -9,6 +9,8 @@ finds the deepest ball, with an error of at most `DEPTH_TOLERANCE_M`.
 
 import warp as wp
 
+from kernels.arrays import Doubles2D, Int32s, Vectors
+from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.tool_distance import nearest_on_triangle
 
 __all__ = [
@@ -58,16 +60,14 @@ At this angle, the hull corners on the tangents have 1.85 times the radius of th
 class MedialAxis:
     """Segments of the medial axis, see `tissue.cutters.body.MedialAxis`."""
 
-    starts: wp.array(dtype=wp.vec3d)  # [segment] radius and height of the centre, ball radius [m]
-    ends: wp.array(dtype=wp.vec3d)
-    across: wp.array(dtype=wp.int32)  # [segment] 1 if centres outside the structure also count
+    starts: Vectors  # [segment] radius and height of the centre, ball radius [m]
+    ends: Vectors
+    across: Int32s  # [segment] 1 if centres outside the structure also count
     slack: wp.float64  # largest distance by which true balls may exceed these balls [m]
 
 
 @wp.func
-def in_structure(
-    motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle: wp.float64, height: wp.float64
-):
+def in_structure(motion: Doubles2D, radius: wp.float64, angle: wp.float64, height: wp.float64):
     """Convert a point of the tool, in cylindrical coordinates, to the structure's frame."""
     point_x = radius * wp.cos(angle)
     point_y = radius * wp.sin(angle)
@@ -94,7 +94,7 @@ def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def hull_corner(
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     start: wp.vec3d,
     end: wp.vec3d,
     angle: wp.float64,
@@ -116,16 +116,16 @@ def hull_corner(
 
 
 @wp.func
-def first_ball_inside(mesh: wp.uint64, motion: wp.array2d(dtype=wp.float64), medial: MedialAxis):
+def first_ball_inside(mesh: wp.uint64, motion: Doubles2D, medial: MedialAxis):
     """Return whether the centre of the first ball lies in the structure."""
     ball = medial.starts[0]
-    return is_in_structure(mesh, in_structure(motion, ball[0], wp.float64(0.0), ball[1]))
+    return is_in_structure(mesh, in_structure(motion, ball[0], ZERO, ball[1]))
 
 
 @wp.func
 def cell_bounds(
     mesh: wp.uint64,
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     start: wp.vec3d,
     end: wp.vec3d,
     across: int,
@@ -142,26 +142,24 @@ def cell_bounds(
     `before` is the signed distance of a known point, and `moved` is the distance from this point to
     the middle. A lower bound that is larger than `wanted` is not improved further.
     """
-    middle = wp.float64(0.5) * (start + end)
+    middle = HALF * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
     apart, foot, face = nearest_on_surface(mesh, centre)
     # The sign takes far more time than the distance. Within a sphere that does not touch the
     # surface, the sign does not change, so the sign of `before` is used.
-    is_inside = before < wp.float64(0.0)
+    is_inside = before < ZERO
     if wp.abs(before) <= moved + NEAR_M:
         is_inside = is_in_structure(mesh, centre)
     signed = wp.where(is_inside, -apart, apart)
 
     # The point of a cell that is farthest from its middle is one of its corners.
     cosine = wp.cos(half_angle)
-    rise = wp.float64(0.5) * (end[1] - start[1])
+    rise = HALF * (end[1] - start[1])
     size = wp.float64(0.0)
     for k in range(2):
         radius = wp.where(k == 0, start[0], end[0])
-        squared = (
-            radius * radius + middle[0] * middle[0] - wp.float64(2.0) * radius * middle[0] * cosine
-        )
-        size = wp.max(size, wp.sqrt(wp.max(squared, wp.float64(0.0)) + rise * rise))
+        squared = radius * radius + middle[0] * middle[0] - TWO * radius * middle[0] * cosine
+        size = wp.max(size, wp.sqrt(wp.max(squared, ZERO) + rise * rise))
     largest = wp.max(start[2], end[2])
 
     lower = -apart - size - largest
@@ -198,7 +196,7 @@ def cell_bounds(
     normal = wp.vec3d(wp.mesh_eval_face_normal(mesh, face))
     if apart > NEAR_M:
         normal = (centre - foot) / signed
-    reach = OUTSIDE_SIZES * size + wp.max(signed, wp.float64(0.0))
+    reach = OUTSIDE_SIZES * size + wp.max(signed, ZERO)
     outside = foot + reach * normal
     clear, _foot, _face = nearest_on_surface(mesh, outside)
     if is_in_structure(mesh, outside):
@@ -213,12 +211,12 @@ def cell_bounds(
 @wp.func
 def over_balls(
     mesh: wp.uint64,
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     medial: MedialAxis,
     best: wp.float64,
-    last_segment: wp.array(dtype=wp.int32),
+    last_segment: Int32s,
     # start and end as fractions of the segment, angle, half angle, bound, signed distance
-    cells: wp.array2d(dtype=wp.float64),
+    cells: Doubles2D,
 ):
     """Compute a lower bound [m] of the smallest distance of balls in the structure, at most `best`.
 
@@ -235,21 +233,21 @@ def over_balls(
         # The search starts at the segment that was deepest in the last tick, which excludes most
         # others.
         root = (begin + turn) % number
-        cells[0, 0] = wp.float64(0.0)
-        cells[0, 1] = wp.float64(1.0)
-        cells[0, 2] = wp.float64(0.0)
+        cells[0, 0] = ZERO
+        cells[0, 1] = ONE
+        cells[0, 2] = ZERO
         cells[0, 3] = wp.float64(wp.pi)
         start = medial.starts[root]
         along = medial.ends[root] - start
         long = wp.sqrt(along[0] * along[0] + along[1] * along[1])
-        middle = start + wp.float64(0.5) * along
+        middle = start + HALF * along
         lower, upper, signed = cell_bounds(
             mesh,
             motion,
             start,
             start + along,
             medial.across[root],
-            wp.float64(0.0),
+            ZERO,
             wp.float64(wp.pi),
             signed,
             wp.length(middle - last_middle),
@@ -276,7 +274,7 @@ def over_balls(
             radius = wp.max(start[0] + first * along[0], start[0] + last * along[0])
             centre = cells[held, 5]
             # Halve the longer side.
-            split_angle = wp.float64(2.0) * radius * half_angle > (last - first) * long
+            split_angle = TWO * radius * half_angle > (last - first) * long
             for half in range(2):
                 row = held + half
                 cells[row, 0] = first
@@ -287,12 +285,12 @@ def over_balls(
                 # around the axis.
                 moved = wp.float64(0.25) * (last - first) * long
                 if split_angle:
-                    middle_radius = start[0] + wp.float64(0.5) * (first + last) * along[0]
-                    moved = wp.float64(2.0) * middle_radius * wp.sin(wp.float64(0.25) * half_angle)
-                    cells[row, 3] = wp.float64(0.5) * half_angle
+                    middle_radius = start[0] + HALF * (first + last) * along[0]
+                    moved = TWO * middle_radius * wp.sin(wp.float64(0.25) * half_angle)
+                    cells[row, 3] = HALF * half_angle
                     cells[row, 2] = angle + wp.where(half == 0, -cells[row, 3], cells[row, 3])
                 else:
-                    share = wp.float64(0.5) * (first + last)
+                    share = HALF * (first + last)
                     cells[row, 0] = wp.where(half == 0, first, share)
                     cells[row, 1] = wp.where(half == 0, share, last)
                 lower, upper, inner = cell_bounds(

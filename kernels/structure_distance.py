@@ -10,6 +10,8 @@ Clearance: the distance of a tool's surface from another body, interpolated in a
 
 import warp as wp
 
+from kernels.arrays import Doubles, Doubles2D, Int32s, Singles, Singles3D, Vectors, Vectors2D
+from kernels.constants import HALF, ZERO
 from kernels.elements import CHUNK, Elements
 from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
 from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part
@@ -33,9 +35,9 @@ LEAF = wp.constant(4)
 class Tree:
     """Triangles in a complete binary tree of boxes. Node i has the children 2 i + 1 and 2 i + 2."""
 
-    centre: wp.array(dtype=wp.vec3d)  # [node] [m]
-    half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative in empty nodes
-    corners: wp.array2d(dtype=wp.vec3d)  # [triangle, 3] [m], LEAF triangles per leaf
+    centre: Vectors  # [node] [m]
+    half: Vectors  # [node] half sides [m], negative in empty nodes
+    corners: Vectors2D  # [triangle, 3] [m], LEAF triangles per leaf
     first_leaf: wp.int32
 
 
@@ -47,8 +49,8 @@ def smallest_in_triangle(
     c: wp.vec3d,
     best: wp.float64,
     evaluations: int,
-    stack: wp.array2d(dtype=wp.vec3d),
-    bound: wp.array(dtype=wp.float64),
+    stack: Vectors2D,
+    bound: Doubles,
 ):
     """Find the smallest distance of the points of a triangle, but at most `best`.
 
@@ -90,7 +92,7 @@ def smallest_in_triangle(
                     q = r
                     r = p
                     p = turned
-                middle = wp.float64(0.5) * (q + r)
+                middle = HALF * (q + r)
                 for half in range(2):
                     end = wp.where(half == 0, q, r)
                     lower, upper = bounds_over(outline, p, end, middle, smallest)
@@ -105,7 +107,7 @@ def smallest_in_triangle(
 
 
 @wp.func
-def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
+def in_tool(motion: Doubles2D, point: wp.vec3d):
     """Convert a point of the structure's frame to the tool's frame."""
     p = point - wp.vec3d(motion[0, 0], motion[0, 1], motion[0, 2])
     x = motion[1, 0] * p[0] + motion[1, 1] * p[1] + motion[1, 2] * p[2]
@@ -115,12 +117,12 @@ def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
 
 
 @wp.func
-def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
+def node_bound(outline: Outline, tree: Tree, motion: Doubles2D, node: int):
     """Compute a lower bound of the distance of the points in a node's box."""
     half = tree.half[node]
     # 1e9 m stands for no bound, so that an empty node is never searched.
     bound = wp.float64(1.0e9)
-    if half[0] >= wp.float64(0.0):
+    if half[0] >= ZERO:
         centre = in_tool(motion, tree.centre[node])
         for part in range(outline.convex.shape[0]):
             value, gradient, _bend = distance_to_part(outline, part, centre)
@@ -144,12 +146,12 @@ def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64
 def over_surface(
     outline: Outline,
     tree: Tree,
-    motion: wp.array2d(dtype=wp.float64),
-    last_leaf: wp.array(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.int32),
-    node_bounds: wp.array(dtype=wp.float64),
-    stack: wp.array2d(dtype=wp.vec3d),
-    bounds: wp.array(dtype=wp.float64),
+    motion: Doubles2D,
+    last_leaf: Int32s,
+    nodes: Int32s,
+    node_bounds: Doubles,
+    stack: Vectors2D,
+    bounds: Doubles,
 ):
     """Compute a lower bound of the smallest distance [m] between the tool and the surface.
 
@@ -208,24 +210,24 @@ def distance_to_structure(
     tree: Tree,
     mesh: wp.uint64,
     # rows: tip [m]; tool axes x, y, z, in the structure's frame
-    motion: wp.array2d(dtype=wp.float64),
+    motion: Doubles2D,
     medial: MedialAxis,
     # scratch arrays
-    last_leaf_out: wp.array(dtype=wp.int32),
-    nodes_out: wp.array(dtype=wp.int32),
-    node_bounds_out: wp.array(dtype=wp.float64),
-    stack_out: wp.array2d(dtype=wp.vec3d),
-    bounds_out: wp.array(dtype=wp.float64),
-    last_segment_out: wp.array(dtype=wp.int32),
-    cells_out: wp.array2d(dtype=wp.float64),
+    last_leaf_out: Int32s,
+    nodes_out: Int32s,
+    node_bounds_out: Doubles,
+    stack_out: Vectors2D,
+    bounds_out: Doubles,
+    last_segment_out: Int32s,
+    cells_out: Doubles2D,
     # out
-    distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
+    distance_out: Doubles,  # [m], negative where tool and structure overlap
 ):
     """Compute a lower bound of the distance between tool and structure, in one thread."""
     smallest = over_surface(
         outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
     )
-    if smallest < wp.float64(0.0) or first_ball_inside(mesh, motion, medial):
+    if smallest < ZERO or first_ball_inside(mesh, motion, medial):
         # The surfaces touch, or the whole tool is inside. Compute how deep the balls of the tool
         # lie in the structure.
         smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
@@ -233,7 +235,7 @@ def distance_to_structure(
 
 
 @wp.func
-def clipped(distance: wp.array3d(dtype=wp.float32), i: int, j: int, k: int):
+def clipped(distance: Singles3D, i: int, j: int, k: int):
     """Return the distance [m] at a voxel.
 
     Outside the grid, the nearest voxel of the grid is used.
@@ -249,13 +251,13 @@ def clipped(distance: wp.array3d(dtype=wp.float32), i: int, j: int, k: int):
 def clearance(
     # tool
     elements: Elements,
-    motion: wp.array2d(dtype=wp.float64),  # rows: tip [voxel]; tool axes x, y, z
+    motion: Doubles2D,  # rows: tip [voxel]; tool axes x, y, z
     spacing: float,  # [m]
     chunk_offset: int,
     # field
-    distance: wp.array3d(dtype=wp.float32),  # at voxel centres [m]
+    distance: Singles3D,  # at voxel centres [m]
     # out
-    least_out: wp.array(dtype=wp.float32),  # [chunk], smallest distance of the chunk's elements [m]
+    least_out: Singles,  # [chunk], smallest distance of the chunk's elements [m]
 ):
     """Compute the smallest distance of the surface elements in each chunk.
 

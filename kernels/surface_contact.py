@@ -14,6 +14,8 @@ triangles that the tool would penetrate are added.
 
 import warp as wp
 
+from kernels.arrays import Doubles, Doubles2D
+from kernels.constants import ZERO
 from kernels.contact_search import join_touching, start_over
 from kernels.contact_state import (
     AREA,
@@ -29,7 +31,6 @@ from kernels.contact_state import (
     SWEEPS,
     TORQUE,
     WORKING,
-    ZERO,
     Body,
     Lists,
     Points,
@@ -141,7 +142,7 @@ def report(
     pose: Pose,
     slack: wp.float64,
     state: int,
-    results_out: wp.array(dtype=wp.float64),
+    results_out: Doubles,
 ):
     """Sum the force and torque on the tool.
 
@@ -195,7 +196,7 @@ def solve_contact(
     # tool
     kind: int,
     size: wp.vec2d,  # [m]
-    pose_rows: wp.array2d(dtype=wp.float64),
+    pose_rows: Doubles2D,
     # law and limits
     friction: wp.float64,
     tolerance: wp.float64,  # largest change of a point, relative to the largest displacement
@@ -205,7 +206,7 @@ def solve_contact(
     points_out: Points,
     lists_out: Lists,
     patch_out: Patch,
-    results_out: wp.array(dtype=wp.float64),
+    results_out: Doubles,
 ):
     """Sweep over working triangles until their points rest and no other triangle is penetrated."""
     pose = pose_of(pose_rows)

@@ -22,7 +22,18 @@ Trans. Graph. 38:3). The definite tangent replaces each eigenvalue by its magnit
 
 import warp as wp
 
-from kernels.tet_nonlinear import HALF, TWO, deformation, gradient_of
+from kernels.arrays import (
+    Doubles,
+    Doubles2D,
+    Doubles3D,
+    Int32s,
+    Int32s2D,
+    Matrices2D,
+    Vectors,
+    Vectors2D,
+)
+from kernels.constants import HALF, ONE, THREE, TWO, ZERO
+from kernels.tet_nonlinear import deformation, gradient_of
 
 __all__ = ["stretch_force", "stretch_stiffness"]
 
@@ -33,9 +44,6 @@ SWEEPS = wp.constant(12)
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 LEAST = wp.constant(wp.float64(1.0e-3))
 """Smallest eigenvalue of the definite tangent, relative to the shear modulus."""
-ZERO = wp.constant(wp.float64(0.0))
-ONE = wp.constant(wp.float64(1.0))
-THREE = wp.constant(wp.float64(3.0))
 
 
 @wp.func
@@ -121,9 +129,9 @@ def derivatives(
     stretch: wp.vec3d,
     shear: wp.float64,
     bulk: wp.float64,
-    terms: wp.array2d(dtype=wp.float64),
-    powers: wp.array(dtype=wp.float64),
-    exponentials: wp.array2d(dtype=wp.float64),
+    terms: Doubles2D,
+    powers: Doubles,
+    exponentials: Doubles2D,
 ):
     """Compute the energy density [Pa], and its derivatives by the logarithms of the stretches."""
     j = stretch[0] * stretch[1] * stretch[2]
@@ -162,25 +170,25 @@ def derivatives(
 @wp.kernel
 def stretch_force(
     # mesh
-    nodes: wp.array2d(dtype=wp.int32),  # [cell, node of the cell]
+    nodes: Int32s2D,  # [cell, node of the cell]
     # [cell, corner], gradient of the barycentric coordinate [1/m]
-    corner: wp.array2d(dtype=wp.vec3d),
-    volume: wp.array(dtype=wp.float64),  # [cell] [m3]
+    corner: Vectors2D,
+    volume: Doubles,  # [cell] [m3]
     # finite element: derivatives of the shape functions by barycentric coordinates, volume
     # fractions
-    reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
-    share: wp.array(dtype=wp.float64),  # [point]
+    reference: Doubles3D,  # [point, node of the cell, corner]
+    share: Doubles,  # [point]
     # law
-    moduli: wp.array2d(dtype=wp.float64),  # [cell, 2]: kappa, mu [Pa]
-    terms: wp.array2d(dtype=wp.float64),  # [term, 2]: s, alpha
-    powers: wp.array(dtype=wp.float64),  # [power - 2]: c
-    exponentials: wp.array2d(dtype=wp.float64),  # [exponential, 2]: s, b
+    moduli: Doubles2D,  # [cell, 2]: kappa, mu [Pa]
+    terms: Doubles2D,  # [term, 2]: s, alpha
+    powers: Doubles,  # [power - 2]: c
+    exponentials: Doubles2D,  # [exponential, 2]: s, b
     # state
-    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    displacement: Vectors,  # [node] [m]
     offset: int,
     # out
-    energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
-    force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
+    energy_out: Doubles,  # [cell] [J]
+    force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
     """Compute the energy of each cell and its derivative by the positions of the cell's nodes."""
     cell = wp.tid() + offset
@@ -259,26 +267,26 @@ def pair_moduli(
 @wp.kernel
 def stretch_stiffness(
     # pairs a <= b of a cell's nodes
-    pair_first: wp.array(dtype=wp.int32),
-    pair_second: wp.array(dtype=wp.int32),
+    pair_first: Int32s,
+    pair_second: Int32s,
     is_definite: int,  # 1 to make the eigenvalues positive
     # mesh
-    nodes: wp.array2d(dtype=wp.int32),
-    corner: wp.array2d(dtype=wp.vec3d),
-    volume: wp.array(dtype=wp.float64),
+    nodes: Int32s2D,
+    corner: Vectors2D,
+    volume: Doubles,
     # element
-    reference: wp.array3d(dtype=wp.float64),
-    share: wp.array(dtype=wp.float64),
+    reference: Doubles3D,
+    share: Doubles,
     # law
-    moduli: wp.array2d(dtype=wp.float64),
-    terms: wp.array2d(dtype=wp.float64),
-    powers: wp.array(dtype=wp.float64),
-    exponentials: wp.array2d(dtype=wp.float64),
+    moduli: Doubles2D,
+    terms: Doubles2D,
+    powers: Doubles,
+    exponentials: Doubles2D,
     # state without inverted cells
-    displacement: wp.array(dtype=wp.vec3d),
+    displacement: Vectors,
     offset: int,
     # out
-    block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
+    block_out: Matrices2D,  # [cell, pair] [N/m]
 ):
     """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
     cell = wp.tid() + offset

@@ -22,15 +22,25 @@ small-strain limit. The energy of an inverted cell (J <= 0) is infinite, except 
 
 import warp as wp
 
+from kernels.arrays import (
+    Doubles,
+    Doubles2D,
+    Doubles3D,
+    Int32s,
+    Int32s2D,
+    Matrices,
+    Matrices2D,
+    Vectors,
+    Vectors2D,
+)
+from kernels.constants import HALF, THREE, TWO, ZERO
 from kernels.tetrahedra import write_pair
 
 __all__ = [
     "COROTATIONAL",
-    "HALF",
     "IDENTITY",
     "LINEAR",
     "NEO_HOOKEAN",
-    "TWO",
     "gather_blocks",
     "gather_forces",
     "tet_force",
@@ -44,8 +54,6 @@ COROTATIONAL = wp.constant(1)
 NEO_HOOKEAN = wp.constant(2)
 POLAR_STEPS = wp.constant(30)
 """Largest number of Newton steps; scaled steps converge in about ten."""
-TWO = wp.constant(wp.float64(2.0))
-HALF = wp.constant(wp.float64(0.5))
 IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 
@@ -73,8 +81,8 @@ def gradient_of(
     cell: int,
     q: int,
     a: int,
-    reference: wp.array3d(dtype=wp.float64),
-    corner: wp.array2d(dtype=wp.vec3d),
+    reference: Doubles3D,
+    corner: Vectors2D,
 ):
     """Compute the gradient of node a's shape function at a quadrature point [1/m]."""
     g = wp.vec3d()
@@ -87,10 +95,10 @@ def gradient_of(
 def deformation(
     cell: int,
     q: int,
-    nodes: wp.array2d(dtype=wp.int32),
-    reference: wp.array3d(dtype=wp.float64),
-    corner: wp.array2d(dtype=wp.vec3d),
-    displacement: wp.array(dtype=wp.vec3d),
+    nodes: Int32s2D,
+    reference: Doubles3D,
+    corner: Vectors2D,
+    displacement: Vectors,
 ):
     """Compute the deformation gradient at a quadrature point."""
     f = wp.mat33d(IDENTITY)
@@ -102,23 +110,23 @@ def deformation(
 @wp.kernel
 def tet_force(
     # mesh
-    nodes: wp.array2d(dtype=wp.int32),  # [cell, node of the cell]
+    nodes: Int32s2D,  # [cell, node of the cell]
     # [cell, corner], gradient of the barycentric coordinate [1/m]
-    corner: wp.array2d(dtype=wp.vec3d),
-    volume: wp.array(dtype=wp.float64),  # [cell] [m3]
+    corner: Vectors2D,
+    volume: Doubles,  # [cell] [m3]
     # finite element: derivatives of the shape functions by barycentric coordinates, volume
     # fractions
-    reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
-    share: wp.array(dtype=wp.float64),  # [point]
+    reference: Doubles3D,  # [point, node of the cell, corner]
+    share: Doubles,  # [point]
     # law
     law: int,
-    lame: wp.array2d(dtype=wp.float64),  # [cell, 2]: lambda, mu [Pa]
+    lame: Doubles2D,  # [cell, 2]: lambda, mu [Pa]
     # state
-    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    displacement: Vectors,  # [node] [m]
     offset: int,
     # out
-    energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
-    force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
+    energy_out: Doubles,  # [cell] [J]
+    force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
     """Compute the energy of each cell and its derivative by the positions of the cell's nodes."""
     cell = wp.tid() + offset
@@ -138,20 +146,16 @@ def tet_force(
             dilation = wp.trace(strain)
             density = mu * wp.ddot(strain, strain) + HALF * lam * dilation * dilation
             stress = TWO * mu * strain + lam * dilation * IDENTITY
-        elif j <= wp.float64(0.0):
+        elif j <= ZERO:
             density = wp.float64(wp.INF)
         elif law == COROTATIONAL:
             r = rotation_of(f)
-            dilation = wp.ddot(r, f) - wp.float64(3.0)
+            dilation = wp.ddot(r, f) - THREE
             density = mu * wp.ddot(f - r, f - r) + HALF * lam * dilation * dilation
             stress = TWO * mu * (f - r) + lam * dilation * r
         else:
             log_j = wp.log(j)
-            density = (
-                HALF * mu * (wp.ddot(f, f) - wp.float64(3.0))
-                - mu * log_j
-                + HALF * lam * log_j * log_j
-            )
+            density = HALF * mu * (wp.ddot(f, f) - THREE) - mu * log_j + HALF * lam * log_j * log_j
             stress = mu * f + (lam * log_j - mu) * wp.transpose(wp.inverse(f))
         energy += weight * density
         for a in range(nodes.shape[1]):
@@ -164,23 +168,23 @@ def tet_force(
 @wp.kernel
 def tet_stiffness(
     # pairs a <= b of a cell's nodes
-    pair_first: wp.array(dtype=wp.int32),
-    pair_second: wp.array(dtype=wp.int32),
+    pair_first: Int32s,
+    pair_second: Int32s,
     # mesh
-    nodes: wp.array2d(dtype=wp.int32),
-    corner: wp.array2d(dtype=wp.vec3d),
-    volume: wp.array(dtype=wp.float64),
+    nodes: Int32s2D,
+    corner: Vectors2D,
+    volume: Doubles,
     # element
-    reference: wp.array3d(dtype=wp.float64),
-    share: wp.array(dtype=wp.float64),
+    reference: Doubles3D,
+    share: Doubles,
     # law
     law: int,
-    lame: wp.array2d(dtype=wp.float64),
+    lame: Doubles2D,
     # state without inverted cells
-    displacement: wp.array(dtype=wp.vec3d),
+    displacement: Vectors,
     offset: int,
     # out
-    block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
+    block_out: Matrices2D,  # [cell, pair] [N/m]
 ):
     """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
     cell = wp.tid() + offset
@@ -206,7 +210,7 @@ def tet_stiffness(
             spin = HALF * (spin + wp.transpose(spin))
             c_dot = TWO * mu
             c_ba = wp.float64(0.0)
-            c_spin = TWO * mu - lam * (wp.trace(stretch) - wp.float64(3.0))
+            c_spin = TWO * mu - lam * (wp.trace(stretch) - THREE)
         elif law == NEO_HOOKEAN:
             turn = wp.transpose(wp.inverse(f))
             c_ba = mu - lam * wp.log(wp.determinant(f))
@@ -227,12 +231,12 @@ def tet_stiffness(
 
 @wp.kernel
 def gather_forces(
-    start: wp.array(dtype=wp.int32),  # [node + 1]
-    place: wp.array(dtype=wp.int32),  # flat index of each contribution in the cells' forces
-    share: wp.array(dtype=wp.vec3d),
+    start: Int32s,  # [node + 1]
+    place: Int32s,  # flat index of each contribution in the cells' forces
+    share: Vectors,
     offset: int,
     # out
-    force_out: wp.array(dtype=wp.vec3d),  # [node] [N]
+    force_out: Vectors,  # [node] [N]
 ):
     """Sum the contributions to each node in the order of its cells."""
     node = wp.tid() + offset
@@ -244,14 +248,14 @@ def gather_forces(
 
 @wp.kernel
 def gather_blocks(
-    pair_start: wp.array(dtype=wp.int32),  # [pair of nodes + 1]
-    contribution: wp.array(dtype=wp.int32),  # flat index in the blocks; complement: transposed
-    place: wp.array(dtype=wp.int32),  # [pair of nodes], index of the block
-    mirror: wp.array(dtype=wp.int32),  # [pair of nodes], index of the transposed block
-    share: wp.array(dtype=wp.mat33d),
+    pair_start: Int32s,  # [pair of nodes + 1]
+    contribution: Int32s,  # flat index in the blocks; complement: transposed
+    place: Int32s,  # [pair of nodes], index of the block
+    mirror: Int32s,  # [pair of nodes], index of the transposed block
+    share: Matrices,
     offset: int,
     # out
-    block_out: wp.array(dtype=wp.mat33d),  # [N/m]
+    block_out: Matrices,  # [N/m]
 ):
     """Sum the contributions to each pair of nodes, and write the sum and its transpose.
 

@@ -26,6 +26,17 @@ Points are weighted by the volume of their cells.
 
 import warp as wp
 
+from kernels.arrays import (
+    Doubles,
+    Doubles2D,
+    Doubles3D,
+    Int32s,
+    Int32s2D,
+    Matrices,
+    Vectors,
+    Vectors2D,
+)
+from kernels.constants import HALF, THREE, TWO, ZERO
 from kernels.particle_stiffness import principal_values
 
 __all__ = ["cell_gradients", "group_stress", "pair_stiffness", "pair_stiffness_isotropic"]
@@ -35,12 +46,12 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.kernel
 def cell_gradients(
-    nodes: wp.array(dtype=wp.vec3d),  # [m]
-    cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, 4 or more], corners first
+    nodes: Vectors,  # [m]
+    cell_nodes: Int32s2D,  # [cell, 4 or more], corners first
     offset: int,
     # out
-    gradient_out: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
-    volume_out: wp.array(dtype=wp.float64),  # [cell] [m3]
+    gradient_out: Vectors2D,  # [cell, corner] [1/m]
+    volume_out: Doubles,  # [cell] [m3]
 ):
     """Compute the gradients of the barycentric coordinates, and the volume, of each cell."""
     cell = wp.tid() + offset
@@ -63,9 +74,9 @@ def cell_gradients(
 @wp.func
 def gradient_product(
     contribution: int,
-    pair_corner: wp.array2d(dtype=wp.int32),
-    pair_weight: wp.array2d(dtype=wp.float64),
-    gradient: wp.array2d(dtype=wp.vec3d),
+    pair_corner: Int32s2D,
+    pair_weight: Doubles2D,
+    gradient: Vectors2D,
 ):
     """Compute S of a pair, divided by the cell's volume.
 
@@ -98,7 +109,7 @@ def write_pair(
     block: wp.mat33d,
     place: int,
     mirror: int,
-    block_out: wp.array(dtype=wp.mat33d),
+    block_out: Matrices,
 ):
     """Write a pair's block and its transpose. On the diagonal, the upper half is mirrored."""
     if place == mirror:
@@ -114,23 +125,23 @@ def write_pair(
 @wp.kernel
 def pair_stiffness_isotropic(
     # pairs of nodes
-    pair_start: wp.array(dtype=wp.int32),  # [pair + 1]
+    pair_start: Int32s,  # [pair + 1]
     # cell x pairs per cell + pair; bitwise complement: reversed pair
-    contribution: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),  # [pair], index of the block
-    mirror: wp.array(dtype=wp.int32),  # [pair], index of the transposed block
+    contribution: Int32s,
+    place: Int32s,  # [pair], index of the block
+    mirror: Int32s,  # [pair], index of the transposed block
     # pairs of shape functions
-    pair_corner: wp.array2d(dtype=wp.int32),  # [pair in cell, 4]: 2 corners of A, 2 of B
-    pair_weight: wp.array2d(dtype=wp.float64),  # [pair in cell, 4]
-    pair_mean: wp.array2d(dtype=wp.float64),  # [pair in cell, 4], weights of the mean gradients
+    pair_corner: Int32s2D,  # [pair in cell, 4]: 2 corners of A, 2 of B
+    pair_weight: Doubles2D,  # [pair in cell, 4]
+    pair_mean: Doubles2D,  # [pair in cell, 4], weights of the mean gradients
     # cells
-    gradient: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
-    volume: wp.array(dtype=wp.float64),  # [cell] [m3]
-    lame: wp.array2d(dtype=wp.float64),  # [1 or cell, 2]: lambda, mu [Pa]
-    softened: wp.array(dtype=wp.float64),  # [1 or cell], part of lambda that uses M [Pa]
+    gradient: Vectors2D,  # [cell, corner] [1/m]
+    volume: Doubles,  # [cell] [m3]
+    lame: Doubles2D,  # [1 or cell, 2]: lambda, mu [Pa]
+    softened: Doubles,  # [1 or cell], part of lambda that uses M [Pa]
     offset: int,
     # out
-    block_out: wp.array(dtype=wp.mat33d),  # [N/m]
+    block_out: Matrices,  # [N/m]
 ):
     """Compute the stiffness blocks of isotropic cells."""
     pair = wp.tid() + offset
@@ -143,7 +154,7 @@ def pair_stiffness_isotropic(
         first_sum += (volume[cell] * lame[row, 0]) * product
         shear_sum += (volume[cell] * lame[row, 1]) * product
         less = softened[wp.min(cell, softened.shape[0] - 1)]
-        if less > wp.float64(0.0):
+        if less > ZERO:
             _cell, mean = gradient_product(contribution[i], pair_corner, pair_mean, gradient)
             first_sum += (volume[cell] * less) * (mean - product)
     across = wp.trace(shear_sum)
@@ -164,22 +175,22 @@ def voigt(i: int, j: int):
 @wp.kernel
 def pair_stiffness(
     # pairs of nodes
-    pair_start: wp.array(dtype=wp.int32),
-    contribution: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),
-    mirror: wp.array(dtype=wp.int32),
+    pair_start: Int32s,
+    contribution: Int32s,
+    place: Int32s,
+    mirror: Int32s,
     # pairs of shape functions
-    pair_corner: wp.array2d(dtype=wp.int32),
-    pair_weight: wp.array2d(dtype=wp.float64),
-    pair_mean: wp.array2d(dtype=wp.float64),
+    pair_corner: Int32s2D,
+    pair_weight: Doubles2D,
+    pair_mean: Doubles2D,
     # cells
-    gradient: wp.array2d(dtype=wp.vec3d),
-    volume: wp.array(dtype=wp.float64),
-    stiffness: wp.array3d(dtype=wp.float64),  # [1 or cell, 6, 6] [Pa]
-    softened: wp.array(dtype=wp.float64),
+    gradient: Vectors2D,
+    volume: Doubles,
+    stiffness: Doubles3D,  # [1 or cell, 6, 6] [Pa]
+    softened: Doubles,
     offset: int,
     # out
-    block_out: wp.array(dtype=wp.mat33d),
+    block_out: Matrices,
 ):
     """Compute the stiffness blocks of cells of any linear material."""
     pair = wp.tid() + offset
@@ -197,7 +208,7 @@ def pair_stiffness(
                         total += stiffness[row, voigt(i, p), voigt(j, q)] * product[p, q]
                 block[i, j] = block[i, j] + total
         less = softened[wp.min(cell, softened.shape[0] - 1)]
-        if less > wp.float64(0.0):
+        if less > ZERO:
             _cell, mean = gradient_product(contribution[n], pair_corner, pair_mean, gradient)
             block += less * (volume[cell] * mean - product)
     write_pair(block, place[pair], mirror[pair], block_out)
@@ -206,23 +217,23 @@ def pair_stiffness(
 @wp.kernel
 def group_stress(
     # groups
-    group_start: wp.array(dtype=wp.int32),  # [group + 1]
-    member: wp.array(dtype=wp.int32),  # cell x points per cell + point
+    group_start: Int32s,  # [group + 1]
+    member: Int32s,  # cell x points per cell + point
     # places and shape functions
     place_at: wp.array(dtype=wp.vec4d),  # [point in a cell], barycentric coordinates
     slope: wp.array2d(dtype=wp.vec4d),  # [shape function, corner], barycentric derivative
     # cells
-    cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, shape function]
-    gradient: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
-    volume: wp.array(dtype=wp.float64),  # [cell] [m3]
-    stiffness: wp.array3d(dtype=wp.float64),  # [1 or cell, 6, 6] [Pa], xx, yy, zz, yz, xz, xy
-    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    cell_nodes: Int32s2D,  # [cell, shape function]
+    gradient: Vectors2D,  # [cell, corner] [1/m]
+    volume: Doubles,  # [cell] [m3]
+    stiffness: Doubles3D,  # [1 or cell, 6, 6] [Pa], xx, yy, zz, yz, xz, xy
+    displacement: Vectors,  # [node] [m]
     offset: int,
     # out
-    strain_out: wp.array2d(dtype=wp.float64),  # [group, 6], tensor components
-    stress_out: wp.array2d(dtype=wp.float64),  # [group, 6] [Pa]
-    von_mises_out: wp.array(dtype=wp.float64),  # [group] [Pa]
-    principal_out: wp.array(dtype=wp.vec3d),  # [group] [Pa], largest first
+    strain_out: Doubles2D,  # [group, 6], tensor components
+    stress_out: Doubles2D,  # [group, 6] [Pa]
+    von_mises_out: Doubles,  # [group] [Pa]
+    principal_out: Vectors,  # [group] [Pa], largest first
 ):
     """Compute the mean strain and stress of each group. They are zero if the group is empty."""
     group = wp.tid() + offset
@@ -238,14 +249,14 @@ def group_stress(
             for c in range(4):
                 along += wp.dot(slope[a, c], at) * gradient[cell, c]
             moved += wp.outer(displacement[cell_nodes[cell, a]], along)
-        here = wp.float64(0.5) * (moved + wp.transpose(moved))
+        here = HALF * (moved + wp.transpose(moved))
         weight = volume[cell]
         row = wp.min(cell, stiffness.shape[0] - 1)
         for k in range(6):
             value = wp.float64(0.0)
             for j in range(3):
                 value += stiffness[row, k, j] * here[j, j]
-            value += wp.float64(2.0) * (
+            value += TWO * (
                 stiffness[row, k, 3] * here[1, 2]
                 + stiffness[row, k, 4] * here[0, 2]
                 + stiffness[row, k, 5] * here[0, 1]
@@ -253,7 +264,7 @@ def group_stress(
             voigt[k] = voigt[k] + weight * value
         strain += weight * here
         total += weight
-    if total > wp.float64(0.0):
+    if total > ZERO:
         strain = strain / total
         voigt = voigt / total
     for k in range(6):
@@ -274,7 +285,7 @@ def group_stress(
         voigt[3],
         voigt[2],
     )
-    mean = wp.trace(stress) / wp.float64(3.0)
+    mean = wp.trace(stress) / THREE
     deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
     von_mises_out[group] = wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))
     principal_out[group] = principal_values(stress)

@@ -6,6 +6,9 @@ therefore a lower bound on the whole triangle.
 
 import warp as wp
 
+from kernels.arrays import Doubles2D, Int32s
+from kernels.constants import HALF, ONE, THREE, TWO, ZERO
+
 __all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part"]
 
 wp.set_module_options({"enable_backward": False})
@@ -27,14 +30,14 @@ ARC = wp.constant(1)
 class Outline:
     """Convex parts of a tool, as half sections that are rotated about z. The origin is the tip."""
 
-    kind: wp.array(dtype=wp.int32)  # [piece] 1 for an arc, 0 for a line
-    shape: wp.array2d(dtype=wp.float64)  # [piece, 10] see `tissue.cutters.body.outline_table`
-    first: wp.array(dtype=wp.int32)  # [part + 1] first piece of each part
-    convex: wp.array(dtype=wp.int32)  # [part]
+    kind: Int32s  # [piece] 1 for an arc, 0 for a line
+    shape: Doubles2D  # [piece, 10] see `tissue.cutters.body.outline_table`
+    first: Int32s  # [part + 1] first piece of each part
+    convex: Int32s  # [part]
 
 
 @wp.func
-def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
+def on_line(shape: Doubles2D, k: int, p: wp.vec2d):
     """Compute the offset from the nearest point of a straight piece.
 
     Also return the radius of curvature of the distance.
@@ -42,7 +45,7 @@ def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
     start = wp.vec2d(shape[k, 0], shape[k, 1])
     along = wp.vec2d(shape[k, 2], shape[k, 3])
     free = wp.dot(p - start, along)
-    reach = wp.clamp(free, wp.float64(0.0), shape[k, 4])
+    reach = wp.clamp(free, ZERO, shape[k, 4])
     offset = p - start - reach * along
     # 1e9 m: straight
     bend = wp.float64(1.0e9)
@@ -53,7 +56,7 @@ def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
 
 
 @wp.func
-def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
+def on_arc(shape: Doubles2D, k: int, p: wp.vec2d):
     """Compute the offset from the nearest point of an arc.
 
     Also return the normal at this point and the radius of curvature of the distance.
@@ -62,7 +65,7 @@ def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
     reach = wp.length(out)
     middle = wp.vec2d(shape[k, 3], shape[k, 4])
     direction = middle
-    if reach > wp.float64(0.0):
+    if reach > ZERO:
         direction = out / reach
     # Beyond the arc's half angle, the distance to the nearer end is used.
     if wp.dot(direction, middle) < shape[k, 5]:
@@ -104,16 +107,16 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
             side = wp.dot(offset, outward)
         elif length < nearest + TIE_M:
             side += wp.dot(offset, outward)  # corner, shared by two pieces
-    value = wp.where(side < wp.float64(0.0), -nearest, nearest)
+    value = wp.where(side < ZERO, -nearest, nearest)
     slope = normal
     if nearest > TIE_M:
         slope = away / value
-    gradient = wp.vec3d(slope[0], wp.float64(0.0), slope[1])
-    if radius > wp.float64(0.0):
+    gradient = wp.vec3d(slope[0], ZERO, slope[1])
+    if radius > ZERO:
         gradient = wp.vec3d(slope[0] * point[0] / radius, slope[0] * point[1] / radius, slope[1])
     # Around the axis, the radius of curvature is the distance from the axis, divided by the radial
     # component of the gradient.
-    if slope[0] > wp.float64(0.0):
+    if slope[0] > ZERO:
         bend = wp.min(bend, radius / slope[0])
     return value, gradient, bend
 
@@ -124,7 +127,6 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
     See Ericson 2005, Real-Time Collision Detection, section 5.1.5.
     """
-    zero = wp.float64(0.0)
     ab = b - a
     ac = c - a
     d1 = wp.dot(ab, p - a)
@@ -136,17 +138,17 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     va = d3 * d6 - d5 * d4
     vb = d5 * d2 - d1 * d6
     vc = d1 * d4 - d3 * d2
-    if d1 <= zero and d2 <= zero:
+    if d1 <= ZERO and d2 <= ZERO:
         return a
-    if d3 >= zero and d4 <= d3:
+    if d3 >= ZERO and d4 <= d3:
         return b
-    if d6 >= zero and d5 <= d6:
+    if d6 >= ZERO and d5 <= d6:
         return c
-    if vc <= zero and d1 >= zero and d3 <= zero:
+    if vc <= ZERO and d1 >= ZERO and d3 <= ZERO:
         return a + (d1 / (d1 - d3)) * ab
-    if vb <= zero and d2 >= zero and d6 <= zero:
+    if vb <= ZERO and d2 >= ZERO and d6 <= ZERO:
         return a + (d2 / (d2 - d6)) * ac
-    if va <= zero and d4 - d3 >= zero and d5 - d6 >= zero:
+    if va <= ZERO and d4 - d3 >= ZERO and d5 - d6 >= ZERO:
         return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b)
     total = va + vb + vc
     return a + (vb / total) * ab + (vc / total) * ac
@@ -165,9 +167,9 @@ def best_mix(first: wp.vec3d, second: wp.vec3d):
         j = (i + 1) % 3
         gap = first[j] - first[i]
         change = gap - (second[j] - second[i])
-        if change != wp.float64(0.0):
+        if change != ZERO:
             share = gap / change
-            if share > wp.float64(0.0) and share < wp.float64(1.0):
+            if share > ZERO and share < ONE:
                 mixed = first + share * (second - first)
                 if wp.min(mixed) > wp.min(best):
                     best = mixed
@@ -182,7 +184,7 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
     distance gives the exact lower bound. If the distance has a crease, a weighted mean of tangents
     does.
     """
-    middle = (a + b + c) / wp.float64(3.0)
+    middle = (a + b + c) / THREE
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))
     # 1e9 m stands for no bound yet.
     lower = wp.float64(1.0e9)
@@ -211,9 +213,9 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
             if value < smallest:
                 smallest = value
                 at = tried
-                slope = wp.min(bend, wp.float64(2.0) * size) * gradient
+                slope = wp.min(bend, TWO * size) * gradient
             else:
-                reach *= wp.float64(0.5)
+                reach *= HALF
             if wp.min(bound) >= wp.min(best, wp.min(upper, smallest)) - TOLERANCE_M:
                 step = STEPS
             tried = nearest_on_triangle(at - reach * slope, a, b, c)

@@ -11,7 +11,9 @@ lower bound of the distance to the initial bone. Removal can only increase this 
 
 import warp as wp
 
+from kernels.arrays import Doubles, Int32s, Int32s3D, Matrices, Shorts2D, Singles3D, Vectors
 from kernels.bricks import voxel_column, voxel_row
+from kernels.constants import HALF, ONE, ZERO
 
 __all__ = [
     "BALL",
@@ -38,26 +40,23 @@ LEVEL = wp.constant(wp.float64(SURFACE))
 STEP = wp.constant(wp.float64(1.0 / 65535.0))
 """Fraction of one stored step, see `kernels.bricks.FULL`."""
 CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
-ZERO = wp.constant(wp.float64(0.0))
-ONE = wp.constant(wp.float64(1.0))
-HALF = wp.constant(wp.float64(0.5))
 
 
 @wp.struct
 class Field:
     """Convex solids, each with its own contact, and voxels in brick storage."""
 
-    kind: wp.array(dtype=wp.int32)
-    centre: wp.array(dtype=wp.vec3d)  # [m]; for a half-space, a point on its face
-    turn: wp.array(dtype=wp.mat33d)  # solid to world; a half-space lies behind its third axis
-    size: wp.array(dtype=wp.vec3d)  # half edges of a box; radius of a ball as first entry [m]
-    brick_of: wp.array3d(dtype=wp.int32)
-    remaining: wp.array2d(dtype=wp.uint16)
+    kind: Int32s
+    centre: Vectors  # [m]; for a half-space, a point on its face
+    turn: Matrices  # solid to world; a half-space lies behind its third axis
+    size: Vectors  # half edges of a box; radius of a ball as first entry [m]
+    brick_of: Int32s3D
+    remaining: Shorts2D
     origin: wp.vec3d  # [m]
     spacing: wp.float64  # [m], 0 without voxels
     voxels_per_m: wp.float64  # 1 / spacing
     # [cell of CELL voxels], lower bound of the distance to bone [m]
-    clearance: wp.array3d(dtype=wp.float32)
+    clearance: Singles3D
 
 
 @wp.func
@@ -126,7 +125,7 @@ def voxel_clearance(field: Field, point: wp.vec3d):
 
 
 @wp.func
-def held(remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz: int):
+def held(remaining: Shorts2D, row: int, ix: int, iy: int, iz: int):
     """Return the filled fraction of a voxel in a brick's row, 0 where no brick is stored."""
     fraction = wp.float64(0.0)
     if row >= 0:
@@ -136,8 +135,8 @@ def held(remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz:
 
 @wp.func
 def column_pair(
-    brick_of: wp.array3d(dtype=wp.int32),
-    remaining: wp.array2d(dtype=wp.uint16),
+    brick_of: Int32s3D,
+    remaining: Shorts2D,
     row: int,
     ix: int,
     iy: int,
@@ -196,12 +195,12 @@ def voxel_level(field: Field, point: wp.vec3d):
 @wp.kernel
 def field_distance(
     # points
-    point: wp.array(dtype=wp.vec3d),  # [m]
+    point: Vectors,  # [m]
     # field
     field: Field,
     # out
-    distance_out: wp.array(dtype=wp.float64),  # [m]
-    normal_out: wp.array(dtype=wp.vec3d),
+    distance_out: Doubles,  # [m]
+    normal_out: Vectors,
 ):
     """Compute the distance from each point to the nearest solid, and the outward direction.
 

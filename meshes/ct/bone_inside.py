@@ -3,18 +3,16 @@
 The interior is known from the density of a CT, or from a second surface around the trabecular core.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from meshes.base.arrays import Bytes, Floats, Triangles
+from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
 from meshes.images.text_headers import header_lines
-from meshes.shapes.anatomy import Anatomy, Classify
-from meshes.shapes.sdf import Shape
-from meshes.surfaces.glenoid import SURFACE_LAYERS
+from meshes.shapes.anatomy import Anatomy
+from meshes.surfaces.glenoid import SURFACE_LAYERS, sampled_anatomy
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.tooth.layer_contact import inside_surface
@@ -40,6 +38,9 @@ CORTICAL_ABOVE_KG_M3 = 1000.0
 The value is an ash density of 0.6 g/cm3, at which Keyak (1998) changes from trabecular to cortical
 bone, divided by 0.598, the ratio of ash to apparent density (Schileo 2008).
 """
+_CORTICAL_KG_M3 = 1800.0
+_TRABECULAR_KG_M3 = 350.0
+"""Apparent densities of a bone whose core is given, those of `meshes.surfaces.glenoid`."""
 _LEAST_KG_M3 = 50.0
 """Lowest density of bone, as in `DensityLaw`.
 
@@ -137,6 +138,8 @@ def imaged_anatomy(
         return layer, found
 
     notes = {
+        "unit": surface.report.unit_guess,
+        "site": site.confidence,
         "surface": surface.report.source,
         "repairs": " ".join(surface.report.repairs) or "none",
         "density": f"{density.source}: {values[values > 0].min():.0f} to {values.max():.0f} kg/m3, "
@@ -145,7 +148,7 @@ def imaged_anatomy(
     }
     triangles = site.to_site(surface.vertices_m), surface.faces
     threshold = _PLATE_M if articular > 0.0 else 0.0
-    return _anatomy(
+    return sampled_anatomy(
         surface, site, TriangleSampler(*triangles, threshold), IMAGED_LAYERS, classify, notes
     )
 
@@ -154,9 +157,6 @@ def cored_anatomy(
     surface: Surface,
     core: Surface,
     site: Site,
-    *,
-    cortical_density_kg_m3: float = 1800.0,
-    trabecular_density_kg_m3: float = 350.0,
 ) -> Anatomy:
     """Return the anatomy of a bone in the site frame.
 
@@ -169,36 +169,34 @@ def cored_anatomy(
         core.
     core
         Surface around the trabecular bone, in the same frame.
-    cortical_density_kg_m3, trabecular_density_kg_m3
-        Apparent densities [kg/m3], 50 to 2500.
 
     Raises
     ------
     InputError
-        If the core lies outside the bone, or a density is out of range.
+        If the core lies outside the bone.
     """
-    dense, sparse = require_ranges(
-        # Dense cortical bone has 2000 kg/m3. The lower limit excludes values in g/cm3.
-        ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
-        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
-    )
     _require_within(surface, core)
     inner = site.to_site(core.vertices_m), core.faces
     whole = joined([(site.to_site(surface.vertices_m), surface.faces), inner])
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         layer = inside_surface(*inner, points).astype(np.uint8)
-        return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
+        return layer, np.where(
+            layer == 0, np.float32(_CORTICAL_KG_M3), np.float32(_TRABECULAR_KG_M3)
+        )
 
     notes = {
+        "unit": surface.report.unit_guess,
+        "site": site.confidence,
         "surface": f"{surface.report.source} around {core.report.source}",
         "repairs": " ".join((*surface.report.repairs, *core.report.repairs)) or "none",
         "densities": (
-            f"cortical {dense:g}, trabecular {sparse:g} kg/m3, assumed: the files hold surfaces "
-            "only"
+            f"cortical {_CORTICAL_KG_M3:g}, trabecular {_TRABECULAR_KG_M3:g} kg/m3, assumed: the "
+            "files hold surfaces only"
         ),
     }
-    return _anatomy(surface, site, TriangleSampler(*whole, 0.0), SURFACE_LAYERS, classify, notes)
+    sampler = TriangleSampler(*whole, 0.0)
+    return sampled_anatomy(surface, site, sampler, SURFACE_LAYERS, classify, notes)
 
 
 def stated_law(path: Path) -> str:
@@ -207,33 +205,6 @@ def stated_law(path: Path) -> str:
         return ""
     # In NRRD files, := separates a user-defined key from its value, so the value begins with =.
     return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
-
-
-def _anatomy(
-    surface: Surface,
-    site: Site,
-    sampler: TriangleSampler,
-    layer_names: tuple[str, ...],
-    classify: Classify,
-    notes: Mapping[str, str],
-) -> Anatomy:
-    """Build the anatomy of a surface at a site from the sampler of its triangles."""
-    vertices = sampler.vertices_m
-    triangles: Triangles = vertices, sampler.faces
-
-    def distance(points: Floats) -> Floats:
-        return triangle_distance(*triangles, points).astype(points.dtype)
-
-    return Anatomy(
-        surface.report.source,
-        Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())),
-        layer_names,
-        classify,
-        {"unit": surface.report.unit_guess, "site": site.confidence, **notes},
-        sampler,
-        site.placement(surface.report.scale_mm),
-        tuple(site.to_site(points) for points in surface.caps_m),
-    )
 
 
 def _require_covered(surface: Surface, density: Image) -> None:

@@ -20,7 +20,7 @@ density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm
 """  # noqa: E501 a table
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -34,7 +34,14 @@ from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
-__all__ = ["GLENOID_LAYERS", "SURFACE_LAYERS", "GlenoidSizes", "glenoid", "surface_anatomy"]
+__all__ = [
+    "GLENOID_LAYERS",
+    "SURFACE_LAYERS",
+    "GlenoidSizes",
+    "glenoid",
+    "sampled_anatomy",
+    "surface_anatomy",
+]
 
 Thickness = Callable[[Floats, Floats], Floats]
 
@@ -346,11 +353,6 @@ def surface_anatomy(
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
     )
     shell = 1e-3 * thickness
-    vertices = site.to_site(surface.vertices_m)
-    faces = surface.faces
-
-    def distance(points: Floats) -> Floats:
-        return triangle_distance(vertices, faces, points).astype(points.dtype)
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         layer = (depth >= shell).astype(np.uint8)
@@ -362,16 +364,33 @@ def surface_anatomy(
         "site": site.confidence,
         "repairs": " ".join(surface.report.repairs) or "none",
         "cortical shell": f"{cortical_thickness_mm:g} mm of {dense:g} kg/m3 over {sparse:g} "
-        "kg/m3, assumed: "
-        "the file "
-        "holds a surface only",
+        "kg/m3, assumed: the file holds a surface only",
     }
-    solid = Shape(
-        distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())
-    )
-    sampler = TriangleSampler(vertices, faces, shell)
-    placement = site.placement(surface.report.scale_mm)
-    caps = tuple(site.to_site(points) for points in surface.caps_m)
+    sampler = TriangleSampler(site.to_site(surface.vertices_m), surface.faces, shell)
+    return sampled_anatomy(surface, site, sampler, SURFACE_LAYERS, classify, notes)
+
+
+def sampled_anatomy(
+    surface: Surface,
+    site: Site,
+    sampler: TriangleSampler,
+    layer_names: tuple[str, ...],
+    classify: Classify,
+    notes: Mapping[str, str],
+) -> Anatomy:
+    """Build the anatomy of a surface at a site from the sampler of its triangles."""
+    vertices = sampler.vertices_m
+
+    def distance(points: Floats) -> Floats:
+        return triangle_distance(vertices, sampler.faces, points).astype(points.dtype)
+
     return Anatomy(
-        surface.report.source, solid, SURFACE_LAYERS, classify, notes, sampler, placement, caps
+        surface.report.source,
+        Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())),
+        layer_names,
+        classify,
+        notes,
+        sampler,
+        site.placement(surface.report.scale_mm),
+        tuple(site.to_site(points) for points in surface.caps_m),
     )

@@ -21,7 +21,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Floats, Ints, compact
+from meshes.base.arrays import Array, Flags, Floats, Ints, compact, lattice
 from meshes.base.errors import InputError, require_length
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.repair import triangle_areas
@@ -430,11 +430,11 @@ def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cell
     A tetrahedron connects the centres of two neighbouring cubes with an edge of their common face.
     """
     count = np.ceil((upper - lower) / spacing).astype(np.int64)
-    corner = np.stack(np.meshgrid(*(np.arange(n + 1) for n in count), indexing="ij"), axis=-1)
-    middle = np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), axis=-1)
-    nodes = np.concatenate([corner.reshape(-1, 3), middle.reshape(-1, 3) + 0.5])
-    corners = np.arange(corner[..., 0].size).reshape(corner.shape[:3])
-    middles = corners.size + np.arange(middle[..., 0].size).reshape(middle.shape[:3])
+    corners = np.arange(np.prod(count + 1)).reshape(count + 1)
+    middles = corners.size + np.arange(np.prod(count)).reshape(count)
+    nodes = np.concatenate(
+        [lattice(*map(np.arange, count + 1)), lattice(*map(np.arange, count)) + 0.5]
+    )
     tets = []
     for axis in range(3):
         face = np.moveaxis(corners, axis, 0)[1:-1]

@@ -9,6 +9,7 @@ voxels.
 Crossings of vertical lines with triangles also determine whether scattered points lie inside.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -74,14 +75,9 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
     first, counts = _covered(corners, x, y)
     pairs = counts[:, 0] * counts[:, 1]
     kept = np.flatnonzero(pairs)
-    ends = np.cumsum(pairs[kept])
-    start = 0
-    while start < len(kept):
-        begun = ends[start - 1] if start else 0
-        stop = max(int(np.searchsorted(ends, begun + _PAIRS_AT_ONCE)), start + 1)
-        chosen = kept[start:stop]
+    for part in _batches(pairs[kept]):
+        chosen = kept[part]
         found.append(_crossed(corners[chosen], faces[chosen], first[chosen], counts[chosen], x, y))
-        start = stop
     if not found:
         empty = np.empty(0, dtype=np.int64)
         return ColumnCrossings(empty, np.empty(0), empty)
@@ -113,27 +109,37 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         [count, 1]
     )
     pairs = starts[at + 1] - starts[at]
-    ends = np.cumsum(pairs)
-    done = 0
-    while done < len(points):
-        stop = max(
-            int(np.searchsorted(ends, (ends[done - 1] if done else 0) + _PAIRS_AT_ONCE)), done + 1
-        )
-        part = np.arange(done, stop)
-        many = pairs[done:stop]
-        point = np.repeat(part, many)
-        nth = np.arange(len(point)) - np.repeat(np.cumsum(many) - many, many)
+    for part in _batches(pairs):
+        owner, nth = _repeated(pairs[part])
+        point = owner + part.start
         tested = triangle[starts[at[point]] + nth]
         met, height, sign = _met(corners, faces, tested, points[point, 0], points[point, 1])
-        point = point[met]
-        below = sign * (height <= points[point, 2])
-        winding = np.bincount(point - done, weights=below, minlength=len(part))
-        unclosed = np.bincount(point - done, weights=sign, minlength=len(part)) != 0.0
+        owner = owner[met]
+        below = sign * (height <= points[point[met], 2])
+        tried = part.stop - part.start
+        winding = np.bincount(owner, weights=below, minlength=tried)
+        unclosed = np.bincount(owner, weights=sign, minlength=tried) != 0.0
         # Winding numbers are integers. On a line through a hole of the surface, the winding number
         # does not end at 0, so inside and outside are unknown.
         inside[part] = (winding > 0.5) & ~unclosed
-        done = stop
     return inside
+
+
+def _batches(pairs: Ints) -> Iterator[slice]:
+    """Yield consecutive parts of about `_PAIRS_AT_ONCE` pairs, given the pairs of each entry."""
+    ends = np.cumsum(pairs)
+    start = 0
+    while start < len(pairs):
+        begun = ends[start - 1] if start else 0
+        stop = max(int(np.searchsorted(ends, begun + _PAIRS_AT_ONCE)), start + 1)
+        yield slice(start, stop)
+        start = stop
+
+
+def _repeated(counts: Ints) -> tuple[Ints, Ints]:
+    """Repeat each index as often as `counts` states; also return the number of each repetition."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
@@ -144,9 +150,7 @@ def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Int
     boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
     first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
     wide = last - first + 1
-    columns = wide.prod(axis=1)
-    triangle = np.repeat(np.arange(len(corners)), columns)
-    within = np.arange(len(triangle)) - np.repeat(np.cumsum(columns) - columns, columns)
+    triangle, within = _repeated(wide.prod(axis=1))
     x = first[triangle, 0] + within // wide[triangle, 1]
     y = first[triangle, 1] + within % wide[triangle, 1]
     column = x * count + y
@@ -197,9 +201,7 @@ def _crossed(
 
     A triangle is only tested with the lines in its box.
     """
-    pairs = counts[:, 0] * counts[:, 1]
-    triangle = np.repeat(np.arange(len(pairs)), pairs)
-    within = np.arange(len(triangle)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    triangle, within = _repeated(counts[:, 0] * counts[:, 1])
     i = first[triangle, 0] + within // counts[triangle, 1]
     j = first[triangle, 1] + within % counts[triangle, 1]
     kept, height, sign = _met(corners, faces, triangle, x[i], y[j])

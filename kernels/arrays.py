@@ -1,0 +1,61 @@
+"""Types of the arrays that kernels and their structures take.
+
+The name states the type of the elements, and the suffix states the number of dimensions if there is
+more than one. For example, `Doubles2D` is a matrix of numbers in double precision.
+"""
+
+import warp as wp
+
+__all__ = [
+    "Bits",
+    "Bytes",
+    "Doubles",
+    "Doubles2D",
+    "Doubles3D",
+    "Int32s",
+    "Int32s2D",
+    "Int32s3D",
+    "Int64s",
+    "Int64s2D",
+    "Matrices",
+    "Matrices2D",
+    "Shorts",
+    "Shorts2D",
+    "SingleMatrices",
+    "SingleVectors",
+    "Singles",
+    "Singles2D",
+    "Singles3D",
+    "Vectors",
+    "Vectors2D",
+    "Words2D",
+]
+
+Doubles = wp.array(dtype=wp.float64)
+Doubles2D = wp.array2d(dtype=wp.float64)
+Doubles3D = wp.array3d(dtype=wp.float64)
+Singles = wp.array(dtype=wp.float32)
+Singles2D = wp.array2d(dtype=wp.float32)
+Singles3D = wp.array3d(dtype=wp.float32)
+
+Int32s = wp.array(dtype=wp.int32)
+Int32s2D = wp.array2d(dtype=wp.int32)
+Int32s3D = wp.array3d(dtype=wp.int32)
+Int64s = wp.array(dtype=wp.int64)
+Int64s2D = wp.array2d(dtype=wp.int64)
+"""Integers with 32 and with 64 bits."""
+
+Bytes = wp.array(dtype=wp.uint8)
+Shorts = wp.array(dtype=wp.uint16)
+Shorts2D = wp.array2d(dtype=wp.uint16)
+Words2D = wp.array2d(dtype=wp.uint32)
+Bits = wp.array(dtype=wp.uint64)
+"""Integers without a sign, with 8, 16, 32 and 64 bits. Each bit of `Bits` is a flag."""
+
+Vectors = wp.array(dtype=wp.vec3d)
+Vectors2D = wp.array2d(dtype=wp.vec3d)
+Matrices = wp.array(dtype=wp.mat33d)
+Matrices2D = wp.array2d(dtype=wp.mat33d)
+SingleVectors = wp.array(dtype=wp.vec3f)
+SingleMatrices = wp.array(dtype=wp.mat33f)
+"""Vectors of 3 and matrices of 3 x 3 numbers, in double and in single precision."""

@@ -1,0 +1,15 @@
+"""Small numbers in double precision, because Warp does not convert literals of Python.
+
+A variable that changes in a loop starts with ``wp.float64(...)`` instead, because Warp does not
+allow a loop to change a constant.
+"""
+
+import warp as wp
+
+__all__ = ["HALF", "ONE", "THREE", "TWO", "ZERO"]
+
+ZERO = wp.constant(wp.float64(0.0))
+HALF = wp.constant(wp.float64(0.5))
+ONE = wp.constant(wp.float64(1.0))
+TWO = wp.constant(wp.float64(2.0))
+THREE = wp.constant(wp.float64(3.0))
