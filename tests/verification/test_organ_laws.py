@@ -18,7 +18,6 @@ from tissue.simulation.simulate import simulate
 
 LAWS = {
     "neo-hookean": {"law": "neo-hookean"},
-    "ogden": {"law": "ogden", "exponent": 6.0},
     "stiffening": {"law": "yeoh", "square_ratio": 2.0, "cube_ratio": 2.0},
 }
 
@@ -62,8 +61,7 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("law", LAWS)
-def test_a_hand_presses_a_stiffening_organ_without_swinging(law):
+def test_a_hand_presses_a_stiffening_organ_without_swinging():
     """A hand presses a stiffening organ without oscillation.
 
     The coupling has 95 % of its critical stiffness, which is judged on a wall: nothing is
@@ -71,7 +69,7 @@ def test_a_hand_presses_a_stiffening_organ_without_swinging(law):
     %.
     """
     scene = changed(
-        scene_of(**LAWS[law], poisson_ratio=0.45), {"device": "touch", "duration_s": 1.4}
+        scene_of(**LAWS["stiffening"], poisson_ratio=0.45), {"device": "touch", "duration_s": 1.4}
     )
     settings = loop_settings(scene)
     hands = in_hands(judged_loop(settings, step_s=TICK_S), [settings.person.grip[:3]])
@@ -82,7 +80,7 @@ def test_a_hand_presses_a_stiffening_organ_without_swinging(law):
     force_N = run.trace["device_force_z_N"][-400:]
     ticks = np.arange(len(force_N))
     swing = np.std(force_N - np.polyval(np.polyfit(ticks, force_N, 3), ticks))
-    print(law, f"{force_N[-1]:.3f} N, swings by {swing / force_N[-1]:.2%}")
+    print(f"{force_N[-1]:.3f} N, swings by {swing / force_N[-1]:.2%}")
     assert force_N[-1] > 0.8
     assert swing < 0.02 * force_N[-1]
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
@@ -90,9 +88,7 @@ def test_a_hand_presses_a_stiffening_organ_without_swinging(law):
 
 SCENE_LAWS = {
     "neo-hookean": {},
-    "mooney-rivlin": {"second_share": 0.3},
     "yeoh": {"square_ratio": 0.2},
-    "ogden": {"exponent": 8.0},
     "exponential": {"exponential_rate": 1.0},
 }
 
