@@ -236,6 +236,8 @@ CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduli
 """Entries of a summary that a clock or a machine decides."""
 CLOCK_OF_LAW = ("solve_ms", "offset_older_than_interval")
 """Entries of a hyperelastic law that a clock decides."""
+REPEATED = ("wall", "wall by hand", "block", "molar, stress", "slab, law", "needle", "incision")
+"""Kinds of which two equal runs are compared: one for each kind of tissue."""
 QUICK = ("wall",)
 """Kinds that the plain run walks through; the others take seconds each, and go to the slow set."""
 
@@ -323,7 +325,8 @@ def without_effect(kind, files, folder):
     if not keys:
         return []
     plain, found = fingerprint(load_scene(base)), []
-    assert fingerprint(load_scene(base)) == plain, "a run repeats itself"
+    if kind in REPEATED:
+        assert fingerprint(load_scene(base)) == plain, "a run repeats itself"
     for key in keys:
         values = changes(table, key, files)
         try:

@@ -44,7 +44,7 @@ STUDY = (
         "study",
         "run",
         "--trials",
-        "3",
+        "2",
         "--tasks",
         "T2",
         "--groups",
@@ -147,7 +147,7 @@ def check_study(out, whole, *, killed):
             == json.loads((whole / "trials" / each.name).read_text())["rows"]
         )
     if not killed:
-        assert len(kept) == 3
+        assert len(kept) == 2
         assert (out / "trials.csv").read_bytes() == (whole / "trials.csv").read_bytes()
 
 

@@ -44,7 +44,7 @@ DEEP = Phantom(
     young_Pa=1.0,
     poisson_ratio=0.495,
 )
-DEEP_DEPTHS_M = np.linspace(0.08, 0.1, 3)
+DEEP_DEPTHS_M = np.linspace(0.08, 0.1, 5)
 """Depths of which the excess is averaged.
 
 At one depth the excess is up to 6 % off, because the number of touching points is whole.
@@ -52,13 +52,13 @@ At one depth the excess is up to 6 % off, because the number of touching points 
 
 
 def deep_forces_N(ratio):
-    """Return the forces over a nodule of a modulus ratio, shape (3,)."""
+    """Return the forces over a nodule of a modulus ratio, shape (5,)."""
     phantom = replace(DEEP, nodule_ratio=ratio)
     return NoduleLayer(phantom, phantom_mesh(phantom, 0.2)).press(DEEP_DEPTHS_M)[0]
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 def test_the_excess_over_a_deep_nodule_is_that_of_a_point_load(monkeypatch):
     """Within 4 % for a nodule of 0.7 radii of the tool, 4 radii deep, pressed by 0.1 radii."""
     # The excess is 0.1 % of the force, so depths have to be met more closely.
