@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from own_imports import statements
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = (
@@ -66,21 +67,14 @@ ANY_WORD = re.compile(rf'(?<![\w-])(?!(?<=")(?:{_ANY})")(?:{_ANY})(?![\w-])', re
 """Any of the words, except a word that stands alone between double quotes."""
 
 
-def scopes(node):
-    """Yield a module, its classes and its functions at any depth, without a walk of expressions."""
-    if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
-        yield node
-    for block in ("body", "orelse", "handlers", "finalbody", "cases"):
-        for statement in getattr(node, block, ()):
-            yield from scopes(statement)
-
-
 def summaries(code):
     """Return the line and the summary of every docstring of a module, also of its attributes."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     texts = []
-    for node in scopes(ast.parse(code)):
-        texts.append((getattr(node, "lineno", 1), ast.get_docstring(node)))
-        texts += attribute_docstrings(node.body)
+    for node in statements(ast.parse(code)):
+        if isinstance(node, documented):
+            texts.append((getattr(node, "lineno", 1), ast.get_docstring(node)))
+            texts += attribute_docstrings(node.body)
     return [(line, " ".join(text.split("\n\n")[0].split())) for line, text in texts if text]
 
 

@@ -74,7 +74,7 @@ def test_events_differ_by_their_thresholds_and_not_by_what_was_measured():
 
 @pytest.mark.slow
 def test_figures_of_a_run_hold_temperature_and_stress_and_reweighed_ones_do_not():
-    changes = {"voxels.spacing_mm": 0.2, "stress.cell_mm": 0.8, "duration_s": 0.35, "heat": True}
+    changes = {"voxels.spacing_mm": 0.2, "stress.cell_mm": 0.8, "duration_s": 0.7, "heat": True}
     scene = load_scene("caries", changes)
     run = simulate(scene, cores=1)
     found = figures_of(run)
