@@ -158,7 +158,7 @@ STIFFENING = {
 @pytest.mark.slow
 def test_modulus_and_exponent_of_a_hyperelastic_law_come_back_from_a_deep_press(tmp_path):
     corners = [[0, 0, 0.5], [0, 0, -5], [0, 0, -5], [0, 0, -1]]
-    times = [0.0, 0.2, 0.3, 0.45]
+    times = [0.0, 0.4, 0.6, 0.9]
     planted = {"organ.young_kPa": 6.0, "organ.exponent": 18.0}
     scene = pressed(tmp_path / "log.csv", STIFFENING, corners, times, planted, noise_N=2e-3, seed=7)
     fit = tissue.fit(scene, tmp_path / "log.csv", cores=1)
