@@ -108,7 +108,7 @@ def test_a_device_that_repeats_its_samples_is_no_noise(held):
     assert accepted(samples, oldest_s=0.02) == (1.0, [])
 
 
-@pytest.mark.parametrize(("group", "name"), zip(cycle(HANDS), DEVICES, strict=False))
+@pytest.mark.parametrize(("group", "name"), list(zip(cycle(HANDS), DEVICES, strict=False)))
 def test_a_hand_on_any_device_is_not_taken_for_noise(group, name):
     """A hand is not taken for noise: the hands by turns, each on other devices.
 
