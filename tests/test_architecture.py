@@ -12,7 +12,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from own_imports import PACKAGES, imports, modules_in_strings, sources
+from own_imports import PACKAGES, imports, modules_in_strings, sources, statements
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = list(sources(ROOT))
@@ -51,15 +51,15 @@ def package_of(module):
 
 
 @cache
-def nodes_of(path):
-    """All that a file's code is made of."""
-    return list(ast.walk(ast.parse(path.read_text("utf-8"))))
+def tree_of(path):
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text("utf-8"))
 
 
 @cache
 def imports_of(path):
     """Return this project's modules that a file imports or names, for type checkers included."""
-    tree = ast.parse(path.read_text("utf-8"))
+    tree = tree_of(path)
     named = modules_in_strings(tree, set(MODULES))
     return imports(tree, set(MODULES)) | named
 
@@ -67,8 +67,11 @@ def imports_of(path):
 @cache
 def run_time_imports_of(path):
     """Return the own modules that a file imports, but for type checkers alone."""
-    tree = ast.parse(path.read_text("utf-8"))
-    for node in ast.walk(tree):
+    text = path.read_text("utf-8")
+    if "TYPE_CHECKING" not in text:
+        return imports(tree_of(path), set(MODULES))
+    tree = ast.parse(text)
+    for node in statements(tree):
         if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
             node.body = [ast.Pass()]
     return imports(tree, set(MODULES))
@@ -125,7 +128,7 @@ def test_contributing_draws_the_layers_that_are_held():
 def test_the_ground_layer_knows_no_physics_and_no_warp():
     for path, module in zip(FILES, MODULES, strict=True):
         if module.split(".")[0] == "meshes":
-            nodes = nodes_of(path)
+            nodes = list(statements(tree_of(path)))
             names = {
                 name.name for node in nodes if isinstance(node, ast.Import) for name in node.names
             }

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from own_imports import statements
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = (
@@ -70,7 +71,7 @@ def summaries(code):
     """Return the line and the summary of every docstring of a module, also of its attributes."""
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     texts = []
-    for node in ast.walk(ast.parse(code)):
+    for node in statements(ast.parse(code)):
         if isinstance(node, documented):
             texts.append((getattr(node, "lineno", 1), ast.get_docstring(node)))
             texts += attribute_docstrings(node.body)

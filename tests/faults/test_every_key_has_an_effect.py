@@ -236,6 +236,8 @@ CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduli
 """Entries of a summary that a clock or a machine decides."""
 CLOCK_OF_LAW = ("solve_ms", "offset_older_than_interval")
 """Entries of a hyperelastic law that a clock decides."""
+REPEATED = ("wall", "wall by hand", "block", "molar, stress", "slab, law", "needle", "incision")
+"""Kinds of which two equal runs are compared: one for each kind of tissue."""
 QUICK = ("wall",)
 """Kinds that the plain run walks through; the others take seconds each, and go to the slow set."""
 
@@ -298,9 +300,14 @@ def signature(table, key):
 
 
 def checked_keys(files):
-    """Return the keys that each kind of scene checks: those no kind before it has checked."""
+    """Return the keys that each kind of scene checks: those no kind before it has checked.
+
+    The walls come first: their runs are the cheapest.
+    """
+    tables = kinds(files)
     seen, found = set(), {}
-    for kind, table in kinds(files).items():
+    for kind in sorted(tables, key=lambda kind: not kind.startswith("wall")):
+        table = tables[kind]
         fresh = {key: signature(table, key) for key in keys_of(table) if key not in EXEMPT}
         found[kind] = [key for key, each in fresh.items() if each not in seen]
         seen |= set(fresh.values())
@@ -318,7 +325,8 @@ def without_effect(kind, files, folder):
     if not keys:
         return []
     plain, found = fingerprint(load_scene(base)), []
-    assert fingerprint(load_scene(base)) == plain, "a run repeats itself"
+    if kind in REPEATED:
+        assert fingerprint(load_scene(base)) == plain, "a run repeats itself"
     for key in keys:
         values = changes(table, key, files)
         try:

@@ -37,7 +37,7 @@ A file that is parsed in a process of its own takes most of a second, and belong
 """
 FIRST_SEED = int(os.environ.get("TISSUE_FUZZ_SEED", "0"))
 """Of the damage: set the variable for other damage."""
-SLOW = {reader: 2 if reader.endswith(" apart") else 2 * count for reader, count in QUICK.items()}
+SLOW = {reader: 2 if reader.endswith(" apart") else count for reader, count in QUICK.items()}
 
 
 @pytest.fixture(scope="session")
@@ -113,4 +113,4 @@ def test_damaged_files_are_read_or_refused(sources, tmp_path):
 def test_many_damaged_files_are_read_or_refused(sources, tmp_path):
     outcomes, wrong = fuzz(sources, tmp_path, SLOW, FIRST_SEED + 1000)
     assert not wrong, "\n".join(wrong)
-    assert sum(outcomes.values()) >= 250
+    assert sum(outcomes.values()) >= 180

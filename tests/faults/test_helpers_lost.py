@@ -120,8 +120,7 @@ def plain():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("when", ["begun", "last"])
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
+@pytest.mark.parametrize(("name", "when"), [("SIGKILL", "begun"), ("SIGSTOP", "last")])
 def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch, name, when):
     """A run that loses its stress process keeps bone, trace and pictures unchanged.
 

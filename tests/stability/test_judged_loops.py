@@ -1,7 +1,7 @@
 """Critical stiffness that is judged, against the loop of a run on many kinds of contact.
 
-Each loop has the device, hand, coupling and tool of a run. At 0.97 of its critical stiffness a kick
-fades, at 1.03 it grows. The critical stiffness is that of the judge times a ratio of at least one.
+Each loop has the device, hand, coupling and tool of a run. Just below its critical stiffness a kick
+fades, just above it grows. The critical stiffness is that of the judge times a ratio of at least one.
 On tissue that yields, the judged stiffness is that of coupling and tissue in series.
 """
 
@@ -322,12 +322,13 @@ def test_the_measured_growth_is_that_of_the_eigenvalues(share, reflex):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_loop_fades_below_its_critical_stiffness_and_grows_above(name):
-    """A kick fades at 0.97 of the measured critical stiffness and grows at 1.03 of it."""
+def test_no_loop_has_a_critical_stiffness_below_the_judged_one(name):
+    """The critical stiffness lies within 2 % of the table, and above 0.995 of the judged one."""
     make, given, ratio = CASES[name]
-    below, above = (make(share * ratio, **given) for share in (0.97, 1.03))
-    print(f"{name}: {below:.2f} and {above:.2f} 1/s at 0.97 and 1.03 of {ratio:g}")
-    assert below < 0.0 < above
+    below = max(0.98 * ratio, 0.995)
+    rates = [make(share, **given) for share in (below, 1.02 * ratio)]
+    print(f"{name}: {rates[0]:.2f} and {rates[1]:.2f} 1/s at {below:.3f} and {1.02 * ratio:.3f}")
+    assert rates[0] < 0.0 < rates[1]
 
 
 @pytest.mark.parametrize(
@@ -352,14 +353,3 @@ def test_a_contact_at_a_lever_limits_both_shares_together(shares, fades, accepte
     else:
         with pytest.raises(InputError, match="stiffness_Nm_rad must be below"):
             judged_loops(given, allow_unstable=False)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_no_loop_has_a_critical_stiffness_below_the_judged_one(name):
-    """The critical stiffness lies within 2 % of the table, and above 0.995 of the judged one."""
-    make, given, ratio = CASES[name]
-    below = max(0.98 * ratio, 0.995)
-    rates = [make(share, **given) for share in (below, 1.02 * ratio)]
-    print(f"{name}: {rates[0]:.2f} and {rates[1]:.2f} 1/s at {below:.3f} and {1.02 * ratio:.3f}")
-    assert rates[0] < 0.0 < rates[1]

@@ -64,8 +64,8 @@ def test_stress_and_tangent_are_derivatives_of_the_energy(name):
         assert slope == pytest.approx(tangent[..., each], abs=1e-5 * np.abs(tangent).max())
 
 
-@LAW
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["linear", "exponential"])
 def test_the_mesh_of_a_fit_is_fine_enough(name):
     """Against a mesh of a third of the edges: 0.7 % at 0.15 radii, 0.4 % deeper."""
     mesh, finer = (layer_mesh(1.0, 2.5, first=axisymmetric.FIRST / each) for each in (1.0, 3.0))
@@ -102,26 +102,31 @@ SPLINE_N = {
 def test_a_deep_press_is_that_of_an_independent_solution(name):
     """Within 0.5 % from 0.15 to 0.75 radii, on a layer of 2.5 radii.
 
-    The independent solution is computed here at the first depth. The others took 30 s each.
+    The solutions are recorded. `test_a_recorded_solution_is_found_again` computes one of them.
     """
+    mesh = layer_mesh(1.0, 2.5)
+    exact = SPLINE_N[name]
+    off = press_forces(mesh, LAWS[name], DEPTHS) / exact - 1.0
+    print(name, np.round(exact, 4), np.round(100.0 * off, 2))
+    assert off == pytest.approx(np.zeros(3), abs=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_recorded_solution_is_found_again():
+    """The first force of the neo-hookean law. Each of the other forces takes 30 s."""
     pytest.importorskip("jax")
     import jax.numpy as jnp
 
     def density(first, ratio):
-        x = first * ratio ** (-2.0 / 3.0) - 3.0
-        shape = 0.5 * x if name == "neo-hookean" else (jnp.exp(4.0 * x) - 1.0) / 8.0
+        shape = 0.5 * (first * ratio ** (-2.0 / 3.0) - 3.0)
         return shape + 0.25 * BULK * (ratio**2 - 1.0 - 2.0 * jnp.log(ratio))
 
-    mesh = layer_mesh(1.0, 2.5)
-    width = float(mesh.nodes_m[:, 0].max())
-    first = spline_press_N(
+    width = float(layer_mesh(1.0, 2.5).nodes_m[:, 0].max())
+    found = spline_press_N(
         density, radius=1.0, thickness=2.5, width=width, depths=DEPTHS[:1], cells=12
     )
-    exact = SPLINE_N[name]
-    assert first == pytest.approx(exact[:1], rel=1e-5)
-    off = press_forces(mesh, LAWS[name], DEPTHS) / exact - 1.0
-    print(name, np.round(exact, 4), np.round(100.0 * off, 2))
-    assert off == pytest.approx(np.zeros(3), abs=0.005)
+    assert found == pytest.approx(SPLINE_N["neo-hookean"][:1], rel=1e-5)
 
 
 @pytest.mark.slow
@@ -132,7 +137,7 @@ def test_tetrahedra_of_an_organ_approach_the_same_force():
     The nodes alone touch the ball, so the error is of first order in the edges: the two meshes are
     6 and 5 % too stiff at 0.75 radii.
     """
-    radius, thickness, depths = 4e-3, 10e-3, np.array([1e-3, 2e-3, 3e-3])
+    radius, thickness, depths = 4e-3, 10e-3, np.array([1.5e-3, 3e-3])
     law = Hyperelastic.exponential(5e3, 4.0, bulk_Pa=5e3 * BULK)
     exact = press_forces(layer_mesh(radius, thickness), law, depths)
     forces = {}

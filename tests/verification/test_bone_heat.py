@@ -183,6 +183,8 @@ def finite_differences(drill, *, depth_m, rest_s, cell_m=0.05e-3, conductivity=C
 DEPTH_MM, REST_S = 5.0, 3.0
 """Depth of the hole, an assumption, and time for which the drill rests at its end."""
 FEEDS_MM_MIN, SPEEDS_RPM = (30.0, 60.0), (500.0, 1200.0, 2000.0)
+INDEPENDENT = {(30.0, 2000.0), (60.0, 500.0)}
+"""Cells with the largest and the smallest rise, which are compared with finite differences."""
 THRUST_N = {
     (30.0, 500.0): 9.59,
     (30.0, 1200.0): 6.16,
@@ -252,11 +254,8 @@ def independent(feed_mm_min, rpm, *, radius=RADIUS_M, conductivity=CONDUCTIVITY)
     return 1e3 * power_W / drill.omega, float(np.mean(rises))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rpm", SPEEDS_RPM)
-@pytest.mark.parametrize("feed", FEEDS_MM_MIN)
-def test_rise_beside_a_hole_against_finite_differences(feed, rpm):
-    """The rise is within 7 % of finite differences in (r, z), and the torque within 1 %.
+def check_rise(feed, rpm):
+    """Check that the rise is within 7 % of finite differences in (r, z), and the torque within 1 %.
 
     The cells of the engine are 0.25 mm, and those of the finite differences 0.05 mm.
     """
@@ -274,12 +273,12 @@ def test_rise_beside_a_hole_against_finite_differences(feed, rpm):
 def test_ovine_vertebra_and_the_trends_over_feed_and_speed():
     """In cortical bone, the band of the share overlaps the measured range. It spans a factor of 25.
 
-    At the measured thrust, the cited share of 0.1 predicts a seventh of the measured rise. The
+    Two cells agree with finite differences. At the measured thrust, the cited share of 0.1 predicts a seventh of the measured rise. The
     trends are those of Augustin 2008 (doi 10.1007/s00402-007-0427-3): the rise grows with the speed
     and the diameter, and falls with the feed. Between the six cells it grows by a factor of 3.9.
     The measured factor is 2.1.
     """
-    print("\nfeed mm/min, rpm | thrust N: measured, cortical | rise K: engine, independent, scaled")
+    print("\nfeed mm/min, rpm | thrust N: measured, cortical | rise K: engine, scaled")
     rises = {}
     scaled = []
     for (feed, rpm), measured_N in THRUST_N.items():
@@ -287,8 +286,9 @@ def test_ovine_vertebra_and_the_trends_over_feed_and_speed():
         rises[feed, rpm] = rise
         scaled.append(rise * measured_N / thrust)
         forces = f"{measured_N:5.2f} {thrust:5.2f}"
-        alone = independent(feed, rpm)[1]
-        print(f"{feed:3.0f} {rpm:5.0f} | {forces} | {rise:.2f} {alone:.2f} {scaled[-1]:.2f}")
+        print(f"{feed:3.0f} {rpm:5.0f} | {forces} | {rise:.2f} {scaled[-1]:.2f}")
+        if (feed, rpm) in INDEPENDENT:
+            check_rise(feed, rpm)
     for feed in FEEDS_MM_MIN:
         assert rises[feed, 500.0] < rises[feed, 1200.0] < rises[feed, 2000.0]
     for rpm in SPEEDS_RPM:

@@ -226,15 +226,14 @@ def wander(seed, count=24):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
-@pytest.mark.parametrize("seed", range(3))
-def test_energy_is_lost_and_never_made(tissue, seed):
+def test_energy_is_lost_and_never_made(tissue):
     """Energy is lost and never created.
 
     Work done on the needle minus the organ's energy never falls, step by step, on any path that
     ends outside.
     """
     insertion = Insertion(tissue)
-    rows = np.vstack([drive(insertion, turn) for turn in wander(seed)])
+    rows = np.vstack([drive(insertion, turn) for turn in wander(0)])
     work = 0.5 * (rows[1:, 2] + rows[:-1, 2]) * np.diff(rows[:, 0])
     lost = work - np.diff(rows[:, 3])
     # The trapezium misses a kink in the force, where sticking ends, by a quarter of the stiffness

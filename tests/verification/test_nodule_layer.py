@@ -1,7 +1,6 @@
 """Excess force over a stiff ball in a layer: closed form, and the organ of `palpation`."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -52,7 +51,6 @@ At one depth the excess is up to 6 % off, because the number of touching points 
 """
 
 
-@cache
 def deep_forces_N(ratio):
     """Return the forces over a nodule of a modulus ratio, shape (5,)."""
     phantom = replace(DEEP, nodule_ratio=ratio)
@@ -60,26 +58,22 @@ def deep_forces_N(ratio):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.2, 5.0])
-def test_the_excess_over_a_deep_nodule_is_that_of_a_point_load(ratio, monkeypatch):
+@pytest.mark.timeout(900)
+def test_the_excess_over_a_deep_nodule_is_that_of_a_point_load(monkeypatch):
     """Within 4 % for a nodule of 0.7 radii of the tool, 4 radii deep, pressed by 0.1 radii."""
     # The excess is 0.1 % of the force, so depths have to be met more closely.
     monkeypatch.setattr(axisymmetric, "TOLERANCE", 1e-5)
     plain = deep_forces_N(1.0)
-    found = float(np.mean(deep_forces_N(ratio) / plain - 1.0))
-    phantom = replace(DEEP, nodule_ratio=ratio)
-    exact = float(
-        np.mean(
-            [
-                closed_excess(phantom, force, at)
-                for at, force in zip(DEEP_DEPTHS_M, plain, strict=True)
-            ]
-        )
-    )
-    print(
-        f"modulus x {ratio:g}: excess {found:.5f}, closed form {exact:.5f}, {found / exact - 1:+.1%}"
-    )
-    assert found == pytest.approx(exact, rel=0.04)
+    for ratio in (0.2, 5.0):
+        found = float(np.mean(deep_forces_N(ratio) / plain - 1.0))
+        phantom = replace(DEEP, nodule_ratio=ratio)
+        each = [
+            closed_excess(phantom, force, at)
+            for at, force in zip(DEEP_DEPTHS_M, plain, strict=True)
+        ]
+        exact = float(np.mean(each))
+        print(f"modulus x {ratio:g}: excess {found:.5f}, closed form {exact:.5f}")
+        assert found == pytest.approx(exact, rel=0.04)
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """`tissue.Organ` against closed forms and against the scene runner."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 import pyvista
@@ -195,12 +193,15 @@ def over_the_ball_N(organ, turn):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part_kPa", [40.0, 1.0])
-def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
+@pytest.mark.parametrize(
+    ("part_kPa", "bands"),
+    [(40.0, {(1, 1, 1): 0.04, (3, 3, 3): 0.07, (0.7, 0.7, 5): 0.08}), (1.0, {(2, 2, 2): 0.04})],
+)
+def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa, bands):
     """Labels give the force of the surfaces from which they were made.
 
     The organ is an ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the pressed place;
-    the ball is stiff as a tumour, or soft. With edges of 2.5 mm under the ball, fillings of one
+    the ball is stiff as a tumour, or soft. `bands` has the largest error by the spacing [mm]. With edges of 2.5 mm under the ball, fillings of one
     surface differ by 2 %, with 3.5 mm by 5 %. No two runs of the mesher are alike, so the bands are
     wider by that. With slices of 5 mm there are 3.6 to the tumour, and less than one over it.
     """
@@ -223,13 +224,6 @@ def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
     exact = over_the_ball_N(
         tissue.Organ.from_surface(outer, inclusions={"tumour": inner}, **made), turn
     )
-    bands = {
-        (1, 1, 1): 0.04,
-        (2, 2, 2): 0.04,
-        (3, 3, 3): 0.07,
-        (0.8, 0.8, 3): 0.05,
-        (0.7, 0.7, 5): 0.08,
-    }
     for spacing, band in bands.items():
         labels, _ = organ_labels(spacing, 0, {"tumour": ((0, 0, 9), BALL_MM)})
         force = over_the_ball_N(tissue.Organ.from_labels(labels, organ="organ", **made), turn)
@@ -292,7 +286,6 @@ def mean_strain(press):
     return np.average(gradient, weights=np.linalg.det(edges))
 
 
-@cache
 def ball_strain(ratio):
     """Return the mean strain along z in a ball of a modulus ratio in a squeezed block."""
     labels = block_labels(lambda at: (at**2).sum(axis=-1) < 7.2**2)
@@ -300,18 +293,18 @@ def ball_strain(ratio):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [8.0, 0.2])
-def test_a_ball_of_labels_is_strained_as_eshelbys(ratio):
+def test_a_ball_of_labels_is_strained_as_eshelbys():
     """A ball of 9.6 mm in a block of 48 mm under a uniform strain (Eshelby 1957, Proc. R. Soc. A
     241:376), nu = 0.
 
     Its strain over that of the same ball as stiff as the block; 1.5 % of the block's volume is no
     infinite one.
     """
-    found = ball_strain(ratio) / ball_strain(1.0)
-    volume, shape = 1.0 / 3.0, 8.0 / 15.0
-    exact = 1.0 / 3.0 / (1.0 + volume * (ratio - 1.0)) + 2.0 / 3.0 / (1.0 + shape * (ratio - 1.0))
-    print(
-        f"modulus x {ratio:g}: strain x {found:.4f}, Eshelby {exact:.4f}, {found / exact - 1:+.1%}"
-    )
-    assert found == pytest.approx(exact, rel=0.05)
+    even = ball_strain(1.0)
+    for ratio in (8.0, 0.2):
+        found = ball_strain(ratio) / even
+        volume = 1.0 + (ratio - 1.0) / 3.0
+        shape = 1.0 + (ratio - 1.0) * 8.0 / 15.0
+        exact = 1.0 / 3.0 / volume + 2.0 / 3.0 / shape
+        print(f"modulus x {ratio:g}: strain x {found:.4f}, Eshelby {exact:.4f}")
+        assert found == pytest.approx(exact, rel=0.05)

@@ -10,7 +10,7 @@ import pytest
 from random_presses import draw, run_press
 
 SEED = 42
-PRESSES = 10
+PRESSES = 6
 
 
 def test_linear_cells_press_without_a_traceback():
@@ -31,7 +31,7 @@ def test_linear_cells_press_without_a_traceback():
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_random_presses_converge_or_state_a_reason(capsys):
-    """No press fails, and at most one of ten is refused or leaves a law unbalanced."""
+    """No press fails, and at most one of six is refused or leaves a law unbalanced."""
     counts: Counter[str] = Counter()
     for seed in np.random.SeedSequence(SEED).spawn(PRESSES):
         press = draw(np.random.default_rng(seed))

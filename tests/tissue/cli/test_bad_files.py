@@ -70,13 +70,10 @@ def test_a_scene_file_that_may_not_be_read_is_refused(refused, here, monkeypatch
 
 
 CUBE = np.array(CUBE_CORNERS, dtype=float) * 30.0
-FIN = np.vstack([CUBE, [[15.0, 0, 0], [15.0, 30, 0], [15.0, 15, 30]]])
 MESHES = {
     "missing": (None, (), ("anatomy.file", "missing.stl")),
     "empty": ((), (), ("anatomy.file", "empty file")),
     "flat": (CUBE * (1, 1, 0), CUBE_FACES, ("anatomy.file", "thickness")),
-    "open": (CUBE, CUBE_FACES[2:], ("anatomy.file", "glenoid of about 28 x 37 mm")),
-    "fin": (FIN, (*CUBE_FACES, (0, 1, 10)), ("anatomy.file", "glenoid of about 28 x 37 mm")),
     "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "4.7e+09")),
     "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "4.7e-06")),
 }

@@ -111,7 +111,7 @@ def runs(tmp_path_factory):
                     },
                 )
             )
-            run.save(folder / "people" / hand / f"run{number}")
+            run.save(folder / "people" / hand / f"run{number}", pictures=False)
     return folder / "people"
 
 
@@ -200,7 +200,7 @@ def test_the_interval_of_a_mean_covers_95_percent_and_a_gain_is_the_slope():
 
 def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
     scene = tissue.load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.2})
-    tissue.simulate(scene).save(tmp_path / "people" / "scripted")
+    tissue.simulate(scene).save(tmp_path / "people" / "scripted", pictures=False)
     with pytest.raises(InputError, match="scripted has no score: the run has no device"):
         tissue.rank(tmp_path / "people", tmp_path / "people" / "scripted")
     with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9\. "):

@@ -12,7 +12,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
 
 from bench_fit_cutting import one
 
-FITS = 10
+FITS = 6
 
 
 @pytest.mark.slow

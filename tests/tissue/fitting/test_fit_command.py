@@ -10,7 +10,7 @@ import pytest
 
 import tissue
 
-SCENE = {"voxels.spacing_mm": 0.4, "duration_s": 1.0}
+SCENE = {"voxels.spacing_mm": 0.5, "duration_s": 0.7}
 PLANTED = {
     "tangential_chip_N_mm2": 110.0,
     "radial_chip_N_mm2": 80.0,

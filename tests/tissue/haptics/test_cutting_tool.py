@@ -381,7 +381,8 @@ SCAN = list(
         (0.0, 1e2, 1e4),  # chip force per speed [N s/m]
         (1e-4, 1e-3, 1e-2),  # step [s]
     )
-)
+)[::2]
+"""Every other combination: each pair of values of two parameters is among them."""
 
 
 def balanced(tissue, stiffness_N_m, mass_kg, step_s, devices):

@@ -4,6 +4,7 @@ Scenes name them; they are listed, judged and charted, or refused in a sentence.
 """
 
 import json
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydantic import model_validator
 
 from tissue import InputError, load_scene, register, simulate
 from tissue.cutters.profile import cylinder
+from tissue.evaluation import stability_report
 from tissue.evaluation.charts.prediction import (
     PredictorComparison,
     comparison_lines,
@@ -81,7 +83,10 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
 
 
 @pytest.mark.slow
-def test_a_predictor_that_over_compensates_is_refused_by_the_judge_of_stability():
+def test_a_predictor_that_over_compensates_is_refused_by_the_judge_of_stability(monkeypatch):
+    small = partial(stability_report.stability_map, rows=4, columns=7)
+    monkeypatch.setattr(stability_report, "stability_map", small)
+
     @register.predictor("eager")
     class Eager(Drift):
         def predict(self, ticks):

@@ -7,15 +7,6 @@ import tissue.scene.scene
 from tissue import InputError, load_scene, scene_names, scene_text
 from tissue.scene.load import OldSceneWarning, parse_override, parse_overrides, saved_text
 
-COARSE = {
-    **dict.fromkeys(("molar", "caries"), "voxels.spacing_mm=0.125"),
-    **dict.fromkeys(("liver-press", "palpation"), "organ.order=1"),
-    "needle": "tool.diameter_mm=1.0",
-    "incision": "tool.width_mm=5.0",
-    "wall": "tool.diameter_mm=8.0",
-}
-"""Changes that make a scene quick to run."""
-
 
 @pytest.mark.parametrize("name", scene_names())
 def test_a_built_in_scene_writes_and_reads_back_equal(name, tmp_path):
@@ -25,23 +16,6 @@ def test_a_built_in_scene_writes_and_reads_back_equal(name, tmp_path):
     assert load_scene(tmp_path / "whole.toml") == scene
     (tmp_path / "printed.toml").write_text(scene_text(name))
     assert load_scene(str(tmp_path / "printed.toml")) == scene
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name == "caries" else name
-        for name in scene_names()
-    ],
-)  # the tooth of molar, which takes seconds to build
-def test_a_printed_scene_runs(name, command, here):
-    _, printed, _ = command("scenes", name)
-    (here / "mine.toml").write_text(printed)
-    coarse = COARSE.get(name, "voxels.spacing_mm=0.4")
-    code, _, error = command(
-        "run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out"
-    )
-    assert (code, error) == (0, "")
 
 
 def test_overrides_replace_single_entries():

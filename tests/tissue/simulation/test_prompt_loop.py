@@ -54,9 +54,15 @@ class Pausing(RecordedDevice):
 
 
 @pytest.mark.parametrize(
-    "task", [pytest.param(task, marks=() if task == "T2" else pytest.mark.slow) for task in SECONDS]
+    ("task", "device"),
+    [
+        ("T2", RecordedDevice),
+        *(
+            pytest.param(task, Pausing, marks=() if task == "T2" else pytest.mark.slow)
+            for task in SECONDS
+        ),
+    ],
 )
-@pytest.mark.parametrize("device", [RecordedDevice, Pausing])
 def test_the_raw_force_is_that_of_a_whole_run(monkeypatch, task, device):
     run = simulate(by_hand(task), cores=1, allow_unstable=True)
     given = []

@@ -115,7 +115,7 @@ def test_a_run_killed_before_its_first_row_reads_back(tmp_path):
 def test_a_run_with_an_unregistered_part_is_refused_by_folder_and_part(tmp_path, key, word):
     """The part was registered in the script that made the run."""
     folder = tmp_path / "run"
-    simulate(load_scene("wall", {"duration_s": 0.01})).save(folder)
+    simulate(load_scene("wall", {"duration_s": 0.01})).save(folder, pictures=False)
     file = folder / "scene.toml"
     text = file.read_text("utf-8")
     file.write_text(re.sub(rf'(?m)^{key} = ".*"', f'{key} = "anna"', text), "utf-8")
@@ -138,7 +138,7 @@ def test_a_run_with_an_unregistered_part_is_refused_by_folder_and_part(tmp_path,
 def test_a_run_of_version_0_2_with_an_unregistered_part_is_refused(tmp_path, lines, part):
     """These files have the device and its hand at the top level."""
     folder = tmp_path / "run"
-    simulate(load_scene("wall", {"duration_s": 0.01})).save(folder)
+    simulate(load_scene("wall", {"duration_s": 0.01})).save(folder, pictures=False)
     file = folder / "scene.toml"
     text = file.read_text("utf-8").partition("[device]")[0]
     file.write_text(f"{lines}\n{text}".replace("format = 2", "format = 1"), "utf-8")
