@@ -15,6 +15,7 @@ from tissue.evaluation.assessment import path_note
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
+from tissue.scene.load import full_key, names_file
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.run_folder import PICTURE_FORMATS
@@ -29,7 +30,15 @@ if TYPE_CHECKING:
 
     from tissue.objects.overlay import Over
 
-__all__ = ["PLOTTED", "Comparison", "compare", "entries_of", "split_formats", "write_rows"]
+__all__ = [
+    "PLOTTED",
+    "Comparison",
+    "compare",
+    "entries_of",
+    "shortened",
+    "split_formats",
+    "write_rows",
+]
 
 
 PLOTTED = (
@@ -177,7 +186,7 @@ class Comparison:
         if self._are_named:
             return list(self.runs)
         keys = {
-            key: values
+            key: shortened(key, values)
             for key, values in self.scene_differences.items()
             if not any(isinstance(value, list) for value in values)
         }
@@ -343,6 +352,14 @@ def entries_of(scene: Scene) -> dict[str, object]:
     """
     entries = dict(_flat(tomllib.loads(scene.to_toml())))
     return {key: value for key, value in entries.items() if key not in ("name", "description")}
+
+
+def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
+    """Return values for a legend: file names instead of paths, unless two files share a name."""
+    if not names_file(full_key(key)):
+        return values
+    names = [None if value is None else Path(str(value)).name for value in values]
+    return names if len(set(names)) == len(set(values)) else values
 
 
 def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -147,6 +147,10 @@ def figures_of(summary: Summary) -> dict[str, float]:
             if len(removed) > 1
             else {}
         ),
+        **{
+            f"least_distance_{name}_mm": each["least_distance_mm"]
+            for name, each in summary.get("keep_clear", {}).items()
+        },
         "events": len(summary["events"]),
         "tick_median_us": tick["median"],
         "tick_99_percent_us": tick["p99"],

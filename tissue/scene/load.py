@@ -32,6 +32,7 @@ __all__ = [
     "full_key",
     "library_names",
     "load_scene",
+    "names_file",
     "parse_override",
     "parse_overrides",
     "saved_text",
@@ -357,12 +358,13 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
         return value
     if key == "device.perception":
         return PERCEPTIONS.with_file_at(value, folder)
-    name = key.rpartition(".")[2]
-    part = key.split(".")[0]
-    is_file = part in PARTS_WITH_FILES and is_file_key(name)
-    if is_file or key == "materials" or key.startswith("keep_clear.files."):
-        return _absolute_path(folder, value)
-    return value
+    return _absolute_path(folder, value) if names_file(key) else value
+
+
+def names_file(key: str) -> bool:
+    """Return whether the value of a dotted key is the path of a file."""
+    is_file = key.split(".")[0] in PARTS_WITH_FILES and is_file_key(key.rpartition(".")[2])
+    return is_file or key == "materials" or key.startswith("keep_clear.files.")
 
 
 def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:
