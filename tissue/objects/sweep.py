@@ -21,8 +21,8 @@ from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
-from tissue.objects.html import figures_of, table_html
-from tissue.objects.plots import plot_figures
+from tissue.objects.html import figures_of, intervals_of, table_html
+from tissue.objects.plots import Point, plot_figures
 from tissue.objects.run import Run
 from tissue.objects.simulate import simulate
 from tissue.objects.trace import needed
@@ -89,6 +89,11 @@ class SweptRun:
     def figures(self) -> dict[str, float]:
         """Figures of the run by names with units; empty for a run with a problem."""
         return {} if self.problem else figures_of(read_summary(self.path))
+
+    @cached_property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """90 % intervals of the figures that have a band."""
+        return {} if self.problem else intervals_of(read_summary(self.path))
 
     @cached_property
     def note(self) -> str:
@@ -172,6 +177,8 @@ class Sweep:
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
         """Plot figures over the first swept key, with a line for each value of the second.
 
+        Wide bars are the 90 % intervals of figures that have a band.
+
         Parameters
         ----------
         figures
@@ -201,13 +208,13 @@ class Sweep:
                 "use the table of the sweep",
             )
         over, *second = self.keys
-        lines: dict[str, list[tuple[object, dict[str, float]]]] = {}
+        lines: dict[str, list[Point]] = {}
         places, *labels = (
             shortened(key, [each.values[key] for each in self.finished]) for key in self.keys
         )
         for at, each in enumerate(self.finished):
             label = str(labels[0][at]) if labels else ""
-            lines.setdefault(label, []).append((places[at], each.figures))
+            lines.setdefault(label, []).append((places[at], each.figures, each.intervals))
         return plot_figures(lines, names, over=over, title="".join(second))
 
     def _differing(self) -> list[str]:

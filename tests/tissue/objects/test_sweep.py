@@ -15,6 +15,7 @@ import tissue
 from tissue import InputError
 from tissue.cli.sweep import parse_values
 from tissue.objects import sweep as module
+from tissue.objects.html import figures_of, intervals_of
 from tissue.objects.sweep import SweptRun
 from tissue.scene.load import changed, saved_text
 
@@ -140,11 +141,31 @@ def test_values_and_files_are_checked_before_the_first_run(scene, out, tmp_path)
     assert not out.exists()
 
 
+def test_figures_have_distances_and_intervals():
+    loads = {"peak": 2.0, "mean_in_contact": 1.0}
+    quantiles = {name: {"p05": 1.0, "p95": 3.0} for name in loads}
+    summary = {
+        "status": "complete",
+        "simulated_s": 1.0,
+        "force_N": loads,
+        "torque_Nm": loads,
+        "tick_us": {"median": 90.0, "p99": 100.0},
+        "cuts": False,
+        "keep_clear": {"canal": {"least_distance_mm": 6.13}},
+        "events": [],
+        "missed_deadlines": 0,
+    }
+    assert figures_of(summary)["least_distance_canal_mm"] == 6.13
+    assert intervals_of(summary) == {}
+    band = {"force_N": quantiles, "torque_Nm": quantiles}
+    assert intervals_of(summary | {"band": band})["mean_torque_Nm"] == (1.0, 3.0)
+
+
 def test_a_legend_names_files_without_their_folders(out):
     runs = []
     for name, seed in (("a", 1), ("b", 2)):
         runs.append(SweptRun(name, {"seed": seed, "materials": f"/long/path/{name}.toml"}, out))
-        runs[-1].__dict__["figures"] = {"peak_force_N": float(seed)}
+        vars(runs[-1]).update({"figures": {"peak_force_N": float(seed)}, "intervals": {}})
     (panel,) = module.Sweep(["seed", "materials"], runs).plot()
     assert panel.get_legend_handles_labels()[1] == ["a.toml", "b.toml"]
     pyplot.close(panel.figure)
@@ -188,8 +209,10 @@ def test_the_machine_is_no_figure_of_a_sweep(pressed, out):
     others = {"peak_force_N": 60.447 * (1.0 + 1e-12), "mean_force_N": 3.3, "tick_median_us": 95.0}
     runs = [SweptRun("a", {"seed": 1}, out), SweptRun("b", {"seed": 2}, out)]
     for each, found in zip(runs, (figures, others), strict=True):
-        each.__dict__["figures"] = found
+        vars(each).update({"figures": found, "intervals": {"mean_force_N": (2.0, 4.0)}})
     (panel,) = module.Sweep(["seed"], runs).plot()
+    bars = [each.get_segments()[0].tolist() for each in panel.collections]
+    assert bars == [[[1.0, 2.0], [1.0, 4.0]], [[2.0, 2.0], [2.0, 4.0]]]
     assert panel.get_ylim()[0] == 0.0 and panel.get_title(loc="left") == "mean force / N"
     pyplot.close(panel.figure)
 
@@ -206,6 +229,7 @@ def test_a_band_of_each_run(scene, out):
     assert shares == sorted(shares)
     assert not found.failures
     assert [each.open().summary["band"]["samples"] for each in found.runs] == [16, 16]
+    assert all(len(each.intervals) == 4 for each in found.runs)
     before = [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs]
     tissue.sweep(scene, changes, out=out, band=16)
     assert [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs] == before
