@@ -168,6 +168,9 @@ def main() -> NoReturn:
             "the working directory must exist, got one that was removed: change to another "
             "directory"
         )
+    if sys.argv[1:] in ([], ["--help"], ["-h"]):
+        # The list of commands has no Markdown, and importing its parser takes 0.1 s.
+        app.help_format = "plaintext"
     try:
         with terminated_as_exception(), _plain_warnings():
             try:
