@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.hints import nearest
+from meshes.base.hints import nearest, suggests_arguments
 from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
@@ -102,8 +102,8 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
             "read as a table [device]; see "
             "`tissue scenes wall` for the new form.",
             OldSceneWarning,
-            # Level 3 is the caller of `load_scene`.
-            stacklevel=3,
+            # Level 4 is the caller of `load_scene`, which has a decorator.
+            stacklevel=4,
         )
         held = dict(name) if isinstance(name, Mapping) else {}
         if isinstance(name, str) and name != "none":
@@ -179,6 +179,7 @@ def scene_text(name: str) -> str:
     )
 
 
+@suggests_arguments
 def load_scene(
     source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False
 ) -> Scene:
