@@ -2,9 +2,15 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
+from inspect import signature
+from typing import ParamSpec, TypeVar
 
-__all__ = ["closest", "did_you_mean", "nearest"]
+__all__ = ["closest", "did_you_mean", "nearest", "suggests_arguments"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jk]|mm[23]")
 """Regular expression for a unit in a name. Units are ignored when names are compared."""
@@ -77,6 +83,23 @@ def nearest(word: str, known: Iterable[str]) -> str:
     The result is an empty string if there is no such name.
     """
     return did_you_mean(closest(word, known))
+
+
+def suggests_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a function: the error for an unknown keyword argument suggests a known one."""
+    known = [name for name in signature(function).parameters if name != "self"]
+
+    @wraps(function)
+    def checked(*values: P.args, **options: P.kwargs) -> R:
+        for name in options:
+            if name not in known:
+                raise TypeError(
+                    f"{function.__qualname__}() got an unexpected keyword argument "
+                    f"{name!r}{nearest(name, known)}. It takes {', '.join(known)}."
+                )
+        return function(*values, **options)
+
+    return checked
 
 
 def did_you_mean(names: Sequence[str]) -> str:

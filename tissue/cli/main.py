@@ -168,6 +168,9 @@ def main() -> NoReturn:
             "the working directory must exist, got one that was removed: change to another "
             "directory"
         )
+    if sys.argv[1:] in ([], ["--help"], ["-h"]):
+        # The list of commands has no Markdown, and importing its parser takes 0.1 s.
+        app.help_format = "plaintext"
     try:
         with terminated_as_exception(), _plain_warnings():
             try:
@@ -203,7 +206,8 @@ def main() -> NoReturn:
     except HelperLostError as lost:
         _refuse(f"{lost}. Run the command again", code=1)
     except KeyboardInterrupt as stopped:
-        seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
+        remedies = {"run": ", see `tissue view`", "sweep": "; the same command continues the sweep"}
+        seen = remedies.get("".join(sys.argv[1:2]), "")
         kept = f"stopped: the files written so far are kept{seen}"
         if not anything_claimed():
             kept = "stopped before anything was written"

@@ -76,7 +76,18 @@ def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list
     with TemporaryDirectory() as folder:
         picture = Path(folder) / FILES[1]
         draw_assessment(found, picture)
-        return assessment_lines(found), picture.read_bytes()
+        return [*_run_lines(trainee, reference), *assessment_lines(found)], picture.read_bytes()
+
+
+def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
+    """Return the folders of both runs, which name the people; a run in memory has no folder."""
+    runs = {"trainee": trainee, "reference": reference}
+    # A trainee may have a folder for each attempt, so two parts of the path are shown.
+    return [
+        f"{who}: {'/'.join(run.path.resolve().parts[-2:])}"
+        for who, run in runs.items()
+        if run.path is not None
+    ]
 
 
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:

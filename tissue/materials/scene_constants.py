@@ -250,7 +250,7 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
             "materials",
             f"name {what}: {', '.join(names)}",
             f"{name}{nearest(name, names)} in {path}",
-            "choose a listed name",
+            "use the listed name that the scene uses; the file replaces its constants",
         )
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
+from tissue.scene.load import full_key, names_file
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.run_folder import PICTURE_FORMATS
@@ -29,7 +31,15 @@ if TYPE_CHECKING:
 
     from tissue.objects.overlay import Over
 
-__all__ = ["PLOTTED", "Comparison", "compare", "entries_of", "split_formats", "write_rows"]
+__all__ = [
+    "PLOTTED",
+    "Comparison",
+    "compare",
+    "entries_of",
+    "shortened",
+    "split_formats",
+    "write_rows",
+]
 
 
 PLOTTED = (
@@ -177,7 +187,7 @@ class Comparison:
         if self._are_named:
             return list(self.runs)
         keys = {
-            key: values
+            key: shortened(key, values)
             for key, values in self.scene_differences.items()
             if not any(isinstance(value, list) for value in values)
         }
@@ -293,6 +303,7 @@ class Comparison:
         return f"<div>{shown}</div>"
 
 
+@suggests_arguments
 def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comparison:
     """Compare runs with the first of them.
 
@@ -343,6 +354,14 @@ def entries_of(scene: Scene) -> dict[str, object]:
     """
     entries = dict(_flat(tomllib.loads(scene.to_toml())))
     return {key: value for key, value in entries.items() if key not in ("name", "description")}
+
+
+def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
+    """Return values for a legend: file names instead of paths, unless two files share a name."""
+    if not names_file(full_key(key)):
+        return values
+    names = [None if value is None else Path(str(value)).name for value in values]
+    return names if len(set(names)) == len(set(values)) else values
 
 
 def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

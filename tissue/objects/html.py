@@ -13,6 +13,7 @@ __all__ = [
     "curve",
     "figures_of",
     "folded",
+    "intervals_of",
     "run_html",
     "run_line",
     "run_rows",
@@ -140,11 +141,33 @@ def figures_of(summary: Summary) -> dict[str, float]:
             if len(removed) > 1
             else {}
         ),
+        **{
+            f"least_distance_{name}_mm": each["least_distance_mm"]
+            for name, each in summary.get("keep_clear", {}).items()
+        },
         "events": len(summary["events"]),
         "tick_median_us": tick["median"],
         "tick_99_percent_us": tick["p99"],
         "missed_deadlines": summary["missed_deadlines"],
     }
+
+
+BANDED = {
+    "peak_force_N": ("force_N", "peak"),
+    "mean_force_N": ("force_N", "mean_in_contact"),
+    "peak_torque_Nm": ("torque_Nm", "peak"),
+    "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
+}
+"""Figures that have a band on any path, and their places in the summary of a band."""
+
+
+def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
+    """Return the 90 % intervals of figures, keyed by names with units; empty without a band."""
+    band = summary.get("band")
+    if band is None:
+        return {}
+    found = {name: band[load][figure] for name, (load, figure) in BANDED.items()}
+    return {name: (each["p05"], each["p95"]) for name, each in found.items()}
 
 
 def run_html(summary: Summary, events: list[tuple[float, str]], force_N: Array) -> str:

@@ -18,12 +18,16 @@ from tissue.simulation.trace import components
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["COLOURS", "new_panels", "plot_columns", "plot_figures"]
+__all__ = ["COLOURS", "Point", "new_panels", "plot_columns", "plot_figures"]
 
 
 FORCE_AND_TORQUE = components("model_force", "N") + components("model_torque", "Nm")
 COLOURS = (*COMPONENTS, "#CC79A7", "#E69F00", "#56B4E9", "0.1")
 PANEL_IN = 2.3
+BAR: dict[str, Any] = {"linewidth": 5.0, "alpha": 0.3}
+"""Look of a bar for a 90 % interval."""
+Point = tuple[object, Mapping[str, float], Mapping[str, tuple[float, float]]]
+"""Swept value of a run, its figures, and the 90 % intervals of figures that have a band."""
 
 
 @styled
@@ -115,7 +119,7 @@ def new_panels(count: int) -> "NDArray[np.object_]":
 
 @styled
 def plot_figures(
-    lines: Mapping[str, Sequence[tuple[object, Mapping[str, float]]]],
+    lines: Mapping[str, Sequence[Point]],
     names: Sequence[str],
     *,
     over: str,
@@ -126,7 +130,7 @@ def plot_figures(
     Parameters
     ----------
     lines
-        Value and figures of each run, keyed by the label of the line.
+        Points of the runs, keyed by the label of the line.
     names
         Names of the figures to draw, one in each panel.
     over
@@ -150,14 +154,17 @@ def plot_figures(
         axes.remove()
     for axes, name in zip(panels, names, strict=True):
         for number, (label, runs) in enumerate(lines.items()):
-            points = [(_place_of(value), found[name]) for value, found in runs if name in found]
-            look: dict[str, Any] = {"marker": "o", "markersize": 3.5}
-            look["color"] = COLOURS[number % len(COLOURS)]
+            points = [(_place_of(value), found[name]) for value, found, _ in runs if name in found]
+            colour = COLOURS[number % len(COLOURS)]
+            look: dict[str, Any] = {"marker": "o", "markersize": 3.5, "color": colour}
             if any(isinstance(place, str) for place, _ in points):
                 look["linestyle"] = ""  # there is nothing between two names
             else:
                 points.sort()
             axes.plot(*zip(*points, strict=True), label=label, **look)
+            for value, _, intervals in runs:
+                if name in intervals:
+                    axes.vlines(_place_of(value), *intervals[name], color=colour, **BAR)
         axes.set_title(field_words(name), loc="left")
         axes.set_xlabel(field_words(over.rpartition(".")[2]), parse_math=False)
     plain(panels)

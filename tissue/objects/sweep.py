@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_range
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
-from tissue.objects.comparison import PLOTTED, Comparison, split_formats, write_rows
-from tissue.objects.html import figures_of, table_html
-from tissue.objects.plots import plot_figures
+from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
+from tissue.objects.html import figures_of, intervals_of, table_html
+from tissue.objects.plots import Point, plot_figures
 from tissue.objects.run import Run
 from tissue.objects.simulate import simulate
 from tissue.objects.trace import needed
@@ -30,6 +31,7 @@ from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.show.figures.figure import save
+from tissue.simulation.builders.arguments import require_files
 from tissue.simulation.run_folder import PICTURE_FORMATS, read_summary, summary_of
 from tissue.system.owned_folder import OwnedFolder
 from tissue.system.progress import Bar, reporting
@@ -88,6 +90,11 @@ class SweptRun:
     def figures(self) -> dict[str, float]:
         """Figures of the run by names with units; empty for a run with a problem."""
         return {} if self.problem else figures_of(read_summary(self.path))
+
+    @cached_property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """90 % intervals of the figures that have a band."""
+        return {} if self.problem else intervals_of(read_summary(self.path))
 
     @cached_property
     def note(self) -> str:
@@ -171,6 +178,8 @@ class Sweep:
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
         """Plot figures over the first swept key, with a line for each value of the second.
 
+        Wide bars are the 90 % intervals of figures that have a band.
+
         Parameters
         ----------
         figures
@@ -200,10 +209,13 @@ class Sweep:
                 "use the table of the sweep",
             )
         over, *second = self.keys
-        lines: dict[str, list[tuple[object, dict[str, float]]]] = {}
-        for each in self.finished:
-            label = str(each.values[second[0]]) if second else ""
-            lines.setdefault(label, []).append((each.values[over], each.figures))
+        lines: dict[str, list[Point]] = {}
+        places, *labels = (
+            shortened(key, [each.values[key] for each in self.finished]) for key in self.keys
+        )
+        for at, each in enumerate(self.finished):
+            label = str(labels[0][at]) if labels else ""
+            lines.setdefault(label, []).append((places[at], each.figures, each.intervals))
         return plot_figures(lines, names, over=over, title="".join(second))
 
     def _differing(self) -> list[str]:
@@ -244,6 +256,7 @@ class Sweep:
         return f"<div>{shown}</div>"
 
 
+@suggests_arguments
 def sweep(
     scene: Scene | str | Path,
     changes: Mapping[str, Iterable[object]],
@@ -298,9 +311,9 @@ def sweep(
     Raises
     ------
     InputError
-        If no combination makes a scene, the folder holds runs of other scenes under the same names,
-        a format or the number of samples is invalid, or several processes are requested with a part
-        that they do not have.
+        If a value makes no scene in any combination, a file is missing, the folder holds runs of
+        other scenes under the same names, a format or the number of samples is invalid, or several
+        processes are requested with a part that they do not have.
     """
     out = Path(out)
     formats = tuple(formats)
@@ -342,8 +355,8 @@ def planned(
     Raises
     ------
     InputError
-        If a key has no values, there are more than `MOST_RUNS` combinations, or no combination
-        makes a scene.
+        If a key has no values, there are more than `MOST_RUNS` combinations, or a value makes no
+        scene in any combination.
     """
     listed = {key: _listed(key, values) for key, values in changes.items()}
     count = prod(len(values) for values in listed.values())
@@ -358,12 +371,20 @@ def planned(
         values = dict(zip(swept, combination, strict=True))
         each = SweptRun(name, values, out / name)
         try:
-            found[name] = replace(each, scene=changed(base, fixed | values))
+            new = changed(base, fixed | values)
+            require_files(new)
+            found[name] = replace(each, scene=new)
         except InputError as refused:
             found[name] = replace(each, problem=str(refused))
-    # The fault is then in the scene or in all values: nothing is left to run.
-    if all(each.problem for each in found.values()):
-        raise InputError(next(iter(found.values())).problem)
+    by_value: dict[tuple[str, str], list[str]] = {}
+    for each in found.values():
+        # Without swept keys, there is a single run.
+        for key, value in each.values.items() or [("", "")]:
+            by_value.setdefault((key, repr(value)), []).append(each.problem)
+    for problems in by_value.values():
+        # A value that is refused in all its runs is a typing error.
+        if all(problems):
+            raise InputError(problems[0])
     return list(found.values())
 
 

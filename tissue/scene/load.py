@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.hints import nearest
+from meshes.base.hints import nearest, suggests_arguments
 from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
@@ -32,6 +32,7 @@ __all__ = [
     "full_key",
     "library_names",
     "load_scene",
+    "names_file",
     "parse_override",
     "parse_overrides",
     "saved_text",
@@ -102,8 +103,8 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
             "read as a table [device]; see "
             "`tissue scenes wall` for the new form.",
             OldSceneWarning,
-            # Level 3 is the caller of `load_scene`.
-            stacklevel=3,
+            # Level 4 is the caller of `load_scene`, which has a decorator.
+            stacklevel=4,
         )
         held = dict(name) if isinstance(name, Mapping) else {}
         if isinstance(name, str) and name != "none":
@@ -179,6 +180,7 @@ def scene_text(name: str) -> str:
     )
 
 
+@suggests_arguments
 def load_scene(
     source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False
 ) -> Scene:
@@ -373,12 +375,13 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
         return value
     if key == "device.perception":
         return PERCEPTIONS.with_file_at(value, folder)
-    name = key.rpartition(".")[2]
-    part = key.split(".")[0]
-    is_file = part in PARTS_WITH_FILES and is_file_key(name)
-    if is_file or key == "materials" or key.startswith("keep_clear.files."):
-        return _absolute_path(folder, value)
-    return value
+    return _absolute_path(folder, value) if names_file(key) else value
+
+
+def names_file(key: str) -> bool:
+    """Return whether the value of a dotted key is the path of a file."""
+    is_file = key.split(".")[0] in PARTS_WITH_FILES and is_file_key(key.rpartition(".")[2])
+    return is_file or key == "materials" or key.startswith("keep_clear.files.")
 
 
 def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:

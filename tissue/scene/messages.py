@@ -16,7 +16,7 @@ from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
 
-__all__ = ["choices_of", "error_of", "idle_keys"]
+__all__ = ["choices_of", "entries", "error_of", "idle_keys"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 SEE = "see `tissue scenes NAME`"
@@ -43,7 +43,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if kind == "extra_forbidden":
         return _unknown_key(names, table, model)
     if names == ("device", "kind") and kind == "missing":
-        given = [f"{name} = {shown(value)}" for name, value in _entries(_inner(table, "device"))]
+        given = [f"{name} = {shown(value)}" for name, value in entries(_inner(table, "device"))]
         return InputError(
             f"device must be given for {', '.join(given) or 'a table [device]'}. Set "
             "device = touch, or remove the table [device]"
@@ -246,11 +246,11 @@ def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> li
     ]
 
 
-def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
+def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
     """Yield the dotted keys and the values of nested tables."""
     for name, value in table.items():
         if isinstance(value, Mapping):
-            yield from _entries(value, f"{prefix}{name}.")
+            yield from entries(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 

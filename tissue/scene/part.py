@@ -416,7 +416,12 @@ class Part(BaseModel):
     """Frozen table of a scene; keys that are unknown or have no effect are refused."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        defer_build=True,
     )
 
     def rules(self) -> Iterator[Rule]:

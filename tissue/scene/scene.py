@@ -60,7 +60,9 @@ class KeepClear(Part):
     """
 
     names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
-    """Names of structures of the anatomy, such as a vertebra's canal."""
+    """Names of structures of the anatomy, such as a vertebra's canal. The distance is correct
+    within 10 mm of the scripted motion. No safety margin is subtracted.
+    """
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
     """Closed surface of each additional structure, by the name of the structure. The surface is in
     the frame and unit of `anatomy.file`. Without such a file, it is in the site's frame in mm.

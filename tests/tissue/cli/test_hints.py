@@ -23,6 +23,20 @@ def refusal(scene, key, value=1.0):
 
 
 @pytest.mark.parametrize(
+    ("call", "given", "meant"),
+    [
+        (tissue.simulate, "overwite", "overwrite"),
+        (tissue.load_scene, "override", "overrides"),
+        (tissue.feed_along, "feed", "feed_mm_s"),
+        (tissue.cutters.ball_burr, "flute", "flutes"),
+    ],
+)
+def test_an_unknown_argument_is_refused_with_a_suggestion(call, given, meant):
+    with pytest.raises(TypeError, match=rf"{given!r} \(did you mean {meant}\?\)\. It takes"):
+        call(**{given: 1})
+
+
+@pytest.mark.parametrize(
     ("scene", "key", "meant"),
     [
         ("glenoid", "spin_rpm", "tool.spin_rpm"),

@@ -7,7 +7,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.evaluation.assessment import NoSharedContactError, assess
-from tissue.evaluation.assessment_files import assessment_lines
+from tissue.evaluation.assessment_files import assessed_section, assessment_lines
 from tissue.evaluation.ranking import rank
 from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
 from tissue.scene.load import load_scene
@@ -80,6 +80,13 @@ def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
     time = found.figures["time_in_contact_s"]
     assert time["trainee"] == pytest.approx(time["reference"] * 1.35 + 0.5, abs=0.01)
     assert "no limit was exceeded" in assessment_lines(found)
+
+
+def test_the_section_of_a_report_names_trainee_and_reference(tmp_path):
+    trainee = saved(tmp_path / "people/p01", reach(1.0))
+    lines, picture = assessed_section(trainee, saved(tmp_path / "people/expert", reach(1.0)))
+    assert lines[:2] == ["trainee: people/p01", "reference: people/expert"]
+    assert picture.startswith(b"\x89PNG")
 
 
 def test_a_run_that_ends_early_deviates_nowhere(tmp_path):

@@ -1,12 +1,17 @@
 """Runs of scenes by a hand on a device: balances in closed form, and bounded forces."""
 
+import re
+
 import numpy as np
 import pytest
 from hand_runs import played_N, run_of
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
+from tissue.scene.load import load_scene
 from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.hand import hand_motion
+from tissue.simulation.builders.parts import motion_of
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +89,13 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     assert -trace["device_z_mm"][late].mean() == pytest.approx(
         5.0 * grip / (grip + coupled), abs=0.4
     )
+
+
+def test_a_thrust_beyond_the_force_of_the_device_is_noted():
+    overrides = {"device": "touch", "coupling.force_scale": 0.2, "duration_s": 0.1}
+    scene = load_scene("pedicle", overrides)
+    note = hand_motion(scene, motion_of(scene, step_s=1e-3), allow_unstable=True)[1]
+    assert re.search(r"presses with [\d.]+ of motion.thrust_N = 30, .* lower coupling", note)
+    scene = load_scene("pedicle", overrides | {"motion.thrust_N": 5.0})
+    note = hand_motion(scene, motion_of(scene, step_s=1e-3), allow_unstable=True)[1]
+    assert "motion.thrust_N" not in note

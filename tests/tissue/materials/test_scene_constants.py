@@ -74,6 +74,7 @@ PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
     [
         (entry("cuting.bone.radial_chip_N_mm2", 1.0), "did you mean cutting"),
         (entry("soft.livre.modulus_kPa", 1.0), "did you mean liver"),
+        (entry("needle.pig.linear_N_mm", 1.0), "Use the listed name that the scene uses"),
         (entry("cutting.bone.radial_chip", 1.0), "did you mean radial_chip_N_mm2"),
         (entry(RADIAL, 50.0, 1.0, 2.0), "inside its range"),
         (entry("soft.liver.poisson_ratio", 0.6, 0.5, 0.7), "within \\[0, 0.5\\]"),
@@ -107,7 +108,7 @@ def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
         (
             [entry("soft.liver.modulus_kPa", 5.0)],
             {},
-            "must hold a constant that the scene uses",
+            "Use one of cutting.bone.tangential_chip_N_mm2, .*, or leave materials out",
         ),
         (
             [entry(RADIAL, 5.0)],

@@ -15,6 +15,7 @@ import tissue
 from tissue import InputError
 from tissue.cli.sweep import parse_values
 from tissue.objects import sweep as module
+from tissue.objects.html import figures_of, intervals_of
 from tissue.objects.sweep import SweptRun
 from tissue.scene.load import changed, saved_text
 
@@ -87,25 +88,25 @@ def test_folders_are_named_by_the_swept_keys_alone(scene):
 
 @pytest.mark.slow
 def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
-    found = tissue.sweep(scene, {"motion.feed_mm_s": [3.0, -6.0, 9.0]}, out=out)
-    assert list(found.failures) == ["feed_mm_s=-6"]
+    changes = {"voxels.spacing_mm": [0.5, 1.5], "tool.diameter_mm": [4.0, 9.0]}
+    found = tissue.sweep(scene, changes, out=out)
+    assert list(found.failures) == ["spacing_mm=1.5,diameter_mm=4"]
     assert {path.name for path in out.iterdir()} == {
         ".tissue.json",
-        "feed_mm_s=3",
-        "feed_mm_s=9",
+        *(each.name for each in found.finished),
         "sweep.csv",
         "sweep.png",
         "compare.png",
     }
     rows = list(csv.DictReader((out / "sweep.csv").open()))
-    run = tissue.open_run(out / "feed_mm_s=9")
-    assert float(rows[2]["removed_mm3"]) == pytest.approx(run.summary["removed_mm3"]["cortical"])
-    assert "motion.feed_mm_s" in rows[1]["problem"] and rows[1]["peak_force_N"] == ""
+    run = tissue.open_run(out / "spacing_mm=0.5,diameter_mm=9")
+    assert float(rows[1]["removed_mm3"]) == pytest.approx(run.summary["removed_mm3"]["cortical"])
+    assert "voxels.spacing_mm" in rows[2]["problem"] and rows[2]["peak_force_N"] == ""
     table = found.to_pandas()
-    assert table["removed_mm3"].iloc[2] > table["removed_mm3"].iloc[0]
-    assert "got -6" in found._repr_html_()
+    assert table["removed_mm3"].iloc[1] > table["removed_mm3"].iloc[0]
+    assert "got 1.5" in found._repr_html_()
 
-    (out / "feed_mm_s=9" / "summary.json").write_text(
+    (run.path / "summary.json").write_text(
         json.dumps(run.summary | {"status": "interrupted", "problem": "Ctrl-C"})
     )
     ran = []
@@ -115,10 +116,63 @@ def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
         "simulate",
         lambda scene, **options: ran.append(scene) or simulated(scene, **options),
     )
-    again = tissue.sweep(scene, {"motion.feed_mm_s": [3.0, 9.0, 12.0]}, out=out)
-    assert [each.motion.feed_mm_s for each in ran] == [9.0, 12.0] and len(again.finished) == 3
-    tissue.sweep(scene, {"motion.feed_mm_s": [3.0, 9.0]}, out=out, overwrite=True)
-    assert len(ran) == 4
+    wider = changes | {"tool.diameter_mm": [9.0, 12.0]}
+    again = tissue.sweep(scene, wider, out=out)
+    assert [each.tool.diameter_mm for each in ran] == [9.0, 12.0, 12.0]
+    assert len(again.finished) == 4
+    tissue.sweep(scene, changes, out=out, overwrite=True)
+    assert len(ran) == 6
+
+
+OWN = '[{}]\nvalue = 5\nrange = [4, 6]\nsource = "a test"\nconfidence = "L"\n'
+
+
+def test_values_and_files_are_checked_before_the_first_run(scene, out, tmp_path):
+    own, other = tmp_path / "own.toml", tmp_path / "other.toml"
+    own.write_text(OWN.format("cutting.bone.radial_edge_N_mm"), "utf-8")
+    other.write_text(OWN.format("soft.liver.modulus_kPa"), "utf-8")
+    for key, values, words in [
+        ("motion.feed_mm_s", [3.0, -6.0], "motion.feed_mm_s must be .* got -6"),
+        ("materials", [str(own), str(tmp_path / "none.toml")], "materials must exist, got .*none"),
+        ("materials", [str(own), str(other)], r"Use one of cutting\.bone\..*_kg_m3, or leave"),
+    ]:
+        with pytest.raises(InputError, match=words):
+            tissue.sweep(scene, {key: values}, out=out)
+    assert not out.exists()
+
+
+def test_figures_have_distances_and_intervals():
+    loads = {"peak": 2.0, "mean_in_contact": 1.0}
+    quantiles = {name: {"p05": 1.0, "p95": 3.0} for name in loads}
+    summary = {
+        "status": "complete",
+        "simulated_s": 1.0,
+        "force_N": loads,
+        "torque_Nm": loads,
+        "tick_us": {"median": 90.0, "p99": 100.0},
+        "cuts": False,
+        "keep_clear": {"canal": {"least_distance_mm": 6.13}},
+        "events": [],
+        "missed_deadlines": 0,
+    }
+    assert figures_of(summary)["least_distance_canal_mm"] == 6.13
+    assert intervals_of(summary) == {}
+    band = {"force_N": quantiles, "torque_Nm": quantiles}
+    assert intervals_of(summary | {"band": band})["mean_torque_Nm"] == (1.0, 3.0)
+
+
+def test_a_legend_names_files_without_their_folders(out):
+    runs = []
+    for name, seed in (("a", 1), ("b", 2)):
+        runs.append(SweptRun(name, {"seed": seed, "materials": f"/long/path/{name}.toml"}, out))
+        vars(runs[-1]).update({"figures": {"peak_force_N": float(seed)}, "intervals": {}})
+    (panel,) = module.Sweep(["seed", "materials"], runs).plot()
+    assert panel.get_legend_handles_labels()[1] == ["a.toml", "b.toml"]
+    pyplot.close(panel.figure)
+    assert module.shortened("materials", ("a/own.toml", "b/own.toml")) == (
+        "a/own.toml",
+        "b/own.toml",
+    )
 
 
 def test_runs_of_other_scenes_are_not_replaced(pressed, out):
@@ -155,8 +209,10 @@ def test_the_machine_is_no_figure_of_a_sweep(pressed, out):
     others = {"peak_force_N": 60.447 * (1.0 + 1e-12), "mean_force_N": 3.3, "tick_median_us": 95.0}
     runs = [SweptRun("a", {"seed": 1}, out), SweptRun("b", {"seed": 2}, out)]
     for each, found in zip(runs, (figures, others), strict=True):
-        each.__dict__["figures"] = found
+        vars(each).update({"figures": found, "intervals": {"mean_force_N": (2.0, 4.0)}})
     (panel,) = module.Sweep(["seed"], runs).plot()
+    bars = [each.get_segments()[0].tolist() for each in panel.collections]
+    assert bars == [[[1.0, 2.0], [1.0, 4.0]], [[2.0, 2.0], [2.0, 4.0]]]
     assert panel.get_ylim()[0] == 0.0 and panel.get_title(loc="left") == "mean force / N"
     pyplot.close(panel.figure)
 
@@ -173,6 +229,7 @@ def test_a_band_of_each_run(scene, out):
     assert shares == sorted(shares)
     assert not found.failures
     assert [each.open().summary["band"]["samples"] for each in found.runs] == [16, 16]
+    assert all(len(each.intervals) == 4 for each in found.runs)
     before = [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs]
     tissue.sweep(scene, changes, out=out, band=16)
     assert [(each.path / "band.csv").stat().st_mtime_ns for each in found.runs] == before
@@ -199,17 +256,18 @@ def test_a_stop_keeps_what_is_finished(pressed, out, monkeypatch):
 
 @pytest.mark.slow
 def test_the_command_runs_in_processes_and_names_what_failed(command, out):
-    words = ("sweep", "milling", "--set", "motion.feed_mm_s=3,9,-1", "--out", out)
-    fixed = [word for key, value in QUICK.items() for word in ("--set", f"{key}={value}")]
-    code, printed, err = command(*words, *fixed, "--workers", 2)
+    values = ("voxels.spacing_mm=0.5,1.5", "tool.diameter_mm=4,9", "duration_s=0.05")
+    words = [word for each in values for word in ("--set", each)]
+    code, printed, err = command("sweep", "milling", *words, "--out", out, "--workers", 2)
     assert (
         code == 1
-        and "milling: 2 of 3 runs" in printed
-        and "feed_mm_s=-1: motion.feed_mm_s must be" in err
+        and "milling: 3 of 4 runs" in printed
+        and "spacing_mm=1.5,diameter_mm=4: voxels.spacing_mm must be" in err
     )
-    assert "sweep.csv" in printed and tissue.open_run(out / "feed_mm_s=9").status == "complete"
-    alone = tissue.simulate(tissue.load_scene("milling", QUICK | {"motion.feed_mm_s": 9.0}))
-    assert (tissue.open_run(out / "feed_mm_s=9").trace.rows == alone.trace.rows).all()
+    run = tissue.open_run(out / "spacing_mm=0.5,diameter_mm=9")
+    assert "sweep.csv" in printed and run.status == "complete"
+    alone = tissue.simulate(tissue.load_scene("milling", QUICK | {"tool.diameter_mm": 9.0}))
+    assert (run.trace.rows == alone.trace.rows).all()
 
 
 SCRIPT = """

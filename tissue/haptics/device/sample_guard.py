@@ -146,6 +146,8 @@ HALF_TURN = 1e-3
 
 It allows for a rotation of 5 degrees, because a device may start near its zero.
 """
+UNIT = " (positions must be in metres)"
+"""Hint for a device that reports millimetres: its hand then seems too fast."""
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a "
     "device that gives w first starts with this orientation"
@@ -332,17 +334,17 @@ class SampleGuard:
         if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
             return "noise that no hand makes"
         if max(map(abs, sample.velocity_m_s)) > limits.fastest_m_s:
-            return "a speed that no hand has"
+            return f"a speed that no hand has{UNIT}"
         if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
             return "a spin that no hand has"
         if good is None:
             # The first position has no predecessor. A hand is never 10 m from a device's origin,
             # but the numbers of a position in millimetres often exceed 10.
             is_near = max(map(abs, sample.position_m)) < 10.0
-            return "" if is_near else "a position that no hand reaches"
+            return "" if is_near else f"a position that no hand reaches{UNIT}"
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
-            return "a jump that no hand makes"
+            return f"a jump that no hand makes{UNIT}"
         if turned == good.quaternion:
             return ""
         i, j, k = turn_between(good.quaternion, turned)

@@ -183,8 +183,8 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
     # 1.75 in for title, titles of the panels, label of the axis and legend
     chart, panels = panelled(
-        f"{run.scene.name} at {run.trace['time_s'][row]:.3f} s: section at {normal} = "
-        f"{section.place_mm:.2f} mm, through the deepest point",
+        f"{run.scene.name}: tool and bone at {run.trace['time_s'][row]:.3f} s. Section at "
+        f"{normal} = {section.place_mm:.2f} mm, through the deepest point of the path",
         (8.0, wide * shape + 1.75),
         1,
         1 if frame is None else 2,

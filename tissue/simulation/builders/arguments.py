@@ -20,8 +20,11 @@ from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.vertebra.lumbar import VERTEBRA_LAYERS
 from tissue.materials.constants import listed
 from tissue.materials.scene_constants import Materials
-from tissue.scene.messages import error_of
+from tissue.scene.anatomy import Tooth
+from tissue.scene.load import names_file
+from tissue.scene.messages import entries, error_of
 from tissue.scene.part import Part
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
 from tissue.simulation.builders.parts import FILE_WORDS
@@ -29,6 +32,7 @@ from tissue.simulation.builders.parts import FILE_WORDS
 __all__ = [
     "given_note",
     "note_own_constants",
+    "require_files",
     "require_known",
     "soft_constants",
     "stated",
@@ -132,13 +136,7 @@ def given_note(
                 shown(one.stated),
                 "remove one of the two",
             )
-    if not used:
-        raise InputError(
-            "materials",
-            f"hold a constant that the {by} uses",
-            f"{', '.join(given.given)} in {name}",
-            f"name the materials of this {by}, or leave materials out",
-        )
+    _require_some(given, rests_on, by=by)
     note = f"of {name}: " + "; ".join(
         f"{full} {one.cited.value:g} ({one.cited.low:g}-{one.cited.high:g}), {one.cited.source}"
         for full, one in used.items()
@@ -146,6 +144,39 @@ def given_note(
     if unused := [full for full in given.given if full not in used]:
         note += f". Not used in this {by}: {', '.join(unused)}"
     return {"materials": note}
+
+
+def require_files(scene: Scene) -> None:
+    """Check the files of a scene before its tissue is built.
+
+    The layers are not known yet. A cutting constant of any layer is therefore accepted.
+
+    Raises
+    ------
+    InputError
+        If a file does not exist, or the file of constants cannot be used.
+    """
+    for key, value in entries(scene.model_dump(exclude_none=True)):
+        if names_file(key) and value and not Path(str(value)).exists():
+            raise InputError(key, "exist", value, "check the path")
+    given = scene.constants
+    # A registered anatomy may have any layers.
+    if scene.materials and ANATOMIES[scene.anatomy.kind].build is None:
+        layers = TOOTH_LAYERS if isinstance(scene.anatomy, Tooth) else VERTEBRA_LAYERS[:1]
+        own = [full.split(".")[1] for full in given.given if full.startswith("cutting.")]
+        _require_some(given, used_constants(scene, (*layers, *own)), by="scene")
+
+
+def _require_some(given: Materials, used: Sequence[Used], *, by: str) -> None:
+    """Check that a file contains a constant that is used; the error lists the used constants."""
+    if given.given.keys().isdisjoint(one.full for one in used):
+        names = [one.full for one in used if one.stated is None]
+        raise InputError(
+            "materials",
+            f"hold a constant that the {by} uses",
+            f"{', '.join(given.given)} in {Path(given.file).name}",
+            f"use one of {', '.join(names)}, or leave materials out",
+        )
 
 
 def soft_constants(

@@ -79,14 +79,22 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
         stray_m=_stray_m(scene),
         after_s=person.reaction_s + person.submovement_s + person.correction_s,
     )
+    force_scale = chosen_scale(scene)
     motion, notes = device_motion(
         settings,
         script,
         device,
-        force_scale=chosen_scale(scene)[:2],
+        force_scale=force_scale[:2],
         rng=feeling,
         allow_unstable=allow_unstable,
     )
+    limit_N = settings.limits.force_limit_N
+    if isinstance(scene.motion, ThrustMotion) and limit_N < force_scale[0] * scene.motion.thrust_N:
+        notes.append(
+            f"the hand presses with {limit_N / force_scale[0]:.3g} of motion.thrust_N = "
+            f"{scene.motion.thrust_N:g}, because the device has at most {limit_N:g} N; lower "
+            "coupling.force_scale"
+        )
     held = settings.held
     note = f"{held.kind} in the hand of {person_of(held.hand)}, {held.renderer}: {'; '.join(notes)}"
     return motion, note
