@@ -181,7 +181,7 @@ def calibrated_commands(
     """
     # the limit of a Touch
     device = limits or ForceRange(limit_N=3.3)
-    knee_N = device.knee_share * device.limit_N
+    knee_N = device.knee_N
     wanted = intensity_of(reference_observer())
     forces = np.resize(MAGNITUDE_FORCES_N, numbers)
     given = np.array([people.number(force, rng) for force in forces])
@@ -290,7 +290,7 @@ def _played(force_N: Array, device: ForceRange) -> Array:
 
     This is `ForceRange.play` for arrays.
     """
-    knee = device.knee_share * device.limit_N
+    knee = device.knee_N
     above = device.limit_N - knee
     return np.where(
         force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above)

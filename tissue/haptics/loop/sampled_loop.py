@@ -109,20 +109,16 @@ class WallLoop:
         require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
         longest_s = MOST_TICKS * self.tick_s
         # The bounds reject values in a wrong unit, and keep the matrix exponential finite.
-        for name, low, high in (
-            ("damping_N_s_m", 0.0, 1e9),
-            ("stiffness_N_m", 0.0, 1e9),
-            ("hand_stiffness_N_m", 0.0, 1e9),
-            ("hand_damping_N_s_m", 0.0, 1e9),
-            ("hand_mass_kg", 0.0, 1e9),
-            ("wall_damping_N_s_m", -1e9, 1e9),
-            ("model_ticks", 1, MOST_TICKS),
-            ("delay_s", 0.0, longest_s),
-            ("reflex_N_m", 0.0, 1e9),
-            ("reflex_s", 0.0, longest_s),
-            ("amplifier_Hz", 1e-9, inf),
+        hand = "hand_stiffness_N_m", "hand_damping_N_s_m", "hand_mass_kg", "reflex_N_m"
+        for names, low, high in (
+            (("damping_N_s_m", "stiffness_N_m", *hand), 0.0, 1e9),
+            (("wall_damping_N_s_m",), -1e9, 1e9),
+            (("model_ticks",), 1, MOST_TICKS),
+            (("delay_s", "reflex_s"), 0.0, longest_s),
+            (("amplifier_Hz",), 1e-9, inf),
         ):
-            require_range(name, getattr(self, name), low, high, "see `WallLoop`")
+            for name in names:
+                require_range(name, getattr(self, name), low, high, "see `WallLoop`")
         low_pass_gain(self.filter_s, self.tick_s)
         if self.observes and self.velocity_memory is None:
             raise InputError(

@@ -1,9 +1,7 @@
-"""Functions for all 3D views: process, text, colour scale, keys, clicks and camera."""
+"""Functions for all 3D views: text, colour scale, keys, clicks and camera."""
 
-import os
-import signal
 from collections.abc import Callable, Mapping
-from typing import Any, TextIO, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +19,6 @@ __all__ = [
     "in_words",
     "new_plotter",
     "on_click",
-    "own_process",
     "picked",
 ]
 
@@ -37,30 +34,6 @@ KEPT = tuple("eqrsw")
 """Keys of VTK that are kept: leave (e, q), reset the camera, surfaces, wireframe."""
 ROTATE = 1
 """VTK's number of the state in which the left button rotates the camera."""
-
-
-NICE = 5
-"""Niceness of a process that draws while ticks run; it lowers the priority."""
-
-
-def own_process(*, beside_ticks: bool) -> TextIO:
-    """Prepare a process that only draws, and return its standard output.
-
-    All other output goes to standard error. The parent process decides when this process ends, so
-    Ctrl-C is ignored. If ticks run at the same time, the process has a lower priority and draws
-    with one thread, because OpenGL in software would otherwise use all cores.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if beside_ticks:
-        # Windows has no niceness
-        if hasattr(os, "nice"):
-            os.nice(NICE)
-        os.environ.setdefault("LP_NUM_THREADS", "1")
-    # libraries may print to standard output, whose reader waits for the line "ready"; such text
-    # goes to standard error
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    return standard_output
 
 
 def in_words(vector: ArrayLike, digits: int = 2) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from tissue.show.viewer.plotter import own_process
+from tissue.system.child import own_process
 
 if TYPE_CHECKING:
     from aiohttp.typedefs import Handler
