@@ -200,6 +200,8 @@ def aim(
 
     A scale bar needs a parallel projection, because it has the same scale everywhere.
     """
+    import pyvista
+
     plotter.camera.parallel_projection = parallel
     plotter.camera.SetWindowCenter(0.0, 0.0)
     plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
@@ -211,7 +213,7 @@ def aim(
         return
     wide, tall = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(wide / tall, -1.0, 1.0)
-    view = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    view = pyvista.array_from_vtkmatrix(matrix)
     seen = np.column_stack([points_mm, np.ones(len(points_mm))]) @ view.T
     seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
     first = seen.min(axis=0)

@@ -179,9 +179,9 @@ class PageServer:
         Address of the page; available after `start` was awaited.
     """
 
-    def __init__(self, session: Session, *, token: str | None = None) -> None:
+    def __init__(self, session: Session) -> None:
         self._session = session
-        self._token = token or token_urlsafe(TOKEN_BYTES)
+        self._token = token_urlsafe(TOKEN_BYTES)
         self._port = 0
         self.address = ""
         self._socket: web.WebSocketResponse | None = None
