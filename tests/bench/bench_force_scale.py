@@ -114,7 +114,7 @@ def measure(
     limits = device_parameters(given.device, middle.constants)
     series = Series.of(limits, middle.constants)
     device = ForceRange(limit_N=limits.force_limit_N)
-    knee_N = device.knee_share * device.limit_N
+    knee_N = device.knee_N
     ratio = np.log(RATIO[name]) / -np.log(STIFFER)
     rows = []
     for scale in given.scale or SCALES[name]:

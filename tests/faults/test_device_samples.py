@@ -19,7 +19,7 @@ from tissue.haptics.device.device import (
     Sample,
     device_parameters,
 )
-from tissue.haptics.device.sample_guard import GuardLimits, Roughness, SampleGuard
+from tissue.haptics.device.sample_guard import Roughness, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import SlewLimit
@@ -37,7 +37,7 @@ AT = (0.0, 0.0, 0.0)
 
 def accepted(samples, **limits):
     """Share of samples that are accepted, and the faults found."""
-    guard = SampleGuard(GuardLimits(**limits), force_limit_N=3.0)
+    guard = SampleGuard(force_limit_N=3.0, **limits)
     for tick, sample in enumerate(samples):
         guard.validate_sample(sample, tick * TICK)
     return 1.0 - guard.bad_ticks / len(samples), [what for _, what in guard.events]

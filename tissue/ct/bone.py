@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import lattice
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.calibration import density_law
@@ -29,7 +28,6 @@ from meshes.ct.inspection import (
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.ct.draft import (
     Draft,
     Writer,
@@ -44,6 +42,7 @@ from tissue.scene.load import load_scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.ct_pictures import (
     Marks,
+    depth_below,
     draw_ct_bone,
     draw_ct_histogram,
     draw_ct_slices,
@@ -377,22 +376,22 @@ def _pictures(
         depth = replace(bone.image, values=bone.field - np.float32(bone.level))
         outlines = {"bone": depth}
         for name, structure in clear.items():
-            outlines[f"{name}, to keep clear of"] = _depth(structure, bone.image)
+            outlines[f"{name}, to keep clear of"] = depth_below(
+                structure.vertices_m, structure.faces, bone.image
+            )
         middle_mm = 0.5 * (low_mm + high_mm)
         # without a site, the slices go through the middle of the bone
         around_site = marks if centre_mm is not None else replace(marks, centre_mm=middle_mm)
-        draw_ct_slices(around, file, outlines, around_site, title=title)
+        draw_ct_slices(around, file, outlines, around_site)
 
     def draw_histogram(file: Path) -> None:
         """Draw the histograms of the image and of the bone."""
-        law = source.law
         draw_ct_histogram(
-            source.histogram.values,
-            source.histogram.counts,
+            source.histogram,
             bone.image.values[bone.field > bone.level],
             file,
             threshold=threshold,
-            density=None if law is None else (law.slope_kg_m3, law.offset_kg_m3),
+            law=source.law,
             title=title,
         )
 
@@ -404,24 +403,6 @@ def _pictures(
     # the view of the path is along the site's normal
     if path is not None and normal is not None:
         pictures["path.png"] = lambda file: draw_path_depth(
-            surface, path.depth, file, normal=normal, title=surface.report.source
+            surface, path.depth, file, normal=normal
         )
     return pictures
-
-
-def _depth(surface: Surface, image: Image) -> Image:
-    """Return the depth of an image's voxels below a surface [m], negative outside."""
-    axes = [
-        o + s * np.arange(n)
-        for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
-    ]
-    grid = lattice(*axes)
-    low = 1e3 * surface.vertices_m.min(axis=0)
-    high = 1e3 * surface.vertices_m.max(axis=0)
-    # the outline needs depths within two voxels of the surface; all other voxels get a negative
-    # depth
-    around = 2.0 * max(image.spacing_mm)
-    near = ((grid > low - around) & (grid < high + around)).all(axis=1)
-    depth = np.full(len(grid), -1.0, dtype=np.float32)
-    depth[near] = -triangle_distance(surface.vertices_m, surface.faces, 1e-3 * grid[near])
-    return replace(image, values=depth.reshape(image.values.shape))

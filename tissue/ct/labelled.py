@@ -24,7 +24,7 @@ from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_labels
 from tissue.ct.request import ImportRequest
 from tissue.scene.load import load_scene
-from tissue.show.figures.ct_pictures import Marks, draw_ct_organ, draw_ct_slices
+from tissue.show.figures.ct_pictures import Marks, draw_ct_organ, draw_ct_slices, middle_of
 
 __all__ = ["organ_draft", "tooth_draft"]
 
@@ -132,26 +132,29 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
     """Return the centre of the largest lesion or of the tooth [mm, LPS], and a sentence."""
     from scipy.ndimage import label
 
-    spacing = np.array(tooth.image.spacing_mm)
-    origin = np.array(tooth.image.origin_mm)
+    image = tooth.image
     if not at_lesion:
-        middle = origin + spacing * np.argwhere(tooth.image.values).mean(axis=0)
-        return middle, "site: where the tooth's long axis leaves the enamel"
+        return middle_of(
+            image, image.values > 0
+        ), "site: where the tooth's long axis leaves the enamel"
     if "caries" not in tooth.names.values():
         raise InputError(
             "site",
             "not be tooth:lesion for a tooth without a label caries",
-            f"tooth:lesion for {tooth.image.source}",
+            f"tooth:lesion for {image.source}",
             "use --site tooth",
         )
     pieces, _ = label(tooth.mask("caries"))
     counts = np.bincount(pieces.ravel())[1:]
-    middle = origin + spacing * np.argwhere(pieces == 1 + int(np.argmax(counts))).mean(axis=0)
+    middle = middle_of(image, pieces == 1 + int(np.argmax(counts)))
     sizes = np.sort(counts)[::-1]
     second = (
         f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
     )
-    return middle, f"site: over the largest lesion, {sizes[0] * np.prod(spacing):.3g} mm3; {second}"
+    return (
+        middle,
+        f"site: over the largest lesion, {sizes[0] * np.prod(image.spacing_mm):.3g} mm3; {second}",
+    )
 
 
 def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> None:
@@ -168,7 +171,6 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
         file,
         outlines,
         Marks(centre_mm),
-        title=image.source,
     )
 
 
@@ -208,7 +210,7 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
     def draw(file: Path) -> None:
         masks = {each: labels.mask(each) for each in names}
-        draw_ct_organ(image, file, masks=masks, mesh=mesh, title=image.source)
+        draw_ct_organ(image, file, masks=masks, mesh=mesh)
 
     files: dict[str, Writer] = {
         "organ.vtu": partial(write_organ, mesh),

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from math import copysign, inf, pi, sqrt
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -22,8 +22,6 @@ __all__ = [
     "Renderer",
     "TurningRenderer",
     "passivity",
-    "penalty",
-    "proxy",
     "renderer",
 ]
 
@@ -229,6 +227,11 @@ class SpringDamper:
         self.stiffness_N_m = stiffness_N_m
         self.damping_N_s_m = damping_N_s_m
 
+    @classmethod
+    def of(cls, loop: WallLoop) -> Self:
+        """Return the law with stiffness and damping of a loop's wall."""
+        return cls(loop.stiffness_N_m, loop.wall_damping_N_s_m)
+
     def pause(self) -> None:
         """Do nothing, because the law has no internal state."""
 
@@ -346,11 +349,6 @@ class TurningRenderer:
         self._inner.pause()
 
 
-def penalty(loop: WallLoop) -> PenaltyRenderer:
-    """Return the penalty law with stiffness and damping of a loop's wall."""
-    return PenaltyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
-
-
 def passivity(loop: WallLoop) -> PassivityRenderer:
     """Return the penalty law of a loop's wall with a passivity controller.
 
@@ -360,16 +358,11 @@ def passivity(loop: WallLoop) -> PassivityRenderer:
     lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
     limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
     return PassivityRenderer(
-        penalty(loop),
+        PenaltyRenderer.of(loop),
         damping_limit_N_s_m=limit,
         delay_ticks=lag / loop.tick_s,
         mass_kg=loop.mass_kg,
     )
-
-
-def proxy(loop: WallLoop) -> ProxyRenderer:
-    """Return the god-object law with stiffness and damping of a loop's wall."""
-    return ProxyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
 
 def renderer(kind: str, loop: WallLoop) -> Renderer:
@@ -381,9 +374,9 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
         If the name is unknown.
     """
     built_in: dict[str, Callable[[WallLoop], Renderer]] = {
-        "penalty": penalty,
+        "penalty": PenaltyRenderer.of,
         "passivity": passivity,
-        "proxy": proxy,
+        "proxy": ProxyRenderer.of,
     }
     make: Callable[[WallLoop], Renderer] = RENDERERS[kind] or built_in[kind]
     return make(loop)

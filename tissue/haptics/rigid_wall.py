@@ -120,8 +120,6 @@ def knock(
     hand: HandParameters,
     kind: str,
     stiffness_N_m: float,
-    *,
-    damping_N_s_m: float = 0.0,
 ) -> tuple[WallRun, SimulatedDevice]:
     """Simulate a hand that moves 5 mm into a wall and is jerked away from the wall.
 
@@ -140,5 +138,5 @@ def knock(
         push=lambda time_s: jerk if JERK_S[0] <= time_s < JERK_S[1] else 0.0 * jerk,
     )
     simulated = SimulatedDevice(device, holding, position_m=(0.0, 0.0, DEPTH_M))
-    law = renderer(kind, device.loop(stiffness_N_m, wall_damping_N_s_m=damping_N_s_m))
+    law = renderer(kind, device.loop(stiffness_N_m))
     return press_wall(simulated, law, duration_s=LASTS_S, tick_s=1.0 / device.rate_Hz), simulated

@@ -8,7 +8,6 @@ positions as RAS (right, anterior, superior).
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,22 +57,19 @@ MASK = 0xFFFFFFFFFFFFFFFF
 Words = NDArray[np.uint64]
 
 
-def _entries() -> list[int]:
-    """Return a table with the remainder of each byte value followed by eight zero bytes."""
-    found = []
-    for byte in range(256):
-        # the byte is in the highest of the 64 bits; each round divides one bit by the polynomial
-        value = byte << 56
-        for _ in range(8):
-            value = ((value << 1) ^ POLYNOMIAL if value >> 63 else value << 1) & MASK
-        found.append(value)
-    return found
+def _table() -> Words:
+    """Return the remainder of each byte value followed by eight zero bytes, shape (256,)."""
+    # the byte is in the highest of the 64 bits; each round divides one bit by the polynomial
+    values = np.arange(256, dtype=np.uint64) << TOP
+    for _ in range(8):
+        values = (values << np.uint64(1)) ^ np.uint64(POLYNOMIAL) * (values >> np.uint64(63))
+    return values
 
 
-ENTRIES = _entries()
-TABLE: Words = np.array(ENTRIES, dtype=np.uint64)
 BYTE = np.uint64(8)
 TOP = np.uint64(56)
+TABLE = _table()
+ENTRIES: list[int] = TABLE.tolist()
 BITS: Words = np.arange(64, dtype=np.uint64)
 
 
@@ -270,11 +266,11 @@ def parse_transform(content: bytes) -> Array:
     # twelve float32: three columns of the rotation, and the position
     if len(content) != 48:
         raise IgtlError(f"a TRANSFORM of {len(content)} bytes instead of 48")
-    values = struct.unpack(">12f", content)
-    if not all(map(isfinite, values)):
+    values = np.frombuffer(content, ">f4")
+    if not np.isfinite(values).all():
         raise IgtlError("a TRANSFORM that is not finite")
     matrix = np.eye(4)
-    matrix[:3] = np.reshape(values, (4, 3)).T
+    matrix[:3] = values.reshape(4, 3).T
     return matrix
 
 
@@ -328,9 +324,7 @@ def polydata_body(
     """
     points = np.asarray(points_mm, dtype=">f4").reshape(-1, 3)
     corners = np.asarray(polygons)
-    cells = np.empty((len(corners), corners.shape[1] + 1), dtype=">u4")
-    cells[:, 0] = corners.shape[1]
-    cells[:, 1:] = corners
+    cells = np.insert(corners, 0, corners.shape[1], axis=1).astype(">u4")
     named = dict(scalars or {})
     # numbers and sizes of points, vertices, lines, polygons, strips and attributes; only points,
     # polygons and attributes are used

@@ -175,14 +175,14 @@ class IgtlServer:
         If the port is taken, or the address does not belong to this machine.
     """
 
-    def __init__(self, port: int, *, host: str = LOCAL) -> None:
+    def __init__(self, port: int) -> None:
         try:
-            self._listener = socket.create_server((host, port))
+            self._listener = socket.create_server((LOCAL, port))
         except (OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or "no port"
             raise InputError(
                 "port",
-                f"be a free port of {host}",
+                f"be a free port of {LOCAL}",
                 f"{port} ({why})",
                 "end the program that uses it, or give another port",
             ) from None

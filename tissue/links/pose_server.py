@@ -1,7 +1,6 @@
 """Server that receives poses from another program and returns wrenches, by network or ROS 2."""
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.real.network import NetworkAdapter
-from tissue.links.ros2 import DEPTH, FRAME, NAMESPACE, fill
+from tissue.links.ros2 import NAMESPACE, RosNode, fill
 
 if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
@@ -100,17 +99,12 @@ def serve_ros2(
         If the Python packages of ROS 2 are missing.
     """
     try:
-        rclpy: Any = import_module("rclpy")
-        geometry: Any = import_module("geometry_msgs.msg")
-        signals: Any = import_module("rclpy.signals").SignalHandlerOptions
+        ros = RosNode("measured_cp", "measured_cf")
     except ImportError as missing:
         raise InputError(
             "--ros2", "have the packages of ROS 2", str(missing), "source its setup.bash"
         ) from None
-    rclpy.init(args=[], signal_handler_options=signals.NO)
-    node = rclpy.create_node("tissue", namespace=NAMESPACE)
-    places = node.create_publisher(geometry.PoseStamped, "measured_cp", DEPTH)
-    forces = node.create_publisher(geometry.WrenchStamped, "measured_cf", DEPTH)
+    place_of, force_of = ros.kinds.values()
     answers = 0
 
     def answer(message: Any) -> None:
@@ -126,25 +120,20 @@ def serve_ros2(
             else:
                 wrench = loop.step(pose)
         except InputError as error:
-            node.get_logger().error(str(error))
+            ros.node.get_logger().error(str(error))
             return
         answers += 1
-        stamp = node.get_clock().now().to_msg()
-        place = geometry.PoseStamped(pose=message.pose)
-        force = geometry.WrenchStamped()
+        force = force_of()
         fill(force.wrench.force, "xyz", wrench[:3].tolist())
         fill(force.wrench.torque, "xyz", wrench[3:].tolist())
-        for publisher, filled in ((places, place), (forces, force)):
-            fill(filled.header, ("frame_id", "stamp"), (FRAME, stamp))
-            publisher.publish(filled)
+        ros.publish(place_of(pose=message.pose), force)
 
     # The queue has one entry: a pose that arrives during a step replaces the waiting pose.
-    node.create_subscription(geometry.PoseStamped, "servo_cp", answer, 1)
+    ros.node.create_subscription(place_of, "servo_cp", answer, 1)
     try:
         opened(f"/{NAMESPACE}/servo_cp")
         while not ends():
-            rclpy.spin_once(node, timeout_sec=LOOK_S)
+            ros.rclpy.spin_once(ros.node, timeout_sec=LOOK_S)
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+        ros.close()
     return answers

@@ -1,8 +1,6 @@
 """Start, loop and end of a process that publishes a live run."""
 
 import json
-import os
-import signal
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -10,11 +8,9 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from tissue.simulation.live.shared import SharedArrays
+from tissue.system.child import own_process
 
 __all__ = ["RunPublisher", "publish"]
-
-NICE = 5
-"""Niceness (lower priority) of the process, so that the ticks take precedence on a busy machine."""
 
 
 class RunPublisher(ABC):
@@ -35,7 +31,7 @@ class RunPublisher(ABC):
 
     def __init__(self, folder: Path) -> None:
         self._arrays = SharedArrays(folder)
-        self._columns: list[str] = json.loads((folder / "columns.json").read_text("utf-8"))
+        self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         self._turn = 0
 
     def _places(self, names: tuple[str, ...]) -> list[int]:
@@ -59,14 +55,7 @@ class RunPublisher(ABC):
 
 def publish(make: Callable[[Path], RunPublisher], folder: str) -> None:
     """Make a publisher, report its address on standard output, and run it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process stops when the ticks end
-    # Windows does not support niceness
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    # The run reads standard output and waits for the line "ready". Text that libraries print there
-    # is redirected to standard error.
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
+    standard_output = own_process(beside_ticks=True)
     try:
         publisher = make(Path(folder))
     except Exception as error:

@@ -12,7 +12,7 @@ from typing import Any
 from meshes.base.arrays import Array
 from tissue.links.publishing import RunPublisher, publish
 
-__all__ = ["DEPTH", "FRAME", "NAMESPACE", "Ros2Publisher", "fill"]
+__all__ = ["NAMESPACE", "Ros2Publisher", "RosNode", "fill"]
 
 
 NAMESPACE = "tissue"
@@ -35,6 +35,58 @@ TWIST = (*(f"velocity_{c}_mm_s" for c in "xyz"), *(f"angular_velocity_{c}_rad_s"
 WRENCH = (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz"))
 
 
+KINDS = {
+    "measured_cp": "PoseStamped",
+    "measured_cv": "TwistStamped",
+    "measured_cf": "WrenchStamped",
+}
+"""Types of messages, keyed by topic."""
+
+
+class RosNode:
+    """Node of this program, with a publisher for each of some topics.
+
+    Attributes
+    ----------
+    rclpy, node
+        Package and node of ROS 2.
+    kinds
+        Types of messages, keyed by topic.
+
+    Raises
+    ------
+    ImportError
+        If the Python packages of ROS 2 are missing.
+    """
+
+    def __init__(self, *topics: str) -> None:
+        self.rclpy: Any = import_module("rclpy")
+        geometry = import_module("geometry_msgs.msg")
+        signals = import_module("rclpy.signals").SignalHandlerOptions
+        self.rclpy.init(args=[], signal_handler_options=signals.NO)
+        self.node = self.rclpy.create_node("tissue", namespace=NAMESPACE)
+        self.kinds = {topic: getattr(geometry, KINDS[topic]) for topic in topics}
+        self._publishers = [
+            self.node.create_publisher(kind, topic, DEPTH) for topic, kind in self.kinds.items()
+        ]
+
+    def now(self) -> Any:
+        """Return the time of the node as a message."""
+        return self.node.get_clock().now().to_msg()
+
+    def publish(self, *messages: Any) -> None:
+        """Publish one message for each topic, in the frame of the scene."""
+        header = {"frame_id": FRAME, "stamp": self.now()}
+        for publisher, message in zip(self._publishers, messages, strict=True):
+            fill(message.header, header, header.values())
+            publisher.publish(message)
+
+    def close(self) -> None:
+        """Shut down the node and ROS 2."""
+        self.node.destroy_node()
+        self.rclpy.try_shutdown()
+
+
 class Ros2Publisher(RunPublisher):
     """Publisher of a live run with CRTK names, in m, m/s, rad/s, N and N m.
 
@@ -50,17 +102,8 @@ class Ros2Publisher(RunPublisher):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self._rows = [self._places(names) for names in (POSE, TWIST, WRENCH)]
-        self._rclpy: Any = import_module("rclpy")
-        signals = import_module("rclpy.signals").SignalHandlerOptions
-        self._rclpy.init(args=[], signal_handler_options=signals.NO)
-        self._node = self._rclpy.create_node("tissue", namespace=NAMESPACE)
-        geometry: Any = import_module("geometry_msgs.msg")
-        self._kinds = (geometry.PoseStamped, geometry.TwistStamped, geometry.WrenchStamped)
-        topics = ["measured_cp", "measured_cv", "measured_cf"]
-        self._publishers = [
-            self._node.create_publisher(kind, topic, DEPTH)
-            for kind, topic in zip(self._kinds, topics, strict=True)
-        ]
+        self._ros = RosNode("measured_cp", "measured_cv", "measured_cf")
+        topics = list(self._ros.kinds)
         self._state = ""
         self._stated_s = 0.0
         self._row_s = perf_counter()
@@ -74,7 +117,7 @@ class Ros2Publisher(RunPublisher):
             # keep the last state for subscribers that connect later
             last = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
             topics.append("operating_state")
-            self._states = self._node.create_publisher(self._new_state, topics[-1], last)
+            self._states = self._ros.node.create_publisher(self._new_state, topics[-1], last)
         self.address = ", ".join(f"/{NAMESPACE}/{topic}" for topic in topics)
 
     def step(self) -> None:
@@ -95,13 +138,11 @@ class Ros2Publisher(RunPublisher):
         """Publish the last row and the end of the run, and shut down ROS 2."""
         self.step()
         self._publish_state("DISABLED")
-        self._node.destroy_node()
-        self._rclpy.try_shutdown()
+        self._ros.close()
 
     def _publish(self, row: Array) -> None:
         """Publish pose, velocity and force of a tick."""
-        header = {"frame_id": FRAME, "stamp": self._node.get_clock().now().to_msg()}
-        pose, twist, wrench = (kind() for kind in self._kinds)
+        pose, twist, wrench = (kind() for kind in self._ros.kinds.values())
         parts = (
             (pose.pose.position, pose.pose.orientation),
             (twist.twist.linear, twist.twist.angular),
@@ -113,9 +154,7 @@ class Ros2Publisher(RunPublisher):
             fill(first, "xyz", (scale * values[:3]).tolist())
             # an orientation has 4 values; an angular velocity or a torque has 3 values
             fill(second, "xyzw"[: len(values) - 3], values[3:].tolist())
-        for publisher, message in zip(self._publishers, (pose, twist, wrench), strict=True):
-            fill(message.header, header, header.values())
-            publisher.publish(message)
+        self._ros.publish(pose, twist, wrench)
         self._arrays["frames"][0] += 1
 
     def _publish_state(self, state: str) -> None:
@@ -124,7 +163,7 @@ class Ros2Publisher(RunPublisher):
         # crtk_msgs may not be installed
         if self._states is not None:
             message = self._new_state(state=state, is_homed=True, is_busy=False)
-            message.header.stamp = self._node.get_clock().now().to_msg()
+            message.header.stamp = self._ros.now()
             self._states.publish(message)
 
 

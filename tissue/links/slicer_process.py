@@ -20,6 +20,7 @@ from tissue.links.publishing import RunPublisher, publish
 from tissue.motion.motion import matrix_of
 from tissue.scene.scene import Scene
 from tissue.show.figures.tool_mesh import faces_of, tool_surface
+from tissue.show.viewer.live.live_scene import Readings, read_start
 from tissue.simulation.bone_surface import with_layers
 from tissue.simulation.live.shared import BoneSurface, OrganSurface, Start, tissue_surface
 
@@ -108,27 +109,17 @@ class SlicerContent:
     ----------
     scene
         Scene of the run.
-    columns
-        Names of the values of a row.
     frame
         Frame of the scene in RAS.
     start
         Initial data from the ticks.
     """
 
-    def __init__(
-        self, scene: Scene, columns: tuple[str, ...], frame: SlicerFrame, start: Start
-    ) -> None:
+    def __init__(self, scene: Scene, frame: SlicerFrame, start: Start) -> None:
         self._scene = scene
         self._frame = frame
         self._start = start
         self._number = 0
-        self._time = columns.index("time_s")
-        self._missed = columns.index("missed")
-        self._tip = [columns.index(f"tool_{c}_mm") for c in "xyz"]
-        self._turn = [columns.index(f"tool_q{c}") for c in "xyzw"]
-        self._force = [columns.index(f"model_force_{c}_N") for c in "xyz"]
-        self._torque = [columns.index(f"model_torque_{c}_Nm") for c in "xyz"]
 
     def scene_messages(self) -> list[bytes]:
         """Return the messages that do not change during a run.
@@ -171,20 +162,20 @@ class SlicerContent:
         ]
         return self._packed("POLYDATA", TISSUE, self._mesh(surface, layer=layers))
 
-    def pose_message(self, row: Array) -> bytes | None:
+    def pose_message(self, read: Readings) -> bytes | None:
         """Return the pose of the tool tip, or None if the row has no pose yet."""
         # a quaternion of zeros means that the row has not been written yet
-        if not row[self._turn].any():
+        if not read.turn.any():
             return None
-        pose = self._frame.pose(row[self._tip], matrix_of(row[self._turn]))
+        pose = self._frame.pose(read.tip_mm, matrix_of(read.turn))
         return self._packed("TRANSFORM", TOOL, igtl.transform_body(pose))
 
-    def force_messages(self, row: Array, kind: str) -> list[bytes]:
+    def force_messages(self, read: Readings, kind: str) -> list[bytes]:
         """Return the load of the tissue on the tool, with the simulated time.
 
         The result is a SENSOR message for the force and one for the torque, or one NDARRAY message.
         """
-        force, torque = self._load(row)
+        force, torque = self._load(read)
         self._number += 1
         bodies = [
             ("SENSOR", FORCE, igtl.sensor_body(force, igtl.NEWTON)),
@@ -193,27 +184,28 @@ class SlicerContent:
         # an array holds all six numbers; a sensor message has one unit
         if kind == "NDARRAY":
             bodies = [("NDARRAY", WRENCH, igtl.ndarray_body(np.concatenate([force, torque])))]
-        metadata = {"time_s": f"{row[self._time]:.3f}"}
+        metadata = {"time_s": f"{read.numbers['time_s']:.3f}"}
         return [self._packed(*each, metadata=metadata, number=self._number) for each in bodies]
 
-    def words_message(self, row: Array) -> bytes:
+    def words_message(self, read: Readings) -> bytes:
         """Return the load of the tissue on the tool as text for display in 3D Slicer."""
-        force, torque = self._load(row)
+        force, torque = self._load(read)
         x, y, z = force
         text = (
-            f"{row[self._time]:.2f} s: force {np.linalg.norm(force):.2f} N, to the right {x:.2f}, "
-            f"to the front {y:.2f}, up {z:.2f} N; torque {1e3 * np.linalg.norm(torque):.1f} mN m"
+            f"{read.numbers['time_s']:.2f} s: force {np.linalg.norm(force):.2f} N, to the right "
+            f"{x:.2f}, to the front {y:.2f}, up {z:.2f} N; torque "
+            f"{1e3 * np.linalg.norm(torque):.1f} mN m"
         )
         return self._packed("STRING", WORDS, igtl.string_body(text))
 
-    def status_message(self, row: Array) -> bytes:
+    def status_message(self, read: Readings | None) -> bytes:
         """Return a status message with the simulated time and the number of missed deadlines.
 
-        An empty row means that the first tick has not run yet.
+        None means that the first tick has not run yet.
         """
         text = "begins"
-        if row.size:
-            text = f"{row[self._time]:.2f} s, {row[self._missed]:.0f} deadlines of 1 ms missed"
+        if read is not None:
+            text = "{time_s:.2f} s, {missed:.0f} deadlines of 1 ms missed".format_map(read.numbers)
         body = igtl.status_body(igtl.STATUS_OK, f"{self._scene.name}: {text}", name="OK")
         return self._packed("STATUS", STATE, body)
 
@@ -228,9 +220,9 @@ class SlicerContent:
         )
         return self._packed("STATUS", STATE, body)
 
-    def _load(self, row: Array) -> tuple[Array, Array]:
+    def _load(self, read: Readings) -> tuple[Array, Array]:
         """Return force [N] and torque [N m] in RAS."""
-        return self._frame.vector(row[self._force]), self._frame.vector(row[self._torque])
+        return self._frame.vector(read.force_N), self._frame.vector(read.torque_Nm)
 
     def _mesh(self, mesh: "pyvista.PolyData", **scalars: Array) -> bytes:
         triangles = mesh.regular_faces.reshape(-1, 3)  # keep the shape of an empty mesh
@@ -344,23 +336,22 @@ class Publisher(RunPublisher):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        with np.load(folder / "start.npz", allow_pickle=False) as file:
-            start: Start = dict(file)
-        scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
+        scene, start = read_start(folder)
         self.server = IgtlServer(int(start["port"]))
         self.address = "{}:{}".format(*self.server.address)
         placed = start.get("file_to_scene_mm")
         # lengths are sent in mm, for any length unit of the file
         record = {"file_to_scene_mm": placed, "file_unit_mm": 1.0}
         frame = SlicerFrame(None if placed is None else Placement.from_record(record))
+        self._start = start
         self._tissue = tissue_surface(start, self._arrays)
-        self._content = SlicerContent(scene, tuple(self._columns), frame, start)
+        self._content = SlicerContent(scene, frame, start)
         self._target = SlicerTarget(frame, start)
         self._lasting = self._content.scene_messages()
         self._surface = b"" if self._tissue is None else self._content.surface_message(self._tissue)
         self._behind: set[Client] = set()
         """Clients that have not received the newest surface yet."""
-        self._row = np.zeros(0)
+        self._read: Readings | None = None
         self._event = 0
         self._posed = self._worded = self._stated = self._drawn = 0.0
         self._sent = 0
@@ -369,7 +360,7 @@ class Publisher(RunPublisher):
         """Send due messages and handle received messages."""
         fresh, received = self.server.poll(WAIT_S)
         for client in fresh:
-            for message in [self._content.status_message(self._row), *self._lasting]:
+            for message in [self._content.status_message(self._read), *self._lasting]:
                 self._sent += self.server.send(message, to=[client])
             self._behind.add(client)
         for each in received:
@@ -414,8 +405,8 @@ class Publisher(RunPublisher):
         verb, _, stream = kind.partition("_")
         if stream in STREAMS:
             # before the first row, no data is available for an answer
-            if verb == "GET" and self._row.size:
-                self._send_to(client, stream)
+            if verb == "GET" and self._read is not None:
+                self._send_to(client, self._read, stream)
             # start or stop a stream; OpenIGTLink requires a reply of type RTS
             elif verb in ("STT", "STP"):
                 (client.wants.add if verb == "STT" else client.wants.discard)(stream)
@@ -435,20 +426,21 @@ class Publisher(RunPublisher):
         # no row yet, or the last row has been sent already
         if message is None or message[0] == self._turn:
             return
-        self._turn, self._row = message
+        self._turn, row = message
+        read = self._read = Readings.of(self._columns, row, self._start)
         self._posed = now
-        pose = self._content.pose_message(self._row)
+        pose = self._content.pose_message(read)
         if pose is not None:
             self._send(pose, is_stream=True)
         for stream in STREAMS:
             for client in [each for each in self.server.clients if stream in each.wants]:
-                self._send_to(client, stream)
+                self._send_to(client, read, stream)
         if now - self._worded >= WORDS_S:
             self._worded = now
-            self._send(self._content.words_message(self._row), is_stream=True)
+            self._send(self._content.words_message(read), is_stream=True)
         if now - self._stated >= STATUS_S:
             self._stated = now
-            self._send(self._content.status_message(self._row), is_stream=True)
+            self._send(self._content.status_message(read), is_stream=True)
 
     def _send_events(self) -> None:
         """Send new events. Only events that are still stored can be sent."""
@@ -472,9 +464,9 @@ class Publisher(RunPublisher):
         self._sent += self.server.send(self._surface, to=ready)
         self._behind -= set(ready)
 
-    def _send_to(self, client: Client, stream: str) -> None:
+    def _send_to(self, client: Client, read: Readings, stream: str) -> None:
         """Send the force to a client that has requested it."""
-        for message in self._content.force_messages(self._row, stream):
+        for message in self._content.force_messages(read, stream):
             self._sent += self.server.send(message, to=[client], is_stream=True)
 
     def _send(self, message: bytes, *, is_stream: bool = False) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from time import sleep
-from typing import Any
+from typing import Any, TextIO
 
 from meshes.base.errors import InputError
 from meshes.base.isolated_parser import kill_with_parent, python_command, start_code
@@ -30,6 +30,7 @@ __all__ = [
     "await_ready",
     "child_command",
     "end_with",
+    "own_process",
     "process_module",
 ]
 
@@ -224,6 +225,30 @@ def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
         except psutil.Error:
             continue
     return work_s, stopped
+
+
+NICE = 5
+"""Niceness of a process that draws or publishes while ticks run; it lowers the priority."""
+
+
+def own_process(*, beside_ticks: bool) -> TextIO:
+    """Prepare a process that only draws or publishes, and return its standard output.
+
+    All other output goes to standard error. The parent process decides when this process ends, so
+    Ctrl-C is ignored. If ticks run at the same time, the process has a lower priority and draws
+    with one thread, because OpenGL in software would otherwise use all cores.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if beside_ticks:
+        # Windows has no niceness
+        if hasattr(os, "nice"):
+            os.nice(NICE)
+        os.environ.setdefault("LP_NUM_THREADS", "1")
+    # libraries may print to standard output, whose reader waits for the line "ready"; such text
+    # goes to standard error
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    return standard_output
 
 
 def _main() -> None:

@@ -13,7 +13,7 @@ FREE, SOFT, HARD = ([0.0, 0.0], [1e-6, 0.0], [1e-6, 2e-6])
 
 def events(*spans):
     """Ticks at which events begin, for areas by layer over numbers of ticks."""
-    seen = TouchEvents(tick_s=TICK)
+    seen = TouchEvents()
     areas = [area for area, ticks in spans for _ in range(ticks)]
     return [tick for tick, area in enumerate(areas) if seen.step(np.array(area))]
 
@@ -35,7 +35,7 @@ def test_a_puncture_comes_at_least_a_tenth_of_a_second_after_the_touch():
 
 def played(amplitude_N=0.3, force=(0.0, 0.0, 1.0), limit_N=3.3, slew_N=10.0):
     cues, response = (
-        Cues(amplitude_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK),
+        Cues(amplitude_N, limit_N=limit_N, slew_N=slew_N),
         Response.empty(2),
     )
     response.engaged_m2[:] = SOFT

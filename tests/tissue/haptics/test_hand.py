@@ -20,14 +20,15 @@ def to(point):
     return lambda time_s: np.zeros(3) if time_s == 0.0 else np.array(point)
 
 
-def aim(path, **changed):
+def aim(path, seed=3, **changed):
     given = {
         "reaction_s": 0.2,
         "submovement_s": 0.4,
         "correction_s": 0.2,
         "endpoint_noise": 0.0,
     } | changed
-    return Aim(path, rng=np.random.default_rng(3), **given)
+    parameters = replace(hand_parameters("expert"), **given)
+    return Aim(path, parameters, rng=np.random.default_rng(seed))
 
 
 def test_minimum_jerk_is_at_rest_at_both_ends_and_its_speed_is_its_slope():
@@ -58,14 +59,7 @@ def test_errors_are_corrected_a_reaction_time_later():
     """
     ends = []
     for seed in range(200):
-        reach = Aim(
-            to([0.1, 0.0, 0.0]),
-            reaction_s=0.2,
-            submovement_s=0.4,
-            correction_s=0.5,
-            endpoint_noise=0.1,
-            rng=np.random.default_rng(seed),
-        )
+        reach = aim(to([0.1, 0.0, 0.0]), seed, correction_s=0.5, endpoint_noise=0.1)
         at = [reach.at(tick * TICK)[0][0] - 0.1 for tick in range(2500)]
         ends.append((at[600], at[1100], at[2400]))
     scatter = np.std(ends, axis=0)

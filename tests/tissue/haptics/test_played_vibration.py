@@ -33,9 +33,7 @@ def spectrum(force):
 
 @pytest.mark.parametrize(("passing_Hz", "at_Hz"), [(40_000.0, 250), (1000.0, 250), (60.0, 60)])
 def test_a_steady_force_vibrates_at_one_frequency_below_the_band_s_limit(passing_Hz, at_Hz):
-    vibration = PlayedVibration(
-        Vibration(passing_Hz, share=SHARE, step_s=STEP_S), limit_N=3.3, step_s=STEP_S
-    )
+    vibration = PlayedVibration(Vibration(passing_Hz, share=SHARE, step_s=STEP_S), limit_N=3.3)
     force = np.array([0.6, 0.0, 0.8])
     added = np.array([vibration.step(force) for _ in range(2000)])[1000:]
     along = added @ force
@@ -45,9 +43,7 @@ def test_a_steady_force_vibrates_at_one_frequency_below_the_band_s_limit(passing
 
 
 def test_it_leaves_the_sum_within_the_device_s_limit_and_begins_anew_after_a_pause():
-    vibration = PlayedVibration(
-        Vibration(1000.0, share=1.0, step_s=STEP_S), limit_N=1.0, step_s=STEP_S
-    )
+    vibration = PlayedVibration(Vibration(1000.0, share=1.0, step_s=STEP_S), limit_N=1.0)
     force = np.array([0.0, 0.0, 0.9])
     sums = np.array([force + vibration.step(force) for _ in range(500)])
     assert np.abs(sums).max() <= 1.0 + 1e-12 and sums[-50:].max() == pytest.approx(1.0)
@@ -66,7 +62,7 @@ def test_only_the_device_s_force_holds_it():
         motion = held(coupling__force_scale=1.0)
         if share:
             passing = Vibration(1000.0, share=share, step_s=STEP_S)
-            teeth = PlayedVibration(passing, limit_N=3.3, step_s=STEP_S)
+            teeth = PlayedVibration(passing, limit_N=3.3)
             motion._played = PlayedForce(device_parameters("touch").force_limit_N, vibration=teeth)
         motion.device = RecordedDevice(
             np.array([0.0, 0.2, 1.5]), np.array([[0, 0, 0.02], [0, 0, -2e-3], [0, 0, -2e-3]])

@@ -27,7 +27,7 @@ from tissue.evaluation.atlas.page import (
 )
 from tissue.haptics.device.device import Device, Sample, device_parameters
 from tissue.haptics.device.recorded import Fault, FaultKind, FaultyDevice
-from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.haptics.device.sample_guard import FADE_S, FASTEST_M_S, OLDEST_S, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import ForceRange
@@ -43,13 +43,12 @@ STIFFNESS_N_M = 1500.0
 FAULT_S = 0.15
 """Start of the faults [s], when the hand is at rest in the wall."""
 FIRST = round(FAULT_S / TICK_S)
-LIMITS = GuardLimits()
 STYLES: dict[FaultKind, tuple[str, str]] = {
     "dropped": ENGINE,
     "late": ("s", ORANGE),
     "duplicated": ("^", GREEN),
 }
-VALID_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
+VALID_M = FASTEST_M_S * (TICK_S + OLDEST_S)
 """Longest plausible jump in a tick [m]."""
 
 
@@ -123,7 +122,7 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
         "guarded_step": guarded[:, 2],
         "bare_at_end": bare[:, 0],
         "bare_step": bare[:, 2],
-        "theory_at_end": np.clip(1.0 - (gaps - young_s) / LIMITS.fade_s, 0.0, 1.0),
+        "theory_at_end": np.clip(1.0 - (gaps - young_s) / FADE_S, 0.0, 1.0),
     }
 
 

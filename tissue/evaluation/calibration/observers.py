@@ -272,7 +272,7 @@ def _played(force_N: Array, device: ForceRange) -> Array:
 
     This is `ForceRange.play` for arrays.
     """
-    knee = device.knee_share * device.limit_N
+    knee = device.knee_N
     above = device.limit_N - knee
     return np.where(
         force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above)

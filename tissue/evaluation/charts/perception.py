@@ -120,7 +120,7 @@ def _command(someone: Observer, path: Path) -> None:
     left.plot(forces, forces, "--", color=WANTED, label="physical force")
     left.axhline(limit_N, color=GREY, label=f"limit of {DEVICE}")
     for axes in (left, right):
-        axes.axvline(device.knee_share * limit_N, color=GREY, linestyle="--")
+        axes.axvline(device.knee_N, color=GREY, linestyle="--")
         # these limits and those below hold all curves
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
     left.set(ylabel="force played / N", ylim=(0.02, 8.0))

@@ -173,21 +173,16 @@ class DeviceParameters:
         # The bounds reject values in a wrong unit.
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
             require_positive(name, getattr(self, name), "see devices.toml for usual values")
-        for name, low, high in (
-            ("rate_Hz", 10.0, 1e5),
-            ("transport_delay_s", 0.0, 0.2),
-            ("damping_N_s_m", 0.0, 1e4),
-            ("friction_N", 0.0, 1e4),
-            ("encoder_step_m", 0.0, 1e4),
-            ("damping_Nm_s_rad", 0.0, 1e4),
-            ("friction_Nm", 0.0, 1e4),
-            ("encoder_step_rad", 0.0, 1e4),
-            ("torque_limit_Nm", 0.0, 1e4),
-            ("amplifier_Hz", 1e-9, inf),
-            ("force_slew_N_ms", 1e-9, inf),
-            ("torque_slew_Nm_ms", 1e-9, inf),
+        friction = "damping_N_s_m", "friction_N", "damping_Nm_s_rad", "friction_Nm"
+        for names, low, high in (
+            (("rate_Hz",), 10.0, 1e5),
+            (("transport_delay_s",), 0.0, 0.2),
+            ((*friction, "encoder_step_m", "encoder_step_rad", "torque_limit_Nm"), 0.0, 1e4),
+            (("amplifier_Hz", "force_slew_N_ms", "torque_slew_Nm_ms"), 1e-9, inf),
         ):
-            require_range(name, getattr(self, name), low, high, "see devices.toml for usual values")
+            for name in names:
+                value = getattr(self, name)
+                require_range(name, value, low, high, "see devices.toml for usual values")
 
     def loop(
         self,

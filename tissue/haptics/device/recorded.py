@@ -60,8 +60,7 @@ class RecordedDevice(ComputedDevice):
         spins[1:] = (rotation[1:] * rotation[:-1].inv()).as_rotvec() * rate_Hz
         columns = (column.tolist() for column in (at, tips, speeds, rotation.as_quat(), spins))
         self._samples = [
-            Sample(t, tuple(p), tuple(v), tuple(q), tuple(w))
-            for t, p, v, q, w in zip(*columns, strict=True)
+            Sample(time_s, *map(tuple, rest)) for time_s, *rest in zip(*columns, strict=True)
         ]
 
     def read(self, time_s: float) -> Sample | None:

@@ -3,7 +3,6 @@
 A sample is valid if a human hand could have made the motion.
 """
 
-from dataclasses import dataclass, fields
 from math import ceil, dist, isfinite, nan, sqrt
 
 import numpy as np
@@ -27,7 +26,7 @@ from tissue.motion.quaternion import (
     unit,
 )
 
-__all__ = ["GuardLimits", "NewSamples", "Roughness", "SampleGuard", "guard_of"]
+__all__ = ["NewSamples", "Roughness", "SampleGuard", "guard_of"]
 
 MEMORY = 8.0
 """Number of new samples over which the share of rough samples is averaged.
@@ -154,37 +153,24 @@ W_FIRST = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class GuardLimits:
-    """Limits of valid samples.
+FASTEST_M_S = 5.0
+FASTEST_RAD_S = 60.0
+"""Largest speeds of a hand [m/s], [rad/s].
 
-    Attributes
-    ----------
-    fastest_m_s, fastest_rad_s
-        Largest speed of a hand [m/s], [rad/s]. A sample is rejected if its speed is larger, or if
-        its distance from the last valid sample requires a larger speed.
-    oldest_s
-        Age above which a sample is treated as missing, and largest time by which its date may be in
-        the future [s].
-    roughest_m_s2, roughest_rad_s2
-        Largest acceleration of a handheld object [m/s^2], [rad/s^2]. Samples that repeatedly
-        require a larger acceleration are noise. A hand, a contact and a device's motors cause about
-        200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
-    fade_s
-        Time in which a force fades to zero without valid samples, and returns with valid samples
-        [s].
-    """
+A sample is rejected if its speed is larger, or if its distance from the last valid sample requires
+a larger speed.
+"""
+OLDEST_S = 2.5e-3
+"""Default age above which a sample is treated as missing [s], for a sample in every tick."""
+ROUGHEST_M_S2 = 2e3
+ROUGHEST_RAD_S2 = 4e4
+"""Largest accelerations of a handheld object [m/s^2], [rad/s^2].
 
-    fastest_m_s: float = 5.0
-    fastest_rad_s: float = 60.0
-    oldest_s: float = 2.5e-3
-    roughest_m_s2: float = 2e3
-    roughest_rad_s2: float = 4e4
-    fade_s: float = 0.02
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            require_positive(entry.name, getattr(self, entry.name), f"use {entry.default:g}")
+Samples that repeatedly require a larger acceleration are noise. A hand, a contact and a device's
+motors cause about 200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
+"""
+FADE_S = 0.02
+"""Time in which a force fades to zero without valid samples, and returns with valid samples [s]."""
 
 
 class SampleGuard:
@@ -192,16 +178,17 @@ class SampleGuard:
 
     Call `validate_sample` with the device's sample. Then call `limit_force` with the force for a
     valid sample, or with None after an invalid one. After an invalid sample, the last valid force
-    fades linearly, to exactly zero after ``fade_s``. Valid samples bring the force back at the same
+    fades linearly, to exactly zero after `FADE_S`. Valid samples bring the force back at the same
     rate. Forces are always bounded. An object of a wrong type or with a wrong number of entries is
     not a temporary fault but a mistake in the device class, and raises an error.
 
     Parameters
     ----------
-    limits
-        Limits of valid samples.
     force_limit_N, torque_limit_Nm
         Largest magnitude of force and of torque. A torque limit of zero blocks all torque.
+    oldest_s
+        Age above which a sample is treated as missing, and largest time by which its date may be in
+        the future [s].
 
     Attributes
     ----------
@@ -219,12 +206,12 @@ class SampleGuard:
 
     def __init__(
         self,
-        limits: GuardLimits | None = None,
         *,
         force_limit_N: float,
         torque_limit_Nm: float = 0.0,
+        oldest_s: float = OLDEST_S,
     ) -> None:
-        self._limits = limits or GuardLimits()
+        self._oldest_s = oldest_s
         self._caps = (
             require_positive(
                 "force_limit_N", force_limit_N, "give the largest force of the device"
@@ -240,9 +227,9 @@ class SampleGuard:
         self._wrench = (np.zeros(3), np.zeros(3))
         self._clock: float | None = None
         self._step = 0.0
-        self._places = Roughness(self._limits.roughest_m_s2)
+        self._places = Roughness(ROUGHEST_M_S2)
         # The change of a quaternion is half the angle of the rotation.
-        self._turns = Roughness(0.5 * self._limits.roughest_rad_s2)
+        self._turns = Roughness(0.5 * ROUGHEST_RAD_S2)
         self._turned: Quaternion = UPRIGHT
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
@@ -284,7 +271,7 @@ class SampleGuard:
 
         None or a non-finite wrench is treated as a fault of this tick.
         """
-        change = self._step / self._limits.fade_s
+        change = self._step / FADE_S
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
         if force_N is not None and not isfinite(sum(force_N.tolist()) + sum(torque.tolist())):
             self._log(self._clock or 0.0, "the force is not finite: it fades")
@@ -306,7 +293,6 @@ class SampleGuard:
 
     def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
         """Return the fault of a sample as a text; empty for a valid sample."""
-        limits = self._limits
         good = self._good
         if sample is None:
             return "no sample"
@@ -314,9 +300,9 @@ class SampleGuard:
             return "a sample that is not finite"
         if turned is None or not is_nearly_unit(sample.quaternion):
             return "a quaternion that is not of unit length"
-        if time_s - sample.time_s > limits.oldest_s:
+        if time_s - sample.time_s > self._oldest_s:
             return "an old sample"
-        if sample.time_s - time_s > limits.oldest_s:
+        if sample.time_s - time_s > self._oldest_s:
             return "a sample of the future"
         if good is not None and sample.time_s < good.time_s:
             return "a sample from before the last one"
@@ -333,22 +319,22 @@ class SampleGuard:
         noisy = self._places.observe(sample.time_s, *sample.position_m)
         if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
             return "noise that no hand makes"
-        if max(map(abs, sample.velocity_m_s)) > limits.fastest_m_s:
+        if max(map(abs, sample.velocity_m_s)) > FASTEST_M_S:
             return f"a speed that no hand has{UNIT}"
-        if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
+        if max(map(abs, sample.spin_rad_s)) > FASTEST_RAD_S:
             return "a spin that no hand has"
         if good is None:
             # The first position has no predecessor. A hand is never 10 m from a device's origin,
             # but the numbers of a position in millimetres often exceed 10.
             is_near = max(map(abs, sample.position_m)) < 10.0
             return "" if is_near else f"a position that no hand reaches{UNIT}"
-        elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
-        if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
+        elapsed = max(sample.time_s - good.time_s, 0.0) + self._oldest_s
+        if dist(sample.position_m, good.position_m) > FASTEST_M_S * elapsed:
             return f"a jump that no hand makes{UNIT}"
         if turned == good.quaternion:
             return ""
         i, j, k = turn_between(good.quaternion, turned)
-        if i * i + j * j + k * k > (limits.fastest_rad_s * elapsed) ** 2:
+        if i * i + j * j + k * k > (FASTEST_RAD_S * elapsed) ** 2:
             return "a turn that no hand makes"
         return ""
 
@@ -458,9 +444,9 @@ class NewSamples:
 def guard_of(device: Device, limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
     """Return the guard of a device with ``sample_s`` between two samples [s]."""
     guard = SampleGuard(
-        GuardLimits(oldest_s=OLDEST * sample_s),
         force_limit_N=limits.force_limit_N,
         torque_limit_Nm=limits.torque_limit_Nm,
+        oldest_s=OLDEST * sample_s,
     )
     guard.reach = reach_of(device, limits)
     return guard

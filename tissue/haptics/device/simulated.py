@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
-from tissue.haptics.loop.sampled_loop import plant_step
+from tissue.haptics.loop.sampled_loop import parts_of_tick, plant_step
 from tissue.motion.quaternion import (
     NOTHING,
     UPRIGHT,
@@ -202,17 +202,14 @@ class SimulatedDevice(ComputedDevice):
         self.hand_force_N: Triple = NOTHING
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz
-        # 1e-9 is for delays and times that are a whole number of ticks apart from rounding.
-        whole = int(parameters.transport_delay_s / step + 1e-9)
-        delay = parameters.transport_delay_s - whole * step
-        fine = lambda length: max(ceil(substeps * length / step - 1e-9), 1)  # noqa: E731
-        self._spans = (
-            ((delay, whole + 1, fine(delay)), (step - delay, whole, fine(step - delay)))
-            if delay > 1e-9 * step
-            else ((step, whole, substeps),)
-        )
+        parts = parts_of_tick(parameters.transport_delay_s, step)
+        # 1e-9 is for lengths that are a whole number of substeps apart from rounding.
+        self._spans = [
+            (length, back, max(ceil(substeps * length / step - 1e-9), 1)) for length, back in parts
+        ]
+        count = parts[0][1] + 2
         self._commands: deque[tuple[Triple, Triple]] = deque(
-            [(NOTHING, NOTHING)] * (whole + 2), maxlen=whole + 2
+            [(NOTHING, NOTHING)] * count, maxlen=count
         )
         self._given: tuple[Triple, Triple] = (NOTHING, NOTHING)
         self._tick = 0

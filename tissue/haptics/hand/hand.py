@@ -85,30 +85,21 @@ class Aim:
     ----------
     path
         Target position over time.
-    reaction_s, submovement_s, correction_s
-        Times [s].
-    endpoint_noise
-        Standard deviation of the error divided by the distance, for each axis.
+    parameters
+        Times and noise of the hand.
     rng
         Random generator of this hand.
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        reaction_s: float,
-        submovement_s: float,
-        correction_s: float,
-        endpoint_noise: float,
-        rng: np.random.Generator,
+        self, path: Path, parameters: "HandParameters", *, rng: np.random.Generator
     ) -> None:
         self._path = path
         self._rng = rng
-        self._reaction = reaction_s
-        self._duration = submovement_s
-        self._interval = correction_s
-        self._noise = endpoint_noise
+        self._reaction = parameters.reaction_s
+        self._duration = parameters.submovement_s
+        self._interval = parameters.correction_s
+        self._noise = parameters.endpoint_noise
         self._rest = [float(value) for value in path(0.0)]
         self._moves: list[tuple[float, list[float], list[float]]] = []
         self._next = self._reaction
@@ -321,18 +312,7 @@ class Hand:
         self._push = push
         self._turn = turn
         self._let_go = let_go_s
-        self._aim = (
-            path
-            if isinstance(path, Aiming)
-            else Aim(
-                path,
-                reaction_s=parameters.reaction_s,
-                submovement_s=parameters.submovement_s,
-                correction_s=parameters.correction_s,
-                endpoint_noise=parameters.endpoint_noise,
-                rng=rng,
-            )
-        )
+        self._aim = path if isinstance(path, Aiming) else Aim(path, parameters, rng=rng)
         self._grip = parameters.grip
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
         self._keep = exp(-step_s / parameters.force_noise_s)

@@ -95,33 +95,19 @@ class Verdict:
 class LinearHand(NamedTuple):
     """Linear part of a hand, for the stability analysis of a loop.
 
-    The units are N/m, N s/m and kg; for the reflex they are N/m and s, see `WallLoop`. Without a
-    hand the values are (0, 0, 0).
+    The entries are those of `WallLoop`. Without a hand the values are (0, 0, 0).
     """
 
-    stiffness_N_m: float
-    damping_N_s_m: float
-    mass_kg: float
+    hand_stiffness_N_m: float
+    hand_damping_N_s_m: float
+    hand_mass_kg: float
     reflex_N_m: float = 0.0
     reflex_s: float = 0.0
 
 
 def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLoop, ...]:
     """Return the loop with each of several hands, which have the entries of `LinearHand`."""
-    held = []
-    for each in hands:
-        hand = LinearHand(*each)
-        held.append(
-            replace(
-                loop,
-                hand_stiffness_N_m=hand.stiffness_N_m,
-                hand_damping_N_s_m=hand.damping_N_s_m,
-                hand_mass_kg=hand.mass_kg,
-                reflex_N_m=hand.reflex_N_m,
-                reflex_s=hand.reflex_s,
-            )
-        )
-    return tuple(held)
+    return tuple(replace(loop, **LinearHand(*each)._asdict()) for each in hands)
 
 
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:

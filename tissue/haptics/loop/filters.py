@@ -176,15 +176,22 @@ class SlewLimit:
         return self.value
 
 
+KNEE = 0.7
+"""Ratio of the force at which the compression begins to the limit.
+
+Chosen: compressed forces are in the upper 30 % of the range.
+"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ForceRange:
     """Compression of a force into the range of a device.
 
-    The direction is kept. The magnitude F' = scale F is unchanged up to a knee. Above the knee it
-    is compressed. A larger force remains larger, and the limit is approached but not exceeded::
+    The direction is kept. The magnitude F is unchanged up to a knee. Above the knee it is
+    compressed. A larger force remains larger, and the limit is approached but not exceeded::
 
-        F'                                                              F' <= knee
-        knee + (limit - knee) (1 - exp(-(F' - knee) / (limit - knee)))  otherwise
+        F                                                              F <= knee
+        knee + (limit - knee) (1 - exp(-(F - knee) / (limit - knee)))  otherwise
 
     The law has a continuous first derivative and can be inverted for every output.
 
@@ -192,21 +199,17 @@ class ForceRange:
     ----------
     limit_N
         Largest force of the device [N], or torque [N m].
-    scale
-        Force at the device divided by force at the tool.
-    knee_share
-        Knee divided by the limit, below 1. The default of 0.7 is chosen: compressed forces are in
-        the upper 30 % of the range.
     """
 
     limit_N: float
-    scale: float = 1.0
-    knee_share: float = 0.7
 
     def __post_init__(self) -> None:
         require_positive("limit_N", self.limit_N, "give the device's largest force")
-        require_positive("scale", self.scale, "use 1, or 0.05 for forces twenty times the device's")
-        require_range("knee_share", self.knee_share, 0.0, 0.99, "use 0.7")
+
+    @property
+    def knee_N(self) -> float:
+        """Force at which the compression begins [N]."""
+        return KNEE * self.limit_N
 
     def play(self, force: Array) -> tuple[Array, bool]:
         """Return the force that the device plays, and True if it was compressed.
@@ -217,14 +220,14 @@ class ForceRange:
             If the force is not finite.
         """
         x, y, z = np.asarray(force).tolist()
-        size = self.scale * sqrt(x * x + y * y + z * z)
+        size = sqrt(x * x + y * y + z * z)
         if not size < inf:
             raise InputError(
                 "force", "be finite", force, "use a SampleGuard, which removes such samples"
             )
-        knee = self.knee_share * self.limit_N
+        knee = self.knee_N
         if size <= knee:
-            return self.scale * force, False
+            return force.copy(), False
         above = self.limit_N - knee
         played = knee + above * (1.0 - exp(-(size - knee) / above))
-        return force * (self.scale * played / size), True
+        return force * (played / size), True

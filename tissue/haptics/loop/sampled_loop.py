@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import pairwise
-from math import ceil, exp, inf, pi
+from math import exp, inf, pi
 
 import numpy as np
 from scipy.linalg import expm
@@ -30,6 +30,7 @@ __all__ = [
     "mean_over_ticks_N",
     "motor_force_N",
     "motor_lag_ticks",
+    "parts_of_tick",
     "plant_step",
     "spectral_radius",
 ]
@@ -109,20 +110,16 @@ class WallLoop:
         require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
         longest_s = MOST_TICKS * self.tick_s
         # The bounds reject values in a wrong unit, and keep the matrix exponential finite.
-        for name, low, high in (
-            ("damping_N_s_m", 0.0, 1e9),
-            ("stiffness_N_m", 0.0, 1e9),
-            ("hand_stiffness_N_m", 0.0, 1e9),
-            ("hand_damping_N_s_m", 0.0, 1e9),
-            ("hand_mass_kg", 0.0, 1e9),
-            ("wall_damping_N_s_m", -1e9, 1e9),
-            ("model_ticks", 1, MOST_TICKS),
-            ("delay_s", 0.0, longest_s),
-            ("reflex_N_m", 0.0, 1e9),
-            ("reflex_s", 0.0, longest_s),
-            ("amplifier_Hz", 1e-9, inf),
+        hand = "hand_stiffness_N_m", "hand_damping_N_s_m", "hand_mass_kg", "reflex_N_m"
+        for names, low, high in (
+            (("damping_N_s_m", "stiffness_N_m", *hand), 0.0, 1e9),
+            (("wall_damping_N_s_m",), -1e9, 1e9),
+            (("model_ticks",), 1, MOST_TICKS),
+            (("delay_s", "reflex_s"), 0.0, longest_s),
+            (("amplifier_Hz",), 1e-9, inf),
         ):
-            require_range(name, getattr(self, name), low, high, "see `WallLoop`")
+            for name in names:
+                require_range(name, getattr(self, name), low, high, "see `WallLoop`")
         low_pass_gain(self.filter_s, self.tick_s)
         if self.observes and self.velocity_memory is None:
             raise InputError(
@@ -174,6 +171,19 @@ def plant_step(
     return tuple(tuple(map(float, row)) for row in step)
 
 
+def parts_of_tick(delay_s: float, tick_s: float) -> list[tuple[float, int]]:
+    """Return the parts of a tick between which the delayed force changes.
+
+    Each part has its length [s] and the age of its force [ticks].
+    """
+    # 1e-9 is for delays that are a whole number of ticks apart from rounding.
+    whole = int(delay_s / tick_s + 1e-9)
+    delay = delay_s - whole * tick_s
+    if delay > 1e-9 * tick_s:
+        return [(delay, whole + 1), (tick_s - delay, whole)]
+    return [(tick_s, whole)]
+
+
 def loop_matrix(loop: WallLoop) -> Array:
     """Return the map of the loop's state over one model step, or over a period of its vibration.
 
@@ -185,14 +195,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     over a period is the product of the maps of its steps; its eigenvalues determine the stability
     (Floquet).
     """
-    # 1e-9 is for delays that are a whole number of ticks apart from rounding.
-    whole = int(loop.delay_s / loop.tick_s + 1e-9)
-    delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
-    parts = (
-        [(delay, whole + 1), (loop.tick_s - delay, whole)]
-        if delay > 1e-9 * loop.tick_s
-        else [(loop.tick_s, whole)]
-    )
+    parts = parts_of_tick(loop.delay_s, loop.tick_s)
     spring = loop.hand_stiffness_N_m
     mass = loop.mass_kg + loop.hand_mass_kg
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m
@@ -200,7 +203,7 @@ def loop_matrix(loop: WallLoop) -> Array:
         (np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s)), back)
         for s, back in parts
     ]
-    queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
+    queued = parts[0][1]
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
     shaken = loop.vibration is not None

@@ -9,7 +9,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics import hand_measures as at
 from tissue.haptics.loop.filters import ForceRange, LowPass
-from tissue.models.tissue_model import Response
+from tissue.models.tissue_model import TICK_S, Response
 
 if TYPE_CHECKING:
     from tissue.perception.perceived import Perception
@@ -107,18 +107,14 @@ class PlayedVibration:
         Vibration with its frequency and its share.
     limit_N, slew_N
         Largest force of the device, and largest change of the force in a tick [N].
-    step_s
-        Length of a tick [s].
     """
 
-    def __init__(
-        self, vibration: Vibration, *, limit_N: float, slew_N: float = inf, step_s: float
-    ) -> None:
+    def __init__(self, vibration: Vibration, *, limit_N: float, slew_N: float = inf) -> None:
         self._vibration = vibration
         self._limit = limit_N
         # 2 sin(pi f T) is the largest change of a unit sine at f within a tick.
-        self._most = SLEW_SHARE * slew_N / (2.0 * sin(pi * vibration.frequency_Hz * step_s))
-        self._envelope = LowPass(ENVELOPE_S, step_s=step_s)
+        self._most = SLEW_SHARE * slew_N / (2.0 * sin(pi * vibration.frequency_Hz * TICK_S))
+        self._envelope = LowPass(ENVELOPE_S, step_s=TICK_S)
         self._tick = 0
 
     def step(self, force_N: Array) -> Array:
@@ -162,16 +158,11 @@ class TouchEvents:
     """Detector of first contact and of changes of layer, from the contact area of each layer.
 
     A puncture is a change of layer, from a membrane to the tissue behind it.
-
-    Parameters
-    ----------
-    tick_s
-        Time between two calls [s].
     """
 
-    def __init__(self, *, tick_s: float) -> None:
-        self._apart = round(APART_S / tick_s)
-        self._settled = round(SETTLED_S / tick_s)
+    def __init__(self) -> None:
+        self._apart = round(APART_S / TICK_S)
+        self._settled = round(SETTLED_S / TICK_S)
         self._free = self._quiet = self._apart
         self._layer = -1
         self._for = 0
@@ -209,20 +200,18 @@ class Cues:
     limit_N, slew_N
         Largest force of the device, and largest change of the force in a tick [N]. The transient is
         reduced to stay within these limits.
-    tick_s
-        Time between two steps [s].
     """
 
-    def __init__(self, amplitude_N: float, *, limit_N: float, slew_N: float, tick_s: float) -> None:
-        count = round(PERIODS / (CUE_HZ * tick_s))
+    def __init__(self, amplitude_N: float, *, limit_N: float, slew_N: float) -> None:
+        count = round(PERIODS / (CUE_HZ * TICK_S))
         # A sine of whole periods under a Hann window. Its mean is subtracted, so that the hand is
         # not displaced.
         at = (np.arange(count) + 0.5) / count
         burst = np.sin(2.0 * pi * PERIODS * at) * np.sin(pi * at) ** 2
         # The largest change of a unit sine within a tick, as in `PlayedVibration`.
-        most = SLEW_SHARE * slew_N / (2.0 * sin(pi * CUE_HZ * tick_s))
+        most = SLEW_SHARE * slew_N / (2.0 * sin(pi * CUE_HZ * TICK_S))
         self._burst = (min(amplitude_N, most) * (burst - burst.mean())).tolist()
-        self._events = TouchEvents(tick_s=tick_s)
+        self._events = TouchEvents()
         self._limit = limit_N
         self._left = 0
         self._along = np.zeros(3)

@@ -133,10 +133,7 @@ class ServiceState:
         if not position:
             return None
         return HardwareSample(
-            (position[0], position[1], position[2]),
-            (velocity[0], velocity[1], velocity[2]) if velocity else NOTHING,
-            (turned[0], turned[1], turned[2], turned[3]) if turned else UPRIGHT,
-            buttons=_buttons(held),
+            position, velocity or NOTHING, turned or UPRIGHT, buttons=_buttons(held)
         )
 
     def model(self) -> str:
@@ -287,16 +284,16 @@ def _part(whole: object, name: str) -> dict[str, Any]:
     return part if isinstance(part, dict) else {}
 
 
-def _numbers(table: object, names: str) -> list[float]:
+def _numbers(table: object, names: str) -> Any:
     """Return finite numbers of a table by name; empty if any is missing or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
     # bool is a subclass of int.
-    numbers = [
+    numbers = tuple(
         float(each)
         for each in found
         if isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
-    ]
-    return numbers if len(numbers) == len(names) else []
+    )
+    return numbers if len(numbers) == len(names) else ()
 
 
 def _buttons(state: Mapping[str, Any]) -> int:
@@ -337,16 +334,14 @@ class StateOrder:
         self._came_s = time_s
         if last is None:
             return False
-        (x, y, z) = sample.position_m
-        (a, b, c) = last.position_m
-        step = x - a, y - b, z - c
+        step = [x - a for x, a in zip(sample.position_m, last.position_m, strict=True)]
         speed = [
             0.5 * (one + other)
             for one, other in zip(sample.velocity_m_s, last.velocity_m_s, strict=True)
         ]
         length = hypot(*step)
         fast = hypot(*speed)
-        along = step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2]
+        along = sum(x * v for x, v in zip(step, speed, strict=True))
         is_judged = length > LEAST_M and fast > LEAST_M_S
         against = is_judged and along < AGAINST * length * fast
         self._share += (1.0 - exp(-elapsed / MEMORY_S)) * (against - self._share)

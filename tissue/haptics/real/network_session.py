@@ -135,11 +135,9 @@ def unpacked(data: bytes) -> Packet:
     sample = None
     total = time_s
     if kind == Kind.POSE:
-        x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz, buttons, _ = POSE.unpack(
-            data[HEADER.size : end]
-        )
-        total += x + y + z + vx + vy + vz + wx + wy + wz
-        sample = HardwareSample((x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz), buttons)
+        pose = POSE.unpack(data[HEADER.size : end])
+        total += sum(pose[:13])
+        sample = HardwareSample(pose[:3], pose[7:10], pose[3:7], pose[10:13], pose[13])
     if not isfinite(total) or (sample is not None and not is_nearly_unit(sample.quaternion)):
         raise PacketError("number")
     return Packet(Kind(kind), sequence, echo, time_s, sample)
@@ -238,24 +236,16 @@ class NetworkSession:
     def bye(self) -> tuple[Hashable, bytes] | None:
         """End the session: return the receiver and the last packet; None without a device."""
         with self._lock:
-            if self.peer is None:
-                return None
-            peer = self.peer
-            data = self._packet(Kind.BYE)
-            self._forget()
-            return peer, data
+            return self._ended_with(self._packet(Kind.BYE))
 
     def refused(self, sentence: str) -> tuple[Hashable, bytes] | None:
         """End the session: return the receiver and a refusal; None without a device."""
         with self._lock:
-            if self.peer is None:
-                return None
-            peer = self.peer
             # A character that is truncated within its bytes is dropped.
             payload = sentence.encode()[:MOST_WORDS].decode(errors="ignore").encode()
-            data = packed(Kind.REFUSED, 0, echo=self._seen, time_s=0.0, payload=payload)
-            self._forget()
-            return peer, data
+            return self._ended_with(
+                packed(Kind.REFUSED, 0, echo=self._seen, time_s=0.0, payload=payload)
+            )
 
     def leave(self, sender: Hashable) -> None:
         """Remove a device whose connection has ended."""
@@ -317,6 +307,12 @@ class NetworkSession:
             self._shown = echo
             if not isnan(sent := self._sent_at[echo % KEPT]):
                 self.round_trip_s = self._clock() - sent
+
+    def _ended_with(self, data: bytes) -> tuple[Hashable, bytes] | None:
+        """End the session with a last packet."""
+        peer = self.peer
+        self._forget()
+        return None if peer is None else (peer, data)
 
     def _forget_silent(self) -> None:
         if self.peer is not None and self._clock() - self._heard > SILENCE_S:

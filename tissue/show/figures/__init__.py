@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue.scene.registry import ANATOMIES
-from tissue.scene.tool import Needle
 from tissue.system.offscreen import end_drawing
 
 if TYPE_CHECKING:
@@ -39,7 +38,6 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     from tissue.show.figures.force_time import draw_force_torque, draw_played
     from tissue.show.figures.organ_pictures import draw_held, draw_press
     from tissue.show.figures.section import draw_section
-    from tissue.show.figures.tool_mesh import tool_surface
     from tissue.simulation.bone_surface import depth_map
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +47,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
     scene = run.scene
     parts = run.parts
-    fields = run.parts.fields
+    fields = parts.fields
     depth = None if parts.volume is None else depth_map(run)
     notes: dict[str, str | None] = {}
     with _background() as pool:
@@ -57,21 +55,16 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
             shaded = pool.submit(draw_before_after, run, depth, path("bone_before_after"))
             draw_removed_depth(run, depth, path("removed_depth"))
             has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
-            side = {"axis": depth.axis, "outward": depth.outward}
             # a tool that does not rotate removes nothing, so its section would show nothing new
             is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
             if is_drilled or parts.keep_clear is not None:
-                draw_section(run, path("section"), **side)
+                draw_section(run, path("section"))
             if is_drilled:
-                notes["force_depth"] = draw_force_depth(run, path("force_depth"), **side)
+                notes["force_depth"] = draw_force_depth(run, path("force_depth"))
             notes["bone_before_after"] = shaded.result()
         elif fields is not None and fields.frames:
-            shaded = pool.submit(draw_held, fields, path("held"), title=scene.name)
-            tool = tool_surface(scene.tool)
-            flat = isinstance(scene.tool, Needle)
-            notes["press"] = draw_press(
-                fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat
-            )
+            shaded = pool.submit(draw_held, run, path("held"))
+            notes["press"] = draw_press(run, path("press"))
             notes["held"] = shaded.result()
     draw_force_torque(run, path("force_torque"))
     if scene.device is not None:

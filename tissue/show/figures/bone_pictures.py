@@ -98,9 +98,7 @@ class _View:
             (np.ptp(cut, axis=0) + 1).min()
         ):
             return cls(volume, remaining, depth, None)
-        _, normal, place = plane_of(
-            run, axis=depth.axis, outward=depth.outward, row=len(run.trace.rows) - 1
-        )
+        (*_, normal), place = plane_of(run, len(run.trace.rows) - 1)
         first = int((place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m)
         count = volume.shape[normal]
         behind = np.arange(count) >= np.clip(first, 0, count - 1)

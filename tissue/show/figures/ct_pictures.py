@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Flags, Ints, lattice
+from meshes.ct.density import DensityLaw
+from meshes.ct.inspection import Histogram
 from meshes.images.frame import Image, part_of
 from meshes.paths.toolpath import PathDepth
 from meshes.surfaces.surface import Surface
@@ -25,11 +27,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Marks",
+    "depth_below",
     "draw_ct_bone",
     "draw_ct_histogram",
     "draw_ct_organ",
     "draw_ct_slices",
     "draw_path_depth",
+    "middle_of",
 ]
 
 BONE_HU = (-200.0, 1300.0)
@@ -104,7 +108,6 @@ def draw_ct_slices(
     outlines: Mapping[str, Image],
     marks: Marks,
     *,
-    title: str,
     window_HU: tuple[float, float] = BONE_HU,
 ) -> None:
     """Draw three slices of a CT to a file.
@@ -135,7 +138,7 @@ def draw_ct_slices(
     looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
     looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
     # inches: three near square panels, and the legend below
-    chart, panels = panelled(title, (9.0, 3.9), 1, 3, layout="compressed")
+    chart, panels = panelled(image.source, (9.0, 3.9), 1, 3, layout="compressed")
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         plane = [u, v]
         ends = np.stack([origin - 0.5 * spacing, origin + spacing * (shape - 0.5)])[:, plane]
@@ -197,9 +200,7 @@ AROUND_ORGAN_MM = 10.0
 """Width of the surroundings of an organ that are shown [mm]."""
 
 
-def draw_ct_organ(
-    image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh, title: str
-) -> None:
+def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh) -> None:
     """Draw slices through the middle of the smallest part, with outlines.
 
     The outlines show the meshed organ and the labels.
@@ -222,15 +223,37 @@ def draw_ct_organ(
     around = part_of(image, part)
     # a slice through the organ's middle might miss a small part
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
-    middle = origin + spacing * np.argwhere(masks[smallest]).mean(axis=0)
-    sizes = zip(around.origin_mm, around.spacing_mm, around.values.shape, strict=True)
-    grid = lattice(*(o + s * np.arange(n) for o, s, n in sizes))
-    depth = -triangle_distance(mesh.nodes_m, mesh.surface, 1e-3 * grid).reshape(around.values.shape)
-    outlines = {f"{organ}, meshed": replace(around, values=depth.astype(np.float32))}
+    middle = middle_of(image, masks[smallest])
+    outlines = {f"{organ}, meshed": depth_below(mesh.nodes_m, mesh.surface, around)}
     for name in parts:
         # outlines are drawn at 0, halfway between inside and outside
         outlines[name] = replace(around, values=masks[name][part] - np.float32(0.5))
-    draw_ct_slices(around, path, outlines, Marks(middle), title=title, window_HU=SOFT_HU)
+    draw_ct_slices(around, path, outlines, Marks(middle), window_HU=SOFT_HU)
+
+
+def depth_below(vertices_m: Array, faces: Ints, image: Image) -> Image:
+    """Return the depth of an image's voxels below a surface [m], negative outside.
+
+    Depths are exact within two voxels of the box around the surface, for the outline at depth 0.
+    """
+    axes = [
+        o + s * np.arange(n)
+        for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
+    ]
+    grid = lattice(*axes)
+    low = 1e3 * vertices_m.min(axis=0)
+    high = 1e3 * vertices_m.max(axis=0)
+    around = 2.0 * max(image.spacing_mm)
+    near = ((grid > low - around) & (grid < high + around)).all(axis=1)
+    depth = np.full(len(grid), -1.0, dtype=np.float32)
+    depth[near] = -triangle_distance(vertices_m, faces, 1e-3 * grid[near])
+    return replace(image, values=depth.reshape(image.values.shape))
+
+
+def middle_of(image: Image, mask: Flags) -> Array:
+    """Return the centre of the marked voxels of an image [mm, LPS]."""
+    places = np.argwhere(mask).mean(axis=0)
+    return np.asarray(np.array(image.origin_mm) + np.array(image.spacing_mm) * places)
 
 
 HEAD_PX = 110
@@ -341,9 +364,7 @@ AROUND_PATH_MM = 40.0
 """Smallest half width of the bone that is shown around a path [mm]."""
 
 
-def draw_path_depth(
-    surface: Surface, found: PathDepth, path: Path, *, normal: Array, title: str
-) -> str | None:
+def draw_path_depth(surface: Surface, found: PathDepth, path: Path, *, normal: Array) -> str | None:
     """Draw a path on a bone, seen along the normal of the site and from the side.
 
     Parameters
@@ -414,7 +435,12 @@ def draw_path_depth(
         low.set_title(f"deepest {found.deepest_mm:.1f} mm", loc="right", size=9)
 
     return draw_shaded(
-        make, path, annotate, margins_px=(HEAD_PX, PATH_FOOT_PX), title=title, names=list(eyes)
+        make,
+        path,
+        annotate,
+        margins_px=(HEAD_PX, PATH_FOOT_PX),
+        title=surface.report.source,
+        names=list(eyes),
     )
 
 
@@ -429,33 +455,33 @@ RANGE_HU = (-1100.0, 2200.0)
 
 @styled
 def draw_ct_histogram(
-    values: Ints,
-    counts: Ints,
+    histogram: Histogram,
     inside: NDArray[np.number],
     path: Path,
     *,
     threshold: float | None,
-    density: tuple[float, float] | None,
+    law: DensityLaw | None,
     title: str,
 ) -> None:
     """Draw the histogram of an image to a file.
 
     Parameters
     ----------
-    values, counts
-        Integer values of the image, and number of voxels with each value.
+    histogram
+        Histogram of the image.
     inside
         Values of the voxels inside the bone.
     threshold
         Value above which a voxel is bone; None if a label defines the bone.
-    density
-        Slope of density over value, and density at value 0 [kg/m3]; None if they are not known.
+    law
+        Density over value; None if it is not known.
     """
+    values = histogram.values
     low = max(RANGE_HU[0], float(values[0]))
     high = min(RANGE_HU[1], float(values[-1]))
     edges = np.linspace(low, high, BINS)
     chart, (axes,) = panelled(title, (6.4, 3.4))
-    shown, _ = np.histogram(values, edges, weights=counts)
+    shown, _ = np.histogram(values, edges, weights=histogram.counts)
     axes.stairs(shown, edges, color=ALL, fill=True, label="image")
     shown, _ = np.histogram(inside, edges)
     axes.stairs(shown, edges, color=INSIDE, linewidth=1.4, label="bone")
@@ -466,8 +492,9 @@ def draw_ct_histogram(
     axes.set(xlim=(low, high), ylim=(0.7, None), xlabel="grey value", ylabel="voxels")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="upper right")
-    if density is not None:
-        slope, offset = density
+    if law is not None:
+        slope = law.slope_kg_m3
+        offset = law.offset_kg_m3
         axes.set_xlabel("grey value [HU]")
         upper = axes.secondary_xaxis(
             "top", functions=(lambda x: slope * x + offset, lambda y: (y - offset) / slope)

@@ -22,7 +22,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.force_time import FLICKER_S, spells
 from tissue.show.figures.tool_mesh import tool_turns
-from tissue.simulation.bone_surface import HALF, tool_axes
+from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
@@ -76,7 +76,7 @@ def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
 
 
 @styled
-def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | None:
+def draw_force_depth(run: Run, path: Path) -> str | None:
     """Draw force and other quantities of the tissue over the depth of the first descent.
 
     Parameters
@@ -85,14 +85,13 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
         A run with voxels.
     path
         File to write.
-    axis, outward
-        World axis closest to the tool's axis, and the side from which the tool comes.
 
     Returns
     -------
     None, or the reason why it could not be drawn.
     """
     trace = run.trace
+    axis, outward = facing(trace)
     tips = trace.vectors("tool", "mm")
     rows = first_descent(outward * tips[:, axis], trace["contact_mm2"] > 0.0)
     # a single point is no curve

@@ -8,6 +8,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.fem.fields import FieldSeries, Frame
+from tissue.scene.tool import Needle
 from tissue.show.figures.figure import field_colours, field_words, halo
 from tissue.show.figures.organ_surface import (
     SHOWN,
@@ -25,7 +26,8 @@ from tissue.show.figures.rendering import (
     draw_shaded,
     paint,
 )
-from tissue.show.figures.tool_mesh import pose, row_at, tool_turns
+from tissue.show.figures.tool_mesh import pose, row_at, tool_surface, tool_turns
+from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
 from tissue.simulation.trace import Table
 from tissue.simulation.vtk_files import CELL_TYPES, frame_mesh
@@ -93,39 +95,27 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
     return near, f"the tool nearest to the {series.layer_names[series.layer[inclusion[0]]]}"
 
 
-def draw_press(
-    series: FieldSeries,
-    trace: Table,
-    path: Path,
-    *,
-    title: str,
-    tool: "pyvista.PolyData | None" = None,
-    flat: bool = False,
-) -> str | None:
+def draw_press(run: Run, path: Path) -> str | None:
     """Draw the deformed organ at the time of `moment_of_press`, whole and cut open at the tool.
 
     Parameters
     ----------
-    series
-        Fields of the organ. The frames have a displacement at the nodes and von Mises stress in the
+    run
+        A run with fields. The frames have a displacement at the nodes and von Mises stress in the
         cells.
-    trace
-        Trace with the position of the tool and its force.
     path
         File.
-    title
-        Title of the picture.
-    tool
-        Surface of the tool in the frame of the tool [mm], from
-        `tissue.show.figures.tool_mesh.tool_surface`.
-    flat
-        If true, both pictures show the section along the tool from the front. This is needed for
-        the track of a needle.
 
     Returns
     -------
     None, or the reason why it could not be drawn.
     """
+    series = run.parts.fields
+    trace = run.trace
+    tool = tool_surface(run.scene.tool)
+    # both pictures show the section along a needle from the front, because of the needle's track
+    flat = isinstance(run.scene.tool, Needle)
+    assert series is not None
     frame, why = moment_of_press(series, trace)
     if frame is None:
         return "nothing has moved"
@@ -184,7 +174,7 @@ def draw_press(
         draw_axes(shaded.chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", shaded.cameras[0])
 
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
-    title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
+    title = f"{run.scene.name}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
     return draw_shaded(
         make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT
     )
@@ -263,7 +253,7 @@ EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
 HELD_HEIGHTS_PX = 110, 80
 
 
-def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
+def draw_held(run: Run, path: Path) -> str | None:
     """Draw the surface of an organ, with coloured triangles for held nodes and for nodes that can
     be touched.
 
@@ -271,7 +261,8 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
     -------
     None, or the reason why it could not be drawn.
     """
-    surface = _surface(series)
+    assert run.parts.fields is not None
+    surface = _surface(run.parts.fields)
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
         return [
@@ -293,7 +284,7 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
         ]
         shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
 
-    title = f"{title}: what holds the organ"
+    title = f"{run.scene.name}: what holds the organ"
     return draw_shaded(
         make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES)
     )

@@ -25,7 +25,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.organ_surface import interpolate_in_layers
 from tissue.show.figures.tool_mesh import row_at, tool_turns
-from tissue.simulation.bone_surface import HALF, tool_axes
+from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.run import Run
 
 if TYPE_CHECKING:
@@ -83,14 +83,15 @@ class Section:
     layer: Bytes
 
 
-def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
+def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
     """Return the plane through the deepest point so far, along tool axis and direction of motion.
 
     Returns
     -------
-    World axis of the main direction of motion, world axis perpendicular to the plane, and
-    coordinate of the plane [mm].
+    World axes (main direction of motion, closest to the tool's axis, perpendicular to the plane),
+    and coordinate of the plane [mm].
     """
+    axis, outward = facing(run.trace)
     tips = run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     rows = cutting if cutting.size else np.arange(len(tips))
@@ -100,23 +101,22 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
     sides = [a for a in range(3) if a != axis]
     across = sides[int(np.ptp(tips[rows][:, sides], axis=0).argmax())]
     normal = next(a for a in sides if a != across)
-    return across, normal, float(tips[deepest, normal])
+    return (across, axis, normal), float(tips[deepest, normal])
 
 
-def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
+def section_of(run: Run, row: int) -> Section:
     """Return the section through the deepest point so far, along tool axis and direction of motion.
 
     Parameters
     ----------
     run
         A run with voxels.
-    axis, outward
-        World axis closest to the tool's axis, and the side from which the tool comes.
     row
         Row of the trace at the shown time.
     """
     volume = run.volume
-    across, normal, place = plane_of(run, axis=axis, outward=outward, row=row)
+    axes, place = plane_of(run, row)
+    across, axis, normal = axes
     spacing = 1e3 * volume.spacing_m
     origin = 1e3 * volume.origin_m
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
@@ -128,7 +128,7 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
         (float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)
     ]
     return Section(
-        axes=(across, axis, normal),
+        axes=axes,
         place_mm=place,
         row=row,
         extent_mm=(*ends[0], *ends[1]),
@@ -166,14 +166,14 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
 
 
 @styled
-def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
+def draw_section(run: Run, path: Path) -> None:
     """Draw layers, removed tissue and stress in the same section at the same time.
 
     Stress is drawn only if fields were computed.
     """
     series = run.parts.fields
     row, frame = moment_of(run)
-    section = section_of(run, axis=axis, outward=outward, row=row)
+    section = section_of(run, row)
     kept = nearest_places(run)
     window = kept_window(kept, section)
     u0, u1, v0, v1 = window
@@ -346,13 +346,13 @@ def nearest_places(run: Run) -> list[Nearest]:
 
     clear = run.parts.keep_clear
     trace = run.trace
-    found = []
-    for name, distance in () if clear is None else clear.distances.items():
+    found: list[Nearest] = []
+    if clear is None:
+        return found
+    for name, distance in clear.distances.items():
         row = int(np.argmin(trace[f"distance_{name}_mm"]))
         turn = Rotation.from_quat(tool_turns(trace)[row])
-        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(
-            np.asarray(clear.points_m) if clear else []
-        )
+        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m))
         point = body_m[int(np.argmin(distance(body_m)))]
         steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
         values = np.asarray(distance(point + steps), dtype=np.float64)

@@ -81,11 +81,6 @@ def packed_vectors(values: ArrayLike) -> Record:
     return {"low": low.tolist(), "step": step, **packed(whole.astype(np.int16))}
 
 
-def packed_column(values: ArrayLike) -> Record:
-    """Encode one column of numbers like `packed_vectors`."""
-    return packed_vectors(np.asarray(values, dtype=np.float64)[:, None])
-
-
 def packed_shares(values: ArrayLike) -> Record:
     """Encode shares from 0 to 1 of a colour scale in steps of 1/255."""
     return packed(
@@ -134,7 +129,7 @@ def columns(trace: Table) -> Record:
         "rows": len(trace.rows),
         "start_s": float(trace["time_s"][0]),
         "step_s": TICK_S,
-        "columns": {name: packed_column(trace[name]) for name in kept},
+        "columns": {name: packed_vectors(trace[name][:, None]) for name in kept},
         "labels": {name: field_words(name) for name in kept if not name.startswith(HIDDEN)},
         "layer": packed(layers),
         "layers": [[name, to_hex(colours[name])] for name in trace.layer_names],

@@ -88,16 +88,13 @@ def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
 
 def events_table(summary: Summary, text: Text) -> str:
     """Return the table of events, with buttons that go to the times of the events."""
-    events = summary.get("events", [])
-    if not events:
-        return "<p>None.</p>"
     rows = [
         (
             str(number),
             f'<button data-time="{event["time_s"]:.6f}">{event["time_s"]:.3f} s</button>',
             text(event["what"]),
         )
-        for number, event in enumerate(events, 1)
+        for number, event in enumerate(summary.get("events", []), 1)
     ]
     return _table(("", "time", "what happened"), rows)
 
@@ -105,11 +102,8 @@ def events_table(summary: Summary, text: Text) -> str:
 def notes_table(summary: Summary, text: Text) -> str:
     """Return the table of the notes of the run."""
     notes = summary.get("notes", {})
-    if not notes:
-        return "<p>None.</p>"
-    return _table(
-        ("of", "note"), [(text(str(name)), text(str(note))) for name, note in notes.items()]
-    )
+    rows = [(text(str(name)), text(str(note))) for name, note in notes.items()]
+    return _table(("of", "note"), rows)
 
 
 def materials_table(used: Sequence[Used], text: Text) -> str:
@@ -167,6 +161,9 @@ def _table(
 ) -> str:
     """Return a table from cells in HTML; columns of numbers align to the right."""
 
+    if not rows:
+        return "<p>None.</p>"
+
     def line(cells: Sequence[str], element: str) -> str:
         shown = ""
         for column, cell in enumerate(cells):
@@ -220,12 +217,12 @@ def band_section(saved: SavedRun, text: Text) -> str:
 
 def _pictures(saved: SavedRun) -> str:
     found = []
-    for name in ("band", "band_sobol"):
+    for name, about in BAND_PICTURES.items():
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
                 data = b64encode(path.read_bytes()).decode()
-                found.append(f'<img src="data:{kind};base64,{data}" alt="{BAND_PICTURES[name]}">')
+                found.append(f'<img src="data:{kind};base64,{data}" alt="{about}">')
     return "".join(found)
 
 

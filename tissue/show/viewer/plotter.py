@@ -1,9 +1,7 @@
-"""Functions for all 3D views: process, text, colour scale, keys, clicks and camera."""
+"""Functions for all 3D views: text, colour scale, keys, clicks and camera."""
 
-import os
-import signal
 from collections.abc import Callable, Mapping
-from typing import Any, TextIO, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +19,6 @@ __all__ = [
     "in_words",
     "new_plotter",
     "on_click",
-    "own_process",
     "picked",
 ]
 
@@ -37,30 +34,6 @@ KEPT = tuple("eqrsw")
 """Keys of VTK that are kept: leave (e, q), reset the camera, surfaces, wireframe."""
 ROTATE = 1
 """VTK's number of the state in which the left button rotates the camera."""
-
-
-NICE = 5
-"""Niceness of a process that draws while ticks run; it lowers the priority."""
-
-
-def own_process(*, beside_ticks: bool) -> TextIO:
-    """Prepare a process that only draws, and return its standard output.
-
-    All other output goes to standard error. The parent process decides when this process ends, so
-    Ctrl-C is ignored. If ticks run at the same time, the process has a lower priority and draws
-    with one thread, because OpenGL in software would otherwise use all cores.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if beside_ticks:
-        # Windows has no niceness
-        if hasattr(os, "nice"):
-            os.nice(NICE)
-        os.environ.setdefault("LP_NUM_THREADS", "1")
-    # libraries may print to standard output, whose reader waits for the line "ready"; such text
-    # goes to standard error
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    return standard_output
 
 
 def in_words(vector: ArrayLike, digits: int = 2) -> str:
@@ -227,6 +200,8 @@ def aim(
 
     A scale bar needs a parallel projection, because it has the same scale everywhere.
     """
+    import pyvista
+
     plotter.camera.parallel_projection = parallel
     plotter.camera.SetWindowCenter(0.0, 0.0)
     plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
@@ -238,7 +213,7 @@ def aim(
         return
     wide, tall = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(wide / tall, -1.0, 1.0)
-    view = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    view = pyvista.array_from_vtkmatrix(matrix)
     seen = np.column_stack([points_mm, np.ones(len(points_mm))]) @ view.T
     seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
     first = seen.min(axis=0)

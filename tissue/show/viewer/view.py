@@ -10,7 +10,6 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import IO
 
 from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.progress import Progress, silent
@@ -257,8 +256,8 @@ def show(
     title: str,
     choice: Choice,
     *,
-    screenshot: Path | None = None,
-    movie: Path | None = None,
+    kind: str = "",
+    file: Path | None = None,
 ) -> None:
     """Open the window, or draw the view to files.
 
@@ -270,20 +269,19 @@ def show(
         Title above the view.
     choice
         Initial view of the run.
-    screenshot
-        PNG file to write.
-    movie
-        MP4 or GIF file to write. The finished share is printed.
+    kind, file
+        File to write instead of opening a window: a ``screenshot`` (PNG), or a ``movie`` (MP4 or
+        GIF), of which the finished share is printed.
     """
-    window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
-    if screenshot is not None and choice.clean:
-        write_clean(window.plotter, screenshot)
-    elif screenshot is not None:
-        window.plotter.screenshot(str(screenshot))
-    elif movie is not None:
-        write_movie(movie, window.pictures())
-    else:
+    window = Window(saved, title, choice, off_screen=file is not None)
+    if file is None:
         window.open()
+    elif kind == "movie":
+        write_movie(file, window.pictures())
+    elif choice.clean:
+        write_clean(window.plotter, file)
+    else:
+        window.plotter.screenshot(str(file))
     window.plotter.close()
 
 
@@ -316,7 +314,14 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
     why = "this machine has no OpenGL library"
     for environment in drawing_environments():
         with TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
-            child = _start(folder, choice, environment, output)
+            child = subprocess.Popen(
+                child_command(PAGE, str(folder), json.dumps(asdict(choice))),
+                env=os.environ | environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=output,
+                text=True,
+            )
             try:
                 address, problem = await_ready(child, longest_s=OPENS_S, closes_s=CLOSES_S)
                 if problem is None:
@@ -338,20 +343,7 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
     raise InputError(f"--web must serve a page, but {why[:200]}. {REMEDY[:1].upper()}{REMEDY[1:]}")
 
 
-def _start(
-    folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]
-) -> "subprocess.Popen[str]":
-    return subprocess.Popen(
-        child_command(PAGE, str(folder), json.dumps(asdict(choice))),
-        env=os.environ | environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=output,
-        text=True,
-    )
-
-
 if __name__ == "__main__":
     finished = SavedRun(sys.argv[1])
     wanted, chosen, into = sys.argv[2:]
-    show(finished, _about(finished), Choice.of_json(chosen), **{wanted: Path(into)})
+    show(finished, _about(finished), Choice.of_json(chosen), kind=wanted, file=Path(into))

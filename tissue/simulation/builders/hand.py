@@ -294,7 +294,7 @@ def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
     cue_N = settings.output.cue_N
     vibration = cues = None
     if teeth := settings.vibration(TICK_S):
-        vibration = PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
+        vibration = PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N)
     if cue_N > 0.0:
-        cues = Cues(cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S)
+        cues = Cues(cue_N, limit_N=limit_N, slew_N=slew_N)
     return PlayedForce(limit_N, perception=person, vibration=vibration, cues=cues)

@@ -170,7 +170,7 @@ def perception_for(
 ) -> PerceivedForce:
     """Return the perceptual map for an observer at a device; see `perception`."""
     device = ForceRange(limit_N=force_limit_N)
-    knee_N = device.knee_share * device.limit_N
+    knee_N = device.knee_N
     reference = reference_observer()
     lowest_N = min(observer.offset_N, 0.5 * knee_N)
     law = ForceMap(

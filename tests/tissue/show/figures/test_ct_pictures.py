@@ -15,7 +15,7 @@ def test_normal_and_path_outside_of_the_image_are_shown(monkeypatch, tmp_path):
     path = np.array([[4.0, 5.0, 40.0], [4.0, 5.0, 10.0]])
     for points, top in ((None, 13.0 + NORMAL_MM), (path, 40.0)):
         marks = Marks(site, np.array([0.0, 0.0, 1.0]), points)
-        draw_ct_slices(image, tmp_path / "slices.png", {}, marks, title="block")
+        draw_ct_slices(image, tmp_path / "slices.png", {}, marks)
         axial, coronal, sagittal = drawn.pop().axes
         assert axial.get_xlim() == (-0.5, 9.5) and axial.get_ylim() == (11.5, -0.5)
         assert coronal.get_ylim() == sagittal.get_ylim() == (-0.5, top)

@@ -21,7 +21,7 @@ def run():
 
 def test_section_holds_the_voxels_at_the_deepest_point(run):
     last = len(run.trace.rows) - 1
-    section = section_of(run, axis=2, outward=1, row=last)
+    section = section_of(run, last)
     volume = run.parts.volume
     *_, normal = section.axes
     assert sorted(section.axes) == [0, 1, 2] and section.row == last

@@ -65,7 +65,7 @@ def pointed():
         camera=camera, window_size=(1000, 500), iren=SimpleNamespace(interactor=interactor)
     )
     box = {"low_mm": np.array([-20.0, -20.0, -10.0]), "high_mm": np.array([20.0, 20.0, 30.0])}
-    return Pointer(window, np.zeros(3), UP, **box), interactor
+    return Pointer(window, start_mm=np.zeros(3), axis=UP, **box), interactor
 
 
 def test_the_mouse_moves_the_target_by_what_is_under_the_pixels(pointed):

@@ -26,7 +26,7 @@ from tissue.simulation.live.shared import (
 from tissue.simulation.live.window import CLOCK
 from tissue.simulation.trace import Table
 
-__all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target"]
+__all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target", "read_start"]
 
 
 TISSUE_S = 0.2
@@ -74,8 +74,9 @@ class Readings:
     numbers: dict[str, float]
 
     @classmethod
-    def of(cls, table: Table) -> "Readings":
-        """Read the values from the first row of a table with trace and clock columns."""
+    def of(cls, columns: tuple[str, ...], row: Array, start: Start) -> "Readings":
+        """Read the values from a row with trace and clock columns."""
+        table = Table(columns, row[None], tuple(map(str, start["layer_names"])))
         plays = "device_force_x_N" in table
         return cls(
             tip_mm=table.vectors("tool", "mm")[0],
@@ -88,6 +89,13 @@ class Readings:
             layer=str(table["layer"][0]),
             numbers={name: float(table[name][0]) for name in NUMBERS},
         )
+
+
+def read_start(folder: Path) -> tuple[Scene, Start]:
+    """Read the scene and the initial data that the ticks have written."""
+    with np.load(folder / "start.npz", allow_pickle=False) as file:
+        start: Start = dict(file)
+    return Scene.read_back((folder / "scene.json").read_text("utf-8")), start
 
 
 PASSES = 4
@@ -252,11 +260,10 @@ class LiveScene:
     ) -> None:
 
         self.arrays = SharedArrays(folder)
-        with np.load(folder / "start.npz", allow_pickle=False) as file:
-            start = dict(file)
-        scene = self.scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
+        scene, start = read_start(folder)
+        self.scene = scene
+        self._start = start
         self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
-        self._layer_names = tuple(map(str, start["layer_names"]))
         self.plotter = new_plotter(
             size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen
         )
@@ -336,7 +343,7 @@ class LiveScene:
         message = self.arrays.read("row")
         if message is None or message[0] == 0:
             return None
-        readings = Readings.of(Table(self._columns, message[1][None], self._layer_names))
+        readings = Readings.of(self._columns, message[1], self._start)
         # a quaternion of zeros: the row has not been written yet
         if not readings.turn.any():
             return None
@@ -465,12 +472,8 @@ class Pointer(Target):
     ----------
     plotter
         Plotter of the window.
-    start_mm
-        Initial position [mm].
-    axis
-        Axis of the tool from tip to shank, shape (3,).
-    low_mm, high_mm
-        Corners of the box that the position may not leave [mm].
+    **options
+        Other arguments of `Target`.
 
     Attributes
     ----------
@@ -480,10 +483,8 @@ class Pointer(Target):
         True if the user pressed the key that ends the run.
     """
 
-    def __init__(
-        self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array
-    ) -> None:
-        super().__init__(plotter, start_mm, axis, low_mm=low_mm, high_mm=high_mm)
+    def __init__(self, plotter: Plotter, **options: Array) -> None:
+        super().__init__(plotter, **options)
         self.ended = False
         self._at: tuple[int, int] | None = None
         interactor = self._interactor = plotter.iren.interactor

@@ -10,7 +10,8 @@ from time import perf_counter, sleep
 import numpy as np
 
 from tissue.show.viewer.live.live_scene import HELP, LiveScene, Pointer, Readings
-from tissue.show.viewer.plotter import add_names, add_text, in_words, own_process
+from tissue.show.viewer.plotter import add_names, add_text, in_words
+from tissue.system.child import own_process
 
 __all__ = ["LiveWindow"]
 

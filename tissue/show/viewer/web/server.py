@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from tissue.show.viewer.plotter import own_process
+from tissue.system.child import own_process
 
 if TYPE_CHECKING:
     from aiohttp.typedefs import Handler
@@ -179,9 +179,9 @@ class PageServer:
         Address of the page; available after `start` was awaited.
     """
 
-    def __init__(self, session: Session, *, token: str | None = None) -> None:
+    def __init__(self, session: Session) -> None:
         self._session = session
-        self._token = token or token_urlsafe(TOKEN_BYTES)
+        self._token = token_urlsafe(TOKEN_BYTES)
         self._port = 0
         self.address = ""
         self._socket: web.WebSocketResponse | None = None
