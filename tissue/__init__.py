@@ -149,7 +149,10 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(_MODULES[name])
     if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+        value = getattr(import_module(_HOMES[name]), name)
+        if name == "Scene":
+            value.model_rebuild()  # models are built late; without this, help shows no parameters
+        return value
     hint = ""
     if not name.startswith("_"):  # Python itself asks for such names
         from meshes.base.hints import nearest

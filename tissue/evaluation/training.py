@@ -220,7 +220,6 @@ class Recorder:
             return motion, self._organ
         parts = build(
             scene,
-            step_s=TICK_S,
             compute="cpu",
             cores=self._cores,
             report=silent,

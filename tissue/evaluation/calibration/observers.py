@@ -170,7 +170,7 @@ def calibrated_commands(
     numbers
         Rated numbers per person. 0 uses the true exponent and factor of each person instead.
     """
-    knee_N = TOUCH.knee_share * TOUCH.limit_N
+    knee_N = TOUCH.knee_N
     wanted = intensity_of(reference_observer())
     forces = np.resize(MAGNITUDE_FORCES_N, numbers)
     given = np.array([people.number(force, rng) for force in forces])

@@ -68,7 +68,7 @@ MOST_SHOWN = 600_000
 The larger blocks have four by four by four voxels instead of two by two by two. The surface of
 600,000 blocks takes 29 ms, less than the 33 ms between two pictures.
 """
-Start = Mapping[str, NDArray[np.generic]]
+Start = Mapping[str, NDArray[Any]]
 FADES_MM = 20.0
 """Distance over which the shown displacement decreases beyond the nodes with known displacement.
 
