@@ -256,7 +256,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
                 }
             rows.append(row)
     if not rows:
-        reason = "People have too few trials on two specimens each."
+        reason = "People have too few trials on two specimens each. Use --trials 60 or more."
         return Section("discrimination", "Discrimination", (reason,))
     sentences, headline = _sentences(changes)
     picture = _right_answers(rows)
