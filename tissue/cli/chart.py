@@ -10,7 +10,7 @@ __all__ = ["chart"]
 
 
 TRIALS = 30
-"""Default number of runs that predictors are tested on in each scene: ten runs for each hand."""
+"""Default number of runs of each scene for the test of predictors: ten runs for each hand."""
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3 of the study."""
 

@@ -118,15 +118,15 @@ class SceneOptions:
     Attributes
     ----------
     seed
-        Seed of all random draws of a run with a device, and of the samples of a band.
+        Seed of all random draws of a run with a device, and of the samples of an uncertainty band.
     duration_s
-        Simulated time in seconds. Default: the whole motion; with a hand, its reaction time (less
-        than 1 s) is added.
+        Simulated time in seconds. Default: the whole motion. With a hand, the reaction time of the
+        hand (less than 1 s) is added.
     set_
         KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
         Requirement: force_error=0.03 (relative error) or tick_ms=0.7. The fastest settings on this
-        machine that meet it are used. May be repeated.
+        machine that meet the requirement are used. May be repeated.
     """
 
     seed: MaybeWhole = None

@@ -146,9 +146,9 @@ def share_right(
     seed
         Seed of the noise, and of the magnitudes in a calibration.
     calibrated_by
-        Number of magnitudes that each observer reports in a calibration, from which the force is
-        scaled for the observer. With 0 the force is scaled with the true exponent; with None it is
-        not scaled.
+        Number of magnitudes that each observer reports in a calibration. The force is scaled for
+        the observer from this calibration. With 0 the force is scaled with the true exponent; with
+        None it is not scaled.
     """
     commands = None
     if calibrated_by is not None:

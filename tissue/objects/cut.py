@@ -25,7 +25,7 @@ __all__ = ["Cut", "saved_table"]
 class Cut:
     """Force, torque and removed volume at every pose of a cut.
 
-    Forces act on the tool, torques about its tip.
+    The forces act on the tool. The torques are about the tip of the tool.
 
     Attributes
     ----------

@@ -158,11 +158,16 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Figures that have a band on any path, and their places in the summary of a band."""
+"""Keys of a band's summary (load and figure), keyed by the figures that every uncertainty band
+contains.
+"""
 
 
 def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
-    """Return the 90 % intervals of figures, keyed by names with units; empty without a band."""
+    """Return the 90 % intervals of figures, keyed by names with units.
+
+    The result is empty for a run without an uncertainty band.
+    """
     band = summary.get("band")
     if band is None:
         return {}

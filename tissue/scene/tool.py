@@ -280,7 +280,10 @@ class Motion(Part):
 
 
 class PathMotion(Motion):
-    """Motion of the tip along straight lines at a given feed. The tip then stays at the end."""
+    """Motion of the tip along straight lines at a given feed.
+
+    The tip then stays at the end of the path.
+    """
 
     drive: ClassVar[str] = "feed_mm_s"
     """Key that sets how fast the tool moves."""

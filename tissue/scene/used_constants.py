@@ -27,8 +27,8 @@ class Used:
     name
         Name of the constant, with its unit.
     cited
-        Value, range, source and confidence, from the file of the scene if that contains the
-        constant.
+        Value, range, source and confidence, from the scene's file of constants if this file
+        contains the constant.
     full
         Full name ``TABLE.MATERIAL.NAME``. If a layer has a cutting constant of its own, MATERIAL is
         the layer.

@@ -60,8 +60,8 @@ SENSITIVITIES = (
 MOST_BYTES = 1_000_000_000
 """Largest size of a record [bytes].
 
-This size is enough for 60 s with every tick in two layers of varying density, or for an hour in one
-layer of constant density.
+This size is enough to record every tick of 60 s in two layers of varying density, or of an hour in
+one layer of constant density.
 """
 
 

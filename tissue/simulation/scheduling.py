@@ -1,4 +1,7 @@
-"""Scheduling of a run: scheduling gaps of the machine, cores and kernel launches."""
+"""Scheduling of a run: scheduling gaps, processor cores and kernel launches.
+
+A scheduling gap is a time in which the system did not run the thread of the ticks.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -84,7 +87,7 @@ def spin_time_s(simulated_s: float) -> float:
 
 
 class Scheduling:
-    """Scheduling of one run: made just before the first tick.
+    """Measurement of the scheduling of one run, made just before the first tick.
 
     Parameters
     ----------

@@ -49,7 +49,8 @@ FINE_POSES = 3000
 
 The first number is for a cutter. The second one is for a needle, which breaks through within tenths
 of a millimetre. With four times as many poses, the largest force of the built-in scenes changes by
-less than 0.2 %. Only in `milling`, which has a short peak at a corner, it changes by 21 %.
+less than 0.2 %. The exception is `milling`, whose force has a short peak at a corner: its largest
+force changes by 21 %.
 """
 ACROSS = 8.0
 """Number of voxels across the diameter of a cutter.
@@ -280,7 +281,7 @@ def _met(table: str, _inputs: tuple[object, ...]) -> Met:
 def cut(scene: Scene) -> Met:
     """Return the largest force of a cutter on the scripted motion, in coarse voxels.
 
-    For a tool that is pushed by a thrust, it is the thrust.
+    For a tool that is pushed by a thrust, the result is the thrust.
     """
     assert isinstance(scene.tool, Tool)
     if isinstance(scene.motion, ThrustMotion):
@@ -309,8 +310,8 @@ def pressed(scene: Scene) -> Met:
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
     a cylinder. The modulus is that of the stiffest tissue on the scripted motion, without a nodule.
-    A hyperelastic law of the organ is ignored; the exponential law of `liver-press` has 1.3 times
-    the force. For a probe of another shape the result is 0.
+    A hyperelastic law of the organ is ignored. With the exponential law of `liver-press`, the force
+    is 1.3 times the result. For a probe of another shape the result is 0.
     """
     organ = scene.organ
     tool = scene.tool

@@ -199,7 +199,7 @@ def device_motion(
     Forces are scaled by f, and motions by m: the tool moves m times as far as the device. A
     stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so that the
     work at the device is f / m times the work at the tool. The stiffness of the coupling is given
-    at the device, whatever the scales. The stability check uses this value.
+    at the device; the scales do not change it. The stability check uses this value.
 
     Parameters
     ----------

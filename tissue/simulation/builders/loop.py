@@ -62,7 +62,7 @@ SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
 
 The ratio is used if no stiffness is given. Half of the critical stiffness without a hand would be
-only a seventh to a ninth of this stiffness. With either of both stiffnesses, a device that is
+only a seventh to a ninth of this stiffness. With each of these two stiffnesses, a device that is
 released on a wall leaves the wall within some hundredths of a second; see
 tests/stability/test_wall_laws.py.
 """
@@ -98,7 +98,7 @@ class LoopSettings:
         Name of the scene for which a predictor was trained.
     own_predictor
         Function that makes a new predictor, used instead of the predictor that the device table
-        names; None to use that predictor.
+        names. With None, the predictor of the device table is used.
     """
 
     held: Device
@@ -247,7 +247,7 @@ def release_note(loops: Sequence[JudgedLoop]) -> str:
 def judged_loops(
     settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """Return the checked loop of translation and, if the device plays torque, that of rotation.
+    """Return the checked loop of translation and, if the device plays torque, the loop of rotation.
 
     The check of rotation includes the coupling of both loops by a contact at a lever arm.
 
@@ -382,7 +382,8 @@ def device_path(limits: DeviceParameters) -> WallLoop:
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     """Return linearised models of the predictor and of its fallback.
 
-    Both are linearised at a contact at rest, under a share of the device's largest force.
+    Both models are linearised at a contact at rest, under the share `REST_SHARE` of the device's
+    largest force.
     """
     predictor = settings.predictor()
     chosen = settings.coupling

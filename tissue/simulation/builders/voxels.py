@@ -60,7 +60,7 @@ BRICK = 8
 
 A region consists of whole bricks of a fixed lattice, so a voxel has the same position in every
 region. Where a tool only grazes voxels, results in single ticks can still depend on the region,
-because float32 coordinates are relative to its origin.
+because float32 coordinates are relative to the origin of the region.
 """
 
 
