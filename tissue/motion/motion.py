@@ -107,7 +107,7 @@ class Motion(Protocol):
         motion.rotation[:] = self.rotations()[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s`` into ``motion``; ``response`` belongs to the previous tick."""
+        """Write the pose at ``time_s`` into ``motion``; ``response`` is from the previous tick."""
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:

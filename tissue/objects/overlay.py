@@ -106,7 +106,7 @@ def _mainly_descends(trace: "Table") -> bool:
 
 
 def _heights(trace: "Table") -> tuple[Flags, Array]:
-    """Return the rows in contact, and the tip's coordinate along the axis out of the tissue [mm]."""
+    """Return the rows in contact, and the tip's coordinate on the axis out of the tissue [mm]."""
     axis, outward = facing(trace)
     height = outward * trace.vectors("tool", "mm")[:, axis]
     return trace["contact_mm2"] > 0.0, height
@@ -251,7 +251,7 @@ def _band_ends(
 
 
 def _difference(first: Loads, second: Loads) -> tuple[Array, Array]:
-    """Return the times or depths that two runs share, and the magnitude of their force difference."""
+    """Return times or depths that two runs share, and the magnitude of the force difference."""
     place = first.place
     common = place[(place >= second.place[0]) & (place <= second.place[-1])]
     apart = _at(common, second.place, second.force) - _at(common, place, first.force)

@@ -212,7 +212,7 @@ class register:
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
         """Register a simulated hand by values of `HandParameters` in SI units.
 
-        Values that are not given are those of the hand `like`.
+        Values that are not given are taken from the hand `like`.
         """
         from tissue.haptics.hand.hand import HandParameters
 

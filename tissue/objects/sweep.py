@@ -493,7 +493,7 @@ def _recorded(out: Path) -> dict[str, str]:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the remaining runs; yield the name and the problem (or an empty text) of each ended run."""
+    """Run the remaining runs; yield the name and the problem (or an empty text) of each one."""
     total = len(left)
     if workers <= 1:
         for number, (each, replaces) in enumerate(left):

@@ -172,7 +172,7 @@ class RunFolder:
         require_folder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
-        """Remove the files of a replaced run, and mark the folder as the folder of a running run."""
+        """Remove the files of a replaced run, and record in the folder that a run has begun."""
         self._owned.begin()
         placed = {} if placement is None else {"placement": placement.to_record()}
         written = {

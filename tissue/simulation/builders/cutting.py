@@ -207,7 +207,7 @@ def _filled_layers(volume: VoxelVolume) -> list[str]:
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
-    """Return a note if keys of the scene replace the coefficients of layers of several materials."""
+    """Return a note if keys of the scene replace coefficients of layers of several materials."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
     if not given or len(set(cut_as)) < 2:
