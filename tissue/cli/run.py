@@ -102,7 +102,7 @@ def _pair(figures: dict[str, float], unit: str) -> str:
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Return a text with the ends of the 90 % bands of peak and mean."""
+    """Return a text with the ends of the 90 % uncertainty bands of peak and mean."""
     peak, mean = (
         f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}"
         for name in ("peak", "mean_in_contact")
@@ -399,7 +399,7 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
 
 
 def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
-    """Check that the band can be computed; without --band, refuse the options of a band."""
+    """Check that the band can be computed; without --band, refuse options of uncertainty bands."""
     if options.band is None:
         left_out("without --band", "give --band 200, or remove it", **asdict(options))
         return

@@ -107,11 +107,11 @@ class PoseFile:
 def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
-    The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
-    by half the burr size if the file contains this size. Otherwise the recorded point is used as
-    the tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore
-    sorted, and the first sample of each time is kept. If the file contains exactly one camera,
-    forces are rotated from the axes of the camera to the world frame.
+    The recorded pose is at the centre of the burr, with x towards the shank. The pose is moved to
+    the tip by half the burr size if the file contains this size. Otherwise the recorded point is
+    used as the tip. The recorder sometimes receives a pose twice or out of order. Samples are
+    therefore sorted, and the first sample of each time is kept. If the file contains exactly one
+    camera, forces are rotated from the axes of the camera to the world frame.
 
     Parameters
     ----------

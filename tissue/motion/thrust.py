@@ -10,7 +10,7 @@ from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
 TOLERANCE = 0.01
-"""Allowed difference between the speed that led to a pose and the balanced speed there.
+"""Allowed difference between the speed that led to a pose and the balanced speed at this pose.
 
 The difference is relative to the larger of the two speeds. The force balance itself is exact. The
 tolerance limits the error of the pose to a hundredth of the travel in a tick. The tolerance also

@@ -24,8 +24,8 @@ SEAM = 3.0
 """Largest distances between points that are merged, and between loops that are joined [voxels].
 
 The points and loops belong to two different parts of a surface. The first distance allows for
-rounding. The second one allows for the gap that clipping and half-full voxels leave; its value is
-chosen.
+rounding. The second distance allows for the space that clipping and half-full voxels leave between
+the two parts; this value is chosen.
 """
 NEAR = 0.5
 AGREE = 0.8

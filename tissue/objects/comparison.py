@@ -59,7 +59,7 @@ OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine"
 
 
 class Comparison:
-    """Comparison of runs; the first run is the reference for the others.
+    """Comparison of runs; the first run is the reference for the other runs.
 
     Parameters
     ----------

@@ -93,8 +93,9 @@ class Cut:
 
     @property
     def force_N(self) -> Array:
-        """Force on the tool [N], shape (n, 3). It is 0 at the first pose, where the tool is at
-        rest.
+        """Force on the tool [N], shape (n, 3).
+
+        The force is 0 at the first pose, where the tool is at rest.
         """
         return self.trace.vectors("force", "N")
 

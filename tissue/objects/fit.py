@@ -53,9 +53,9 @@ class Fit:
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.
 
-        For each constant, the table has the range before the fit (from the cited source), the 5, 50
-        and 95 % quantiles after the fit, and a state. The state shows, for example, whether the
-        data determine the constant.
+        For each constant, the table has the range before the fit (from the source of the constant),
+        the 5, 50 and 95 % quantiles after the fit, and a state. The state shows, for example,
+        whether the data determine the constant.
         """
         import pandas
 

@@ -158,8 +158,7 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Keys of a band's summary (load and figure), keyed by the figures that every uncertainty band
-contains.
+"""Keys in the summary of an uncertainty band (load and figure), keyed by the name of the figure.
 """
 
 

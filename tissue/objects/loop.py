@@ -126,11 +126,11 @@ class Loop:
             scene, no further tissue is prepared later.
         longest_s, keep_clear
             Time for which rows of the trace are allocated [s]; and structures that a cutter must
-            not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows are
-            used. Without a device, the newest rows then replace the oldest rows.
+            not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
+            trace are used. Without a device, the newest rows then replace the oldest rows.
         step_ms
             Duration of a step without a device [ms], 1 to 1000. In a step of several ticks the tool
-            moves along a straight line. This shortens a curved path; see the guide.
+            moves along a straight line, which shortens a curved path; see the guide.
         cores
             Processor cores for a scene; default all. The result does not depend on their number.
         limits
@@ -291,10 +291,10 @@ class Loop:
         Parameters
         ----------
         pose
-            Pose of the tool at the end of the step, in the frame of the tissue. It is a tip [mm],
-            shape (3,), which keeps the orientation; a tip and a quaternion (x, y, z, w), shape
-            (7,); or a matrix, shape (4, 4), with z from tip to shank. Leave it out if there is a
-            device.
+            Pose of the tool at the end of the step, in the frame of the tissue. The pose is a tip
+            [mm], shape (3,), which keeps the orientation; a tip and a quaternion (x, y, z, w),
+            shape (7,); or a matrix, shape (4, 4), with z from tip to shank. Leave out the pose if
+            there is a device.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
@@ -303,9 +303,9 @@ class Loop:
         Returns
         -------
         TickRow or array
-            Without a device: the wrench at the end of the step, shape (6,). It contains the force
-            on the tool [N] and the torque about its tip [N m], in the frame of the tissue. With a
-            device: the row of the trace, which is the same object in every tick.
+            Without a device: the wrench at the end of the step, shape (6,). The wrench contains the
+            force on the tool [N] and the torque about the tip [N m], in the frame of the tissue.
+            With a device: the row of the trace, which is the same object in every tick.
 
         Raises
         ------

@@ -90,7 +90,7 @@ class Loads:
 def chosen_over(curves: Sequence[Curve]) -> Over:
     """Return depth if all tools mainly advance along their axis, else time.
 
-    Bands of tools that do not follow a given path are drawn over time.
+    Uncertainty bands of tools that do not follow a given path are drawn over time.
     """
     if any(each.band is not None and not each.is_path_given for each in curves):
         return "time"
@@ -166,7 +166,7 @@ def overlay(
 def _draw(
     axes: "Axes", curves: Sequence[Curve], loads: Sequence[Loads], at: int, *, scale: float = 1.0
 ) -> None:
-    """Draw one load of all runs with their bands."""
+    """Draw one load of all runs with the uncertainty bands."""
     widths = np.linspace(*WIDTHS, len(curves))
     for number, (curve, load) in enumerate(zip(curves, loads, strict=True)):
         colour = _colour(number, len(curves))
@@ -230,11 +230,11 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
 def _band_ends(
     band: "Band | None", turns: Array, rows: slice, *, about_axis: bool
 ) -> tuple[Array | None, Array | None]:
-    """Return the ends of a band in the tool's frame, each of shape (n, 4).
+    """Return the ends of an uncertainty band in the tool's frame, each of shape (n, 4).
 
-    The quantiles of a band are given for the components in the world frame. They are valid for the
-    components in the tool's frame only if the axes of both frames are always parallel. Otherwise
-    the result is None.
+    The quantiles of the band are given for the components in the world frame. The quantiles are
+    valid for the components in the tool's frame only if the axes of both frames are always
+    parallel. Otherwise the result is None.
     """
     aligned = np.rint(turns[:1])
     # 1e-6: rounding of quaternions in a file

@@ -347,8 +347,8 @@ def _added(
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every soft material has."""
 CAPSULE = "_capsule"
-"""End of the names of capsule materials; a capsule is a membrane on an organ, and no organ consists
-of it.
+"""End of the names of capsule materials; a capsule is a membrane on an organ and no material of an
+organ.
 """
 
 

@@ -134,8 +134,8 @@ class Run(engine.Run):
     def _folder(self) -> Path:
         """Return a folder that contains the files of this run.
 
-        This is the folder of the run. It is a temporary folder if the run was not saved, or if the
-        folder of the run now holds another run.
+        The result is usually the folder of the run. The result is a temporary folder if the run was
+        not saved, or if the folder of the run now holds another run.
         """
         if self._saved is not None:
             return self._saved.path
@@ -245,9 +245,9 @@ class Run(engine.Run):
         seed
             Seed of the samples; default the seed of the scene.
         workers
-            Number of processes that run samples in parallel. It has an effect only if each sample
-            is a run, as for a needle. A script that uses several processes must have its statements
-            below ``if __name__ == "__main__":``.
+            Number of processes that run samples in parallel. The number has an effect only if each
+            sample is a run, as for a needle. A script that uses several processes must have its
+            statements below ``if __name__ == "__main__":``.
         scheduler
             Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run
             the samples instead of processes on this machine.

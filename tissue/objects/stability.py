@@ -59,7 +59,7 @@ def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
     Parameters
     ----------
     loop
-        Loop from `wall_loop`. It is simulated sample by sample, as on a device.
+        Loop from `wall_loop`. The loop is simulated sample by sample, as on a device.
     seconds
         Duration of the run [s].
     """

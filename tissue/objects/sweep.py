@@ -99,7 +99,7 @@ class SweptRun:
 
     @cached_property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """90 % intervals of the figures that have a band."""
+        """90 % intervals of the figures that have an uncertainty band."""
         return {} if self.problem else intervals_of(read_summary(self.path))
 
     @cached_property
@@ -184,7 +184,7 @@ class Sweep:
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
         """Plot figures over the first swept key, with a line for each value of the second key.
 
-        Wide bars are the 90 % intervals of figures that have a band.
+        Wide bars are the 90 % intervals of figures that have an uncertainty band.
 
         Parameters
         ----------
@@ -320,9 +320,9 @@ def sweep(
     ------
     InputError
         If a value makes no valid scene in any combination, a file is missing, the folder holds runs
-        of other scenes under the same names, a format or the number of samples is invalid, or
-        several processes are requested and the scene uses a registered part that these processes do
-        not have.
+        of other scenes under the same names, or a format or the number of samples is invalid. The
+        error is also raised if several processes are requested and the scene uses a registered part
+        that these processes do not have.
     """
     out = Path(out)
     formats = tuple(formats)

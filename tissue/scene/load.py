@@ -385,7 +385,7 @@ def names_file(key: str) -> bool:
 
 
 def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the table of a device; the file of a recorded device has an absolute path in it."""
+    """Return the table of a device, in which the file of a recorded device has an absolute path."""
     hardware = device.get("hardware")
     if device.get("kind") != RECORDED or not isinstance(hardware, Mapping):
         return device

@@ -345,7 +345,7 @@ def _toml(value: object) -> str:
 
 
 def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:
-    """Return the field of the last key, in a scene or in a table of values in it."""
+    """Return the field of the last key, in a scene or in a table of values of the scene."""
     if len(names) > 2:
         values = _values(_model_at(names[:-2], table, model).model_fields[names[-2]])
         if values is not None:

@@ -88,8 +88,9 @@ class Voxels(Part):
     spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
     """Edge of a voxel."""
     removal: Literal["subvoxel", "binary"] = "subvoxel"
-    """Method of removal: `subvoxel` removes the part of a voxel inside the tool. `binary` removes a
-    whole voxel once its centre is inside.
+    """Method of removal: `subvoxel` removes the part of a voxel inside the tool.
+
+    `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
     """Thickness of the bone that is kept around the region that the tool can reach."""
@@ -149,7 +150,8 @@ class Output(Part):
 
 
 class Stress(Part):
-    """Displacement and stress of a tooth by particle finite elements.
+    """Displacement and stress of a tooth, computed with finite elements (cells) that contain
+    particles.
 
     Without this table, displacement and stress are not computed.
     """

@@ -73,7 +73,7 @@ def used_of_cutting(
 
 
 def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used]:
-    """Return the constants of a device and of the hand that holds it.
+    """Return the constants of a device and of the hand that holds the device.
 
     `device` is None if the caller gives the parameters of the device.
     """

@@ -120,9 +120,9 @@ def with_depth(
 ) -> "pyvista.PolyData":
     """Add the point array ``removed_depth_mm``.
 
-    At a point that the tool exposed, this is the depth of bone removed from the column of voxels
-    through the point. It is 0 on the original surface of the bone, and on faces where the region
-    was cut out of a larger bone.
+    At a point that the tool exposed, the array holds the depth of bone removed from the column of
+    voxels through the point. The depth is 0 on the original surface of the bone, and on faces where
+    the region was cut out of a larger bone.
 
     Parameters
     ----------

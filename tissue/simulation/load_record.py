@@ -2,10 +2,10 @@
 
 The loads for new coefficients need no further run.
 
-The force on a cutter is the sum of the forces on its cutting elements; each element has a force per
-length of edge. On a given path of the tool, the engaged bone and the chip thickness do not depend
-on the coefficients. One run therefore records the loads of a unit force per length, at nodes of
-chip thickness, and::
+The force on a cutter is the sum of the forces on its cutting elements. The force on a cutting
+element is proportional to the length of its edge. On a given path of the tool, the engaged bone and
+the chip thickness do not depend on the coefficients. One run therefore records the loads of a unit
+force per length, at nodes of chip thickness, and::
 
     loads = sum over layers, density nodes and chip nodes h of
             strength * (K_tc, K_rc, K_ac) effective(h) + (K_te, K_re, K_ae) share(h) . unit loads

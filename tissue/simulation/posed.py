@@ -36,7 +36,7 @@ class Snapshot:
     time_s
         Simulated time [s].
     tissue
-        Class and layers of the tissue; they must be the same in the other session.
+        Class and layers of the tissue. Both must be equal in a session that restores the snapshot.
     state
         State of tool, tissue and structures to keep clear of.
     """

@@ -47,17 +47,17 @@ class MachineGaps:
         return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
 
     def expected(self, seconds: float) -> float:
-        """Return the expected number of gaps in a given time [s]."""
+        """Return the expected number of scheduling gaps in a given time [s]."""
         return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
 
     @property
     def lost_share(self) -> float:
-        """Share of the measurement time that was lost in gaps."""
+        """Share of the measurement time that was lost in scheduling gaps."""
         return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
 
     @property
     def longest_s(self) -> float:
-        """Duration of the longest gap [s]; 0 if there are no gaps."""
+        """Duration of the longest scheduling gap [s]; 0 if there are none."""
         return max(self.gaps_s, default=0.0)
 
 

@@ -45,7 +45,7 @@ CHECK_S = 1.0
 IDLE_S = 30.0
 """Longest idle time of a process that is waited for [s].
 
-It is 20 times the longest delay of a tick that was measured on an overloaded computer, 1.5 s
+This time is 20 times 1.5 s, the longest delay of a tick on an overloaded computer
 (`docs/performance.md`).
 """
 WORK_S = 0.05
@@ -382,7 +382,7 @@ class Helper:
         return answer
 
     def end(self) -> None:
-        """Close the standard input of the helper, which ends it."""
+        """Close the standard input of the helper. The helper then ends."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.close()

@@ -26,7 +26,7 @@ STOPS = tuple(
     for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
     if hasattr(signal, name)
 )
-"""Signals that ask a process to end, as far as the operating system has them.
+"""Signals of this operating system that ask a process to end.
 
 A closed or lost terminal sends SIGHUP. A key sends SIGQUIT or SIGBREAK.
 """

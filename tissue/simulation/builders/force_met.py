@@ -60,7 +60,8 @@ With up to 32 voxels, the largest force of the built-in scenes changes by less t
 ELEMENTS = 1500
 """Number of cutting elements of a cutter.
 
-Between 400 and 6000 elements, the largest force of the built-in scenes changes by at most 1 %.
+Between 400 and 6000 cutting elements, the largest force of the built-in scenes changes by at most
+1 %.
 """
 SLOT_VOXELS = 10
 SLOT_M_S = 2e-3
@@ -189,10 +190,10 @@ class ForceScale(NamedTuple):
 def chosen_scale(scene: Scene) -> ForceScale:
     """Return the given force scale of a scene, or choose it.
 
-    The chosen scale is the one with the largest sensitivity (see `Series`). It is limited so that
-    the largest force on the scripted motion is above the friction of the device and well below the
-    force limit of the device. The scale has two digits. It is 1 without a device, or if no force is
-    known before the run.
+    The chosen scale is the one with the largest sensitivity (see `Series`). The scale is limited:
+    the largest force on the scripted motion must be above the friction of the device and well below
+    the force limit of the device. The scale has two digits. It is 1 without a device, or if no
+    force is known before the run.
 
     Raises
     ------

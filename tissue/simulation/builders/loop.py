@@ -56,7 +56,7 @@ Contact = Literal["cuts", "touches", "presses", "springs"]
 """Kind of contact of a tool.
 
 A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue that reports its
-stiffness (`Response.stiffness_N_m`), such as the test wall.
+stiffness (`Response.stiffness_N_m`), such as the virtual wall of a scene.
 """
 SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
@@ -309,11 +309,12 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of a coupling, with its total delay.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force answers the sample in the same tick. For any other tissue, the tool estimates the
+    force responds to a device sample in the same tick. For any other tissue, the tool estimates the
     stiffness from the last motion. While the tool slides along the surface, this estimate is the
-    stiffness along the surface, and the balance of the tool is found a tick later. For a guarded
-    predictor, the loop contains the predictor or its fallback, whichever has the lower critical
-    stiffness. The played vibration of a cutter's teeth counts in proportion to the force.
+    stiffness along the surface, and the force balance of the tool is found a tick later. For a
+    guarded predictor, the loop contains the predictor or its fallback, whichever has the lower
+    critical stiffness. The check includes the played vibration of a cutter's teeth, which is
+    proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -415,8 +416,8 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 def _turning_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of the rotational coupling.
 
-    A pressing tool estimates the rotational stiffness of the tissue, so its balance may be found a
-    tick later.
+    A pressing tool estimates the rotational stiffness of the tissue, so the force balance of the
+    tool may be found a tick later.
     """
     limits = settings.limits
     chosen = settings.coupling

@@ -128,8 +128,9 @@ class LiveSettings:
         ------
         InputError
             If the display does not respond, a page cannot be served or is requested with a real
-            device, the port for 3D Slicer is in use, 3D Slicer and another source would move the
-            tool, ROS 2 is not installed, or the installed package lacks a process of the live run.
+            device, or the port for 3D Slicer is in use. The error is also raised if 3D Slicer and
+            another source would move the tool, ROS 2 is not installed, or the installed package
+            lacks a process of the live run.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)

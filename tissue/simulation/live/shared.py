@@ -278,7 +278,9 @@ def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSu
 
 
 class BoneSurface:
-    """Surface of a bone in blocks of voxels, from the bricks that the ticks copy.
+    """Surface of a bone in blocks of voxels, computed from the bricks that the ticks copy.
+
+    A brick is a block of 8 x 8 x 8 voxels.
 
     Parameters
     ----------
