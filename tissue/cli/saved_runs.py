@@ -87,7 +87,7 @@ def compare(
     format_: Formats = (),
     overwrite: Flag = False,
 ) -> None:
-    """Compare runs with the first of them: their scenes, figures and forces.
+    """Compare the scenes, figures and forces of runs with those of the first run.
 
     Parameters
     ----------

@@ -39,15 +39,17 @@ objects.
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
 SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
-"""Rotation from our tool frame to the recorded drill frame.
+"""Rotation from the tool frame of tissue to the recorded drill frame.
 
-The axis from tip to shank is z in our frame and x in the recorded frame.
+The axis from tip to shank is z in the frame of tissue and x in the recorded frame.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecording:
-    """Content of a recording, converted to our tool frame; the time of the first pose is 0.
+    """Content of a recording, converted to the tool frame of tissue.
+
+    The time of the first pose is 0.
 
     Attributes
     ----------

@@ -308,7 +308,7 @@ class Comparison:
 
 @suggests_arguments
 def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comparison:
-    """Compare runs with the first of them.
+    """Compare runs with the first run.
 
     Parameters
     ----------

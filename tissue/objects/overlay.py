@@ -166,7 +166,7 @@ def overlay(
 def _draw(
     axes: "Axes", curves: Sequence[Curve], loads: Sequence[Loads], at: int, *, scale: float = 1.0
 ) -> None:
-    """Draw one load of all runs with the uncertainty bands."""
+    """Draw one load of all runs, with uncertainty bands."""
     widths = np.linspace(*WIDTHS, len(curves))
     for number, (curve, load) in enumerate(zip(curves, loads, strict=True)):
         colour = _colour(number, len(curves))

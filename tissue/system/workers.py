@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """Start worker processes that end with this process, whatever the reason of its end is."""
+    """Start worker processes that end when this process ends for any reason."""
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())

@@ -96,12 +96,12 @@ class Met(NamedTuple):
     force_N
         Largest force.
     stiffness_N_m
-        Slope of the force over the depth of the tool, at the depth of the scripted motion. It is 0
-        for a tissue that is cut or pierced. For a tissue that is graded along the scripted motion,
-        it is the geometric mean of the slopes at both ends.
+        Slope of the force over the depth of the tool, at the depth of the scripted motion. The
+        slope is 0 for a tissue that is cut or pierced. For a tissue that is graded along the
+        scripted motion, the value is the geometric mean of the slopes at both ends.
     depth_m
-        Force divided by slope, at the same depth. With Hertz's law it is two thirds of the depth of
-        the scripted motion.
+        Force divided by slope, at the same depth. With Hertz's law, the result is two thirds of the
+        depth of the scripted motion.
     """
 
     force_N: float
@@ -120,9 +120,9 @@ class Series(NamedTuple):
 
     A person notices force changes of at least kappa (F + F0). The low-force term F0 contains the
     friction of the device, because friction also hides forces. The sensitivity is therefore
-    proportional to F / (F + F0) / (1 + c K s). It is largest at c K = (F0 / s / (D + F0 s))^(1/2).
-    At a smaller scale, friction and threshold hide the force. At a larger scale, the force moves
-    the hand back.
+    proportional to F / (F + F0) / (1 + c K s). The sensitivity is largest at c K = (F0 / s / (D +
+    F0 s))^(1/2). At a smaller scale, friction and threshold hide the force. At a larger scale, the
+    force moves the hand back.
 
     Attributes
     ----------
@@ -310,9 +310,9 @@ def pressed(scene: Scene) -> Met:
     """Return the force of a probe on a half space, at the depth of the scripted motion.
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
-    a cylinder. The modulus is that of the stiffest tissue on the scripted motion, without a nodule.
-    A hyperelastic law of the organ is ignored. With the exponential law of `liver-press`, the force
-    is 1.3 times the result. For a probe of another shape the result is 0.
+    a cylinder. The modulus of the stiffest tissue on the scripted motion is used; a nodule is
+    ignored. A hyperelastic law of the organ is ignored. With the exponential law of `liver-press`,
+    the force is 1.3 times the result. For a probe of another shape the result is 0.
     """
     organ = scene.organ
     tool = scene.tool

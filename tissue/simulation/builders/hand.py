@@ -65,7 +65,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
 
     def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
-        """Return the device in the hand of the scene, which makes the scripted motion."""
+        """Return the device in the simulated hand, which makes the scripted motion."""
         path, push = _aims(scene, scripted, tool, settings, stiffness_N_m)
         turn = _turn(scripted) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731

@@ -177,7 +177,7 @@ class LoopSettings:
 
 
 def sampled(limits: DeviceParameters) -> DeviceParameters:
-    """Return the parameters of a device as the loop samples it, at most once per tick."""
+    """Return the parameters of a device with a sample rate of at most one sample per tick."""
     return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
 
 
@@ -294,7 +294,8 @@ def _usable_share(position: Verdict) -> float:
     coupled loops may be unstable. If one loop has at most `SHARE` of its critical stiffness, the
     other loop may use its full critical stiffness. Otherwise, the sum of both shares is limited to
     1 + `SHARE`. The smallest sum of shares at which an oscillation grew is 1.76. In this case, bone
-    blocks a cutter 55 mm from its tip, on a sigma-7; see tests/stability/test_judged_loops.py.
+    blocks a cutter 55 mm from its tip, and the device is a sigma-7; see
+    tests/stability/test_judged_loops.py.
     """
     return min(max(SHARE + position.margin, SHARE), 1.0)
 

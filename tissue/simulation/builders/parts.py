@@ -189,8 +189,8 @@ def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
 def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
     """Return poses along a motion at which contact is searched for.
 
-    The result is tips [m], shape (p, 3), and rotations, shape (p, 3, 3). It contains `count` poses
-    with equal distances, and the chosen corners of the motion.
+    The result is tips [m], shape (p, 3), and rotations, shape (p, 3, 3). The result contains
+    `count` poses with equal distances, and the chosen corners of the motion.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()

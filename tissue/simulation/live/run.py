@@ -159,12 +159,12 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     """Simulate a scene in real time, with the mouse as device; without a display, run the script.
 
     If the scene names a real device that can be opened, that device is used without a window.
-    Otherwise the mouse replaces the device of the scene, and the same spring couples the tool to
-    it. The trace and the window contain the forces that the device would play. In a scene without a
-    device, the mouse replaces a device of kind ``touch``. A tick misses its deadline if it is not
-    complete within 1 ms of its due time. See `WallClock` for late ticks. The priority of the ticks
-    is raised as far as the system allows; see the note ``priority``. Ctrl-C or closing the window
-    ends the run. The result is a run like any other.
+    Otherwise the mouse replaces the device of the scene, and the spring of the coupling connects
+    the tool to the mouse. The trace and the window contain the forces that the device would play.
+    In a scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
+    deadline if it is not complete within 1 ms of its due time. See `WallClock` for late ticks. The
+    priority of the ticks is raised as far as the system allows; see the note ``priority``. Ctrl-C
+    or closing the window ends the run. The function returns a run, as `simulate` does.
 
     Parameters
     ----------
