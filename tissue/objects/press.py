@@ -409,7 +409,7 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
     from tissue.models.organ.model import LINEAR_ERROR
 
     if not isinstance(probe, SphereProbe):
-        return {"linear": "from which depth the linear law is off is known of balls alone"}
+        return {"linear": "the depth up to which the linear law is valid is known only for balls"}
     limits = [(1e3 * share * probe.radius_m, error) for share, error in LINEAR_ERROR]
     passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
     depth, error = passed[-1] if passed else limits[0]
