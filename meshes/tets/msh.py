@@ -35,7 +35,7 @@ _LONGEST_NAME = 60
 MOST_PARTS = 64
 """Largest number of distinct values of an array of parts.
 
-Arrays with more values are numbers of cells or materials.
+An array with more values does not contain parts, but numbers of cells or materials.
 """
 
 
@@ -54,7 +54,7 @@ class StoredMesh:
     names
         Names of the parts that have a name.
     notes
-        Omitted content, one sentence each.
+        Notes on content that is omitted, one sentence each.
     """
 
     points: Array
@@ -66,7 +66,7 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra, or of the triangles without tetrahedra, shape (k, 3)."""
+        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3)."""
         return self.points[np.unique(self.tets if len(self.tets) else self.triangles)]
 
     def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
