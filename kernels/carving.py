@@ -324,7 +324,7 @@ def booked_by(removed: Int64s2D, worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the difference between the `bend` of the tool and that of the surface that it sweeps.
+    """Compute the `bend` of the tool minus the `bend` of the surface that the tool sweeps.
 
     The swept surface is straight along the path of the tool. Where the tool's normal is
     perpendicular to the path, to within one voxel, this surface touches the tool. There, the

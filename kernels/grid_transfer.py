@@ -4,7 +4,7 @@ Cell stiffness and residuals are transferred to the coarse grid. Corrections are
 fine grid.
 
 A coarse cell's trilinear functions are trilinear on each of its eight children (fine cells). The
-stiffness of the coarse cell is therefore exactly ``K = sum P_c^T M K_c M P_c``, where K_c is the
+stiffness of the coarse cell is therefore exactly ``K = sum P_c^T M K_c M P_c``. Here, K_c is the
 stiffness of a child, P_c the interpolation to the child, and M the mask of the components that may
 move. The coarse operator is the Galerkin projection of the fine operator. A change of one fine cell
 changes one coarse cell.

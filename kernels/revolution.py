@@ -60,7 +60,7 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
     In a block of 2 x 2 x 2 voxels, the distances at the voxel centres are larger than the distances
     to the tangent plane, by (k1 + k2) / 8 on average. The mean distance over a voxel is larger than
-    the distance at its centre by (k1 + k2) / 24. ``bend`` is the sum of the two terms.
+    the distance at the voxel's centre by (k1 + k2) / 24. ``bend`` is the sum of the two terms.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis

@@ -305,7 +305,7 @@ def organ_mesh(
 def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:
     """Find an organ and its parts in a label image.
 
-    The arguments and errors are those of `organ_mesh`.
+    For the parameters and errors, see `organ_mesh`.
     """
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:

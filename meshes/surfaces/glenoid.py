@@ -331,8 +331,8 @@ def surface_anatomy(
 
     The bone consists of a cortical shell with constant thickness, and trabecular bone inside. A
     surface contains no information about the interior, so thickness and densities are assumptions.
-    They are recorded in the notes. The default thickness is the mean of the subchondral plate
-    (1.2-2.9 mm, six glenoids, Frich). The default densities are the same as in `glenoid`.
+    The assumptions are recorded in the notes. The default thickness is the mean of the subchondral
+    plate (1.2-2.9 mm, six glenoids, Frich). The default densities are the same as in `glenoid`.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ removed.
 
 A surface is called closed if every directed edge and its reverse occur equally often. This
 condition is weaker than the condition for a manifold, because four triangles may meet at an edge.
-It is sufficient for winding numbers to be defined.
+The condition is sufficient for winding numbers to be defined.
 """
 
 from dataclasses import dataclass

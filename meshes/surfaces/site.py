@@ -33,7 +33,7 @@ __all__ = [
 FACE_SAMPLES = 40_000
 """Number of surface samples from which the normal of a site is computed.
 
-On a scapula, they are 0.5 mm apart.
+On a scapula, the samples are 0.5 mm apart.
 """
 _FARTHEST_M = 10e-3
 """Largest distance of a given point from the surface.

@@ -173,8 +173,8 @@ def _nodes(lines: list[str]) -> tuple[Ints, Array]:
 def _element(line: str, version: int) -> tuple[int, int, list[int]]:
     """Return type, physical group (0 without a group) and nodes of a finite element.
 
-    Format in version 1: number type physical elementary count nodes. Format in version 2: number
-    type count-of-tags tags nodes.
+    In version 1, the line contains: number, type, physical group, elementary group, count of nodes,
+    nodes. In version 2, it contains: number, type, count of tags, tags, nodes.
     """
     row = [whole_number_in(word) for word in line.split()]
     if version == 1:

@@ -45,7 +45,7 @@ With 1.0, the error of planes is 0.10 voxels (RMS). With 2.0, the error of thin 
 REACH = 8
 """Width of the margin around a region that influences the shares in the region [voxel].
 
-It is four standard deviations, plus one voxel for the Laplacian and one voxel for interpolation.
+The width is four standard deviations, plus one voxel for the Laplacian and one for interpolation.
 """
 _SLAB = 8
 """Number of voxel planes that a thread fills at once.

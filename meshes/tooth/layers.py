@@ -81,8 +81,7 @@ _POINTS_AT_ONCE = 1 << 17
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest side of a tooth: crown without roots, canine with its root, and typical molar.
-"""
+"""Longest side of a tooth [mm]: crown without roots, canine with its root, and typical molar."""
 
 
 def caries_density(softness: Floats) -> Floats:

@@ -251,9 +251,9 @@ def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 BOUNDARY_STEPS = 127
 """Stored steps per voxel; stored distances reach two voxels."""
 FAR = 254
-"""Stored distance of voxels that are far from every change of layer.
+"""Stored distance of voxels that are far from every boundary between layers.
 
-The layer does not change within two voxels, or in any cell of which the voxel is a corner.
+No boundary lies within two voxels of such a voxel, or in a cell that has the voxel as a corner.
 """
 _UNKNOWN = 255
 _PADDED = 6
@@ -325,7 +325,7 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest change of layer from labels.
+    """Compute the stored distance to the nearest boundary between layers from the labels of voxels.
 
     The distance is computed from the share of a voxel's layer in a ball with a radius of six voxels
     around the voxel, see `_ball`. At corners and thin layers, labels may contradict this distance
@@ -465,7 +465,8 @@ def _strides(array: Bytes) -> Ints:
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Compute the distance [voxel] from voxel centres along a direction to the change of layer.
+    """Compute the distance [voxel] from voxel centres along a direction to the boundary of the
+    layer.
 
     The distance is at most 2, shape (n,).
     """
