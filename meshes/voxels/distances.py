@@ -465,8 +465,7 @@ def _strides(array: Bytes) -> Ints:
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Compute the distance [voxel] from voxel centres along a direction to the boundary of the
-    layer.
+    """Compute the distance [voxel] from voxel centres to the layer's boundary along a direction.
 
     The distance is at most 2, shape (n,).
     """
