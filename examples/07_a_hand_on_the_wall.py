@@ -7,7 +7,7 @@ is done with three renderers (laws that compute the force from the penetration).
 degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers of 300 Hz), and a simulated
 expert holds it. According to the eigenvalues, the loop with this hand is stable up to a wall
 stiffness of 2906 N/m, so the wall is stable with a margin of 31 %. Without a hand the device would
-be stable up to 262 N/m only, and the wall would be refused.
+be stable up to 262 N/m only, and the program would refuse the wall.
 
 Expected:
 

@@ -98,8 +98,8 @@ class KeepClear:
         Names of the columns in a trace: ``distance_NAME_mm``, negative inside.
     measures
         Distances in the last tick [mm], shape (structures,). A value is never larger than the true
-        distance. It is smaller by at most the slack of the structure plus 0.001 mm if tool and
-        structure are apart, and plus 0.01 mm if they overlap.
+        distance. The error is at most the slack of the structure plus 0.001 mm if tool and
+        structure are apart, and at most the slack plus 0.01 mm if they overlap.
     notices
         Events, a sentence each; the loop removes them as it logs them.
     """

@@ -89,10 +89,10 @@ class Response:
         Derivative of force [N s/m] and torque [N s] with respect to the speed along the direction
         of motion, at the speed of the linearisation, shape (6,).
     edge
-        Force [N] and torque [N m] that the tangent has at zero speed, shape (6,). For a law that is
-        linear in the speed, this is the force at the onset of motion.
+        Force [N] and torque [N m] of the linearised response at zero speed, shape (6,). For a law
+        that is linear in the speed, this is the force at the onset of motion.
     wrench
-        Force [N] and torque [N m] that the tangent has at the motion's speed, shape (6,).
+        Force [N] and torque [N m] of the linearised response at the motion's speed, shape (6,).
     removal_rate_m3_s
         Rate at which the cutting elements of the tool sweep filled volume [m3/s].
     engaged_m2

@@ -192,9 +192,9 @@ class Cut:
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
         """Return the gaps, the travels of the edge to uncut tissue, in rising order [m].
 
-        The second array has the width of the part of the edge with each gap; it is zero for gaps
-        beyond the reach. Some columns are left out: those that the tip or the end of the edge would
-        pass in this step if the blade moved as in the last step.
+        The second array has the widths of the parts of the edge that have these gaps. The width is
+        zero for gaps beyond the reach. Columns that the tip or the end of the edge passes in this
+        step are left out. For this purpose, the blade is assumed to move as in the last step.
         """
         along, depth = self.place_m
         spacing = self._spacing_m

@@ -231,8 +231,8 @@ def cauchy_stress(
 ) -> StressState:
     """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
 
-    The means are taken over the quadrature points: in an equilibrium no cell is inverted there. The
-    centre of a quadratic cell may be inverted.
+    The means are taken over the quadrature points, because no cell is inverted there in an
+    equilibrium. A quadratic cell may be inverted at its centre.
 
     Parameters
     ----------

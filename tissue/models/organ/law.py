@@ -54,7 +54,7 @@ docs/decisions.md need at most 9 steps. With a limit of 5 steps, one solve in ei
 the tolerance.
 """
 MISSED = 0.01
-"""Deviation of an equilibrium from the predicted one above which the compliance is computed anew.
+"""Deviation from the predicted equilibrium above which the compliance is computed anew.
 
 The deviation is relative to the displacement. If a compliance is kept too long, the force depends
 on the interval in which the compliance was computed. With 0.05 the force of a deep press decreases
@@ -127,7 +127,7 @@ class _Equilibrium:
     def is_aside(self, other: "_Equilibrium") -> bool:
         """Return True if the tool moved farther sideways than along its axis between equilibria.
 
-        The result is False if one is the equilibrium at rest, whose tip position is NaN.
+        The result is False if one of the two is the equilibrium at rest, whose tip position is NaN.
         """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
@@ -288,8 +288,8 @@ class LawOffset:
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset at which a replaced compliance moves no node [m], shape (t, 3); None if the
-            compliance was not replaced.
+            Offset with which the change of the compliance moves no node [m], shape (t, 3); None if
+            the compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -306,8 +306,8 @@ class LawOffset:
     def solve(self, depth_m: float, contact: TickState) -> TickState:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
-        If the organ does not relax, the crept forces are the contact forces. Linear algebra uses
-        one thread, so another number of threads gives equal forces.
+        If the organ does not relax, the crept forces are the contact forces. The linear algebra
+        always uses one thread, so the forces do not depend on the number of available threads.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -401,7 +401,7 @@ class LawOffset:
         contact.change_compliance(self._compliance(contact.compliance_m_N))
 
     def _compliance(self, present_m_N: Array) -> Array:
-        """Return the compliance [m/N] of the factor in use, from the compliance so far."""
+        """Return the compliance [m/N] of the factor in use, based on the present compliance."""
         if self._at_rest is None:
             self._at_rest = present_m_N.copy()
         window = self.windows.now
@@ -419,8 +419,8 @@ class LawOffset:
     def restore(self, state: State, present_m_N: Array) -> Array | None:
         """Return to a copied state.
 
-        Return the compliance of the contact in that state [m/N], shape (3t, 3t), or None if it is
-        the present one.
+        Return the compliance of the contact in that state [m/N], shape (3t, 3t), or None if the
+        present compliance stays in use.
         """
         before = self._factor
         put_back(self, state["own"])

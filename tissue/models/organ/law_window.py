@@ -35,7 +35,7 @@ stiffens to twice the linear force, the error of the force at rest is 3.3 % with
 0.5.
 """
 LOADED = 1e-3
-"""Smallest crept force of a node that gets a spring, relative to the largest one; chosen.
+"""Smallest crept force of a node that gets a spring, relative to the largest force; chosen.
 
 At earlier contacts of a tool, crept forces decay but never reach zero.
 """
@@ -79,7 +79,7 @@ class LawWindow:
         return load
 
     def nodal_into(self, nodal_m: Array, unknowns_m: Array) -> None:
-        """Copy the displacements of the window's nodes [m] into those of the organ, (nodes, 3)."""
+        """Copy the displacements of the window's nodes [m] into the organ's array, (nodes, 3)."""
         if self.region is None:
             nodal_m[:] = unknowns_m
         else:
@@ -208,7 +208,7 @@ def _follower_of(
 ) -> QuasiNewton:
     """Return the solver that follows the equilibria of an organ.
 
-    From its factors the compliance between ``nodes`` can be read.
+    The compliance between ``nodes`` can be read from the factors of this solver.
 
     Raises
     ------
@@ -261,7 +261,7 @@ def window_of(
 ) -> LawWindow:
     """Return a window on the cells within a radius [m] of a centre [m].
 
-    On a coarse mesh the window has more cells, so no node in contact is on its border.
+    On a coarse mesh, cells are added so that no node in contact lies on the border of the window.
     """
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)

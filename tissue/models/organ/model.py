@@ -71,7 +71,7 @@ STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m",
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed; see `LOOK_M`."""
 LOOK_M = 5e-3
-"""Distance around the tool within which these nodes are searched [m].
+"""Distance around the tool within which nodes are searched every `LOOK_EVERY` ticks [m].
 
 A tool at 100 mm/s moves by 2 mm between two searches.
 """
@@ -127,8 +127,8 @@ class LiverModel:
         Nodes that the tool can touch, shape (t,).
     waits
         True if a tick waits for a solve of a hyperelastic law that is due. Set it to False for a
-        real device, if possible before `place`. While a device waits it holds its last force, which
-        the stability check of the loop does not include.
+        real device, if possible before `place`. A device holds its last force while it waits. The
+        stability check of the loop does not include this wait.
 
     Raises
     ------

@@ -150,7 +150,7 @@ class OrganLaw:
 
 
 class SoftOrgan:
-    """Elastic organ that any number of tools may press; all of them share one factor.
+    """Elastic organ that any number of tools may press; all tools share one factor.
 
     Parameters
     ----------
@@ -277,7 +277,9 @@ class SoftOrgan:
         """Return surface nodes near a tool's path, and the triangles between them.
 
         The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
-        nodes. Raises
+        nodes.
+
+        Raises
         ------
         InputError
             If the tool touches nothing, or only nodes on supports.

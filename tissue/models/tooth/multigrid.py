@@ -46,9 +46,9 @@ class GridTransfer:
     Attributes
     ----------
     down
-        Launch that restricts the fine residual to the coarse load.
+        Kernel launch that restricts the fine residual to the coarse load.
     up
-        Launch that adds the coarse displacement to the fine displacement.
+        Kernel launch that adds the coarse displacement to the fine displacement.
     """
 
     def __init__(

@@ -89,9 +89,9 @@ It is about the radius of a bur; the bur's force is spread over a similar radius
 error with cells of 0.3 mm is 6 %, and it decreases with smaller cells.
 """
 CELLS_A_REACH = 2.0
-"""Ratio of reach to cell edge from which the stress of each cell's particles is averaged first.
+"""Ratio of reach to cell edge from which stress is first averaged within each cell.
 
-The mean stress of these particles differs from the stress at their centre of mass by an error of
+The mean stress of a cell's particles differs from the stress at their centre of mass by an error of
 second order in the cell's edge. The whole recovery has an error of this order.
 """
 
@@ -278,8 +278,9 @@ class FirstGuess:
     """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
 
     For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``. If the
-    force has grown, turned or moved, the part that the earlier solutions contain then needs no
-    iterations. If the body has changed since these solutions, the guess is slightly worse.
+    force has grown, turned or moved, only the part of the solution that the earlier solutions do
+    not contain needs iterations. If the body has changed since these solutions, the guess is
+    slightly worse.
 
     Parameters
     ----------

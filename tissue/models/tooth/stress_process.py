@@ -29,7 +29,7 @@ ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
 """Longest wait for the other process, before its first answer and for one solve [s].
 
-The limits only end the wait for a process that hangs.
+The limit is reached only if the process hangs.
 """
 
 
@@ -141,7 +141,7 @@ class StressProcess:
     Raises
     ------
     InputError
-        As `StressField`.
+        If `StressField` raises it.
     HelperLostError
         If the process ends, is stopped or hangs. `__init__` and every wait for the process may
         raise it. The frames of the process are then lost.
@@ -188,7 +188,7 @@ class StressProcess:
 
 
 StressSolver = InlineStressSolver | StressProcess
-"""Solver whose solves start in a tick, and which is waited for between ticks."""
+"""Solver that starts a solve in a tick; the run waits for the result between ticks."""
 
 
 def _serve() -> None:
