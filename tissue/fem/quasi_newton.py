@@ -1,7 +1,7 @@
 """Equilibrium of a nonlinear body under slowly changing nodal forces, solved by L-BFGS.
 
 Each step needs one evaluation of the internal forces and one solve with a factor. The first factor
-is that of the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
+belongs to the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
 Program. 45:503) depend on the body and not on the forces. They therefore stay valid when the load
 changes. When a solve needs many steps, the stiffness at the present displacement is factorised.
 

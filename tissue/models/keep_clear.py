@@ -67,11 +67,10 @@ class _Breach:
 class KeepClear:
     """Distance of a tool's whole body from each of several structures.
 
-    The body is that of the simulated cutter, including peg, flank and back; the shaft behind the
-    cutter is not included. At each point of space the signed distances from the tool and from the
-    structure are added. The distance is the smallest of these sums. It is the clearance if tool and
-    structure are apart. If they overlap it is negative, and its magnitude is the depth of the
-    overlap.
+    The body is the simulated cutter, including peg, flank and back; the shaft behind the cutter is
+    not included. At each point of space the signed distances from the tool and from the structure
+    are added. The distance is the smallest of these sums. It is the clearance if tool and structure
+    are apart. If they overlap it is negative, and its magnitude is the depth of the overlap.
 
     Parameters
     ----------

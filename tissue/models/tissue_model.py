@@ -230,7 +230,7 @@ class HasHeat(Protocol):
     def heat_balance_J(self) -> dict[str, float] | None:
         """Energy of cutting and its distribution [J], as a dictionary.
 
-        It is None if the scene has no heat.
+        The value is None if the scene has no heat.
         """
 
 
@@ -315,8 +315,8 @@ class WallModel:
     stiffness_N_m
         Stiffness of the wall [N/m].
     radius_m
-        Radius of the ball [m]. The tip is one radius from the centre, in the direction against the
-        tool's axis.
+        Radius of the ball [m]. The tip lies one radius from the centre, in the negative direction
+        of the tool's axis.
     """
 
     layer_names: tuple[str, ...] = ("wall",)

@@ -1,6 +1,6 @@
 """Multifrontal Cholesky factor of a sparse matrix.
 
-The method is that of Duff and Reid (1983, ACM Trans. Math. Softw. 9:302). Blocks of unknowns are
+The method follows Duff and Reid (1983, ACM Trans. Math. Softw. 9:302). Blocks of unknowns are
 eliminated one after the other. A block is eliminated in a dense front ``[[A, B^T], [B, C]]`` of its
 own unknowns and of the later unknowns that its elimination changes. With ``A = L L^T``, L and ``B
 L^-T`` are stored. ``C - B A^-1 B^T`` is added to the front that eliminates the first of the later

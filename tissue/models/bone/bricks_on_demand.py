@@ -163,7 +163,7 @@ class BricksOnDemand:
             yield volume, left
 
     def _voxels(self, low: Ints, high: Ints) -> VoxelVolume:
-        """Return the voxels of the bricks from one position to another, before any cut."""
+        """Return the uncut voxels of the bricks between two positions on the lattice."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m

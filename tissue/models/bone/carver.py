@@ -73,7 +73,7 @@ The stored last poses of the tool cover a longer motion, see `tissue.models.bone
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After a change of direction, bone in front of the tool may have been cut before.
+After such a change, some bone in front of the tool may already be cut.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
@@ -354,7 +354,7 @@ class CarvingReplay:
     def at(self, tick: int) -> Bytes:
         """Return the bone at the end of a tick, see `fraction`.
 
-        A tick before the last one restarts the replay at the first pose.
+        A tick earlier than the tick of the last call restarts the replay at the first pose.
         """
         last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
         if last < self._next:

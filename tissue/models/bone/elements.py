@@ -59,7 +59,7 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 
 
 def _in_lanes(rows: Array) -> Array:
-    """Return values of elements, shape (n, k), as groups of lanes, shape (groups, k, LANES).
+    """Arrange values of cutting elements, shape (n, k), in lanes, shape (groups, k, LANES).
 
     The last group is filled up with zeros. An element without a normal does not cut.
     """
@@ -68,7 +68,7 @@ def _in_lanes(rows: Array) -> Array:
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
-    """Return the directions and moments of the three loads on each element, shape (n, 18).
+    """Return directions and moments of the three loads on each cutting element, shape (n, 18).
 
     The loads are tangential, radial and axial. Each direction is multiplied by its load factor, see
     `Cutter.load_factors`, and is followed by its moment about the tip [m].
@@ -88,7 +88,7 @@ def levers_of(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
-    """Return the mean length of cutting edge in each element [m], shape (n,).
+    """Return the mean length of cutting edge in each cutting element [m], shape (n,).
 
     The length is N A / (2 pi r), with N flutes, the element's area A and its radius r.
     """
@@ -135,7 +135,7 @@ class CuttingForces:
     store, tool
         Bone, and the tool's distance table on the device.
     elements, coefficients
-        Elements of the tool and cutting coefficients on the device.
+        Cutting elements of the tool, and cutting coefficients, on the device.
     pose, recent
         Present pose and last poses, in the layout that `kernels.engagement.find_bone` reads.
     motion
@@ -148,7 +148,7 @@ class CuttingForces:
     Attributes
     ----------
     found
-        Bone in front of the elements, shape (eights, FOUND, LANES).
+        Bone in front of the cutting elements, shape (eights, FOUND, LANES).
     find_bone
         Kernel launch of the search on the present arrays of the store.
     slopes

@@ -336,7 +336,7 @@ class EngagedBone:
 
 
 def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
-    """Return the loads of elements, summed for each density node, shape (nodes, 3 k, 6).
+    """Return the loads on cutting elements, summed for each density node, shape (nodes, 3 k, 6).
 
     `weights` at the nodes of chip thickness have shape (k, n). `levers` have shape (n, 18).
     `shares` at the nodes of density have shape (n, nodes).
@@ -349,18 +349,18 @@ def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) 
 
 
 PLUNGE_ELEMENTS = 40_000
-"""Number of elements of a cutter in a plunge.
+"""Number of cutting elements of a cutter in a plunge.
 
-It is four times the number that gives an error of 0.1 % in a run.
+This is four times the number that gives an error of 0.1 % in a run.
 """
 LEAST_ADVANCE = 1e-6
-"""Advance per unit of feed below which an element is part of the cutter's side."""
+"""Advance per unit of feed below which a cutting element is part of the cutter's side."""
 
 
 def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, Array]:
     """Return the steady unit loads of a fully engaged cutter that is fed along its axis, z.
 
-    The unit loads are those of `EngagedBone.unit_loads`.
+    The unit loads are defined in `EngagedBone.unit_loads`.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class BoneModel:
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
         their centres.
     shell_spacing_m
-        Distance between the cutter's elements [m]; the default gives 6000 elements.
+        Distance between the cutting elements [m]; the default gives 6000 elements.
     device
         Warp device name.
     cores
@@ -56,8 +56,8 @@ class BoneModel:
     Attributes
     ----------
     limits
-        Check of the cutting law's validity. It reports chips that are too thick and smooth surfaces
-        in bone.
+        Check of the cutting law's validity. It reports smooth surfaces in bone, and chips that are
+        too thick.
     """
 
     def __init__(
@@ -329,7 +329,7 @@ class BoneModel:
 
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
-    """Return cutting coefficients on a device, one entry a layer."""
+    """Return cutting coefficients on a device, one entry for each layer."""
     density = np.arange(DENSITIES)
     strength = [
         (density / layer.reference_density_kg_m3) ** layer.density_exponent

@@ -23,11 +23,14 @@ DOSE_LIMITS_MIN = {
 """Limits of the thermal dose [min at 43 degC], each with its meaning.
 
 Eriksson and Albrektsson 1983, doi 10.1016/0022-3913(83)90174-9: 47 degC for 1 min impairs the
-regeneration of bone. 240 min is the usual limit for soft tissue; the dose is that of Sapareto and
-Dewey 1984, doi 10.1016/0360-3016(84)90379-1.
+regeneration of bone. 240 min is the usual limit for soft tissue; the dose is defined by Sapareto
+and Dewey 1984, doi 10.1016/0360-3016(84)90379-1.
 """
 NEGLIGIBLE_C = 39.0
-"""Temperature below which the dose is neglected [degC]. The dose rate there is 0.004 min/min."""
+"""Temperature below which the dose is neglected [degC].
+
+The dose rate at this temperature is 0.004 min/min.
+"""
 FRONT_M = 1e-3
 """Margin around the points where the tool cuts [m]; a dose inside the margin raises no event.
 
@@ -54,10 +57,10 @@ class HeatedBone:
     """Bone under a cutter: carving and forces of the bone model, and the temperature of the bone.
 
     The trace has the largest present temperature rise of the bone. The summary describes the bone
-    that remains after the run. It has the largest temperature rise so far, and the largest rise at
-    0.5 mm from the cut surface. For each limit of the dose, it has the volume beyond the limit and
-    the largest distance of this volume from the cut surface. An event reports that the dose exceeds
-    a limit in bone that the tool has left behind.
+    that remains after the run. The summary has the largest temperature rise so far, and the largest
+    rise at 0.5 mm from the cut surface. For each limit of the dose, the summary has the volume
+    beyond the limit and the largest distance of this volume from the cut surface. An event reports
+    that the dose exceeds a limit in bone that the tool has left behind.
 
     Parameters
     ----------

@@ -71,8 +71,8 @@ class HeatGrid:
     ) -> "HeatGrid":
         """Merge the voxels of a tooth or of bone into cells.
 
-        The heat capacity of bone is that of bone with filled pores. It does not depend on the
-        apparent density.
+        The heat capacity of bone is the value for filled pores, and does not depend on the apparent
+        density.
 
         Parameters
         ----------

@@ -1,12 +1,12 @@
 """Opening of a cut, for display: displacement, strain and stress of a block with this cut.
 
 The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
-not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free.
-There the stress across the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a traction
-that pulls the faces apart. The tissue below the block and at its sides along the cut does not move.
-The opening of a long cut is then close to that of an edge crack, 5.8 times prestrain and depth
-(Tada, Paris and Irwin 2000). The pressure of the blade, other cuts and contact of the faces are not
-shown. No force depends on the block.
+not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free. On
+these faces the stress across the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a
+traction that pulls the faces apart. The tissue below the block and at its sides along the cut does
+not move. The opening of a long cut is then close to the opening of an edge crack, 5.8 times
+prestrain and depth (Tada, Paris and Irwin 2000). The pressure of the blade, other cuts and contact
+of the faces are not shown. No force depends on the block.
 """
 
 from collections.abc import Sequence

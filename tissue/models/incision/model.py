@@ -27,14 +27,14 @@ starts another cut next to the first.
 class IncisionModel:
     """Tissue under the plane z = 0 that a blade cuts.
 
-    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. Plane and
-    direction of a cut are those of the blade at its entry. Rotation of a blade inside the tissue
-    has no resistance and no effect. A blade does not cut across its plane. If it is farther than
-    `PLAY_M` from the plane, the tissue pushes it back elastically. The stiffness of this force
-    increases with the depth, up to a depth equal to the blade's width. A blade moves in an earlier
-    cut if it enters within `PLAY_M` of that cut along its whole width, and points in the direction
-    of the cut. Elsewhere the tissue is intact, also where cuts cross. The force acts at the tip,
-    without a torque.
+    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. A cut keeps the
+    plane and the direction of the blade at its entry. Rotation of a blade inside the tissue has no
+    resistance and no effect. A blade does not cut across its plane. If it is farther than `PLAY_M`
+    from the plane, the tissue pushes it back elastically. The stiffness of this force increases
+    with the depth, up to a depth equal to the blade's width. A blade moves in an earlier cut if it
+    enters within `PLAY_M` of that cut along its whole width, and points in the direction of the
+    cut. Elsewhere the tissue is intact, also where cuts cross. The force acts at the tip, without a
+    torque.
 
     Relaxation, dependence on speed, weight, a blade whose back does not cut, fibres and layers are
     not modelled.
@@ -85,7 +85,7 @@ class IncisionModel:
 
     @property
     def area_m2(self) -> float:
-        """Area of all cuts, one side [m2]."""
+        """Area of all cuts [m2]; the two walls of a cut are counted once."""
         return sum(cut.area_m2 for cut in self.cuts)
 
     @property

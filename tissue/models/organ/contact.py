@@ -265,9 +265,9 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is not copied. It may
-        then be filled block by block during contacts, with NaN in missing blocks; filled blocks
-        must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU the matrix is not copied.
+        It may then be filled block by block during contacts, with NaN in missing blocks. Filled
+        blocks must not change.
     probe
         The tool.
     friction

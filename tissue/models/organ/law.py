@@ -9,20 +9,20 @@ equilibrium u_k, f_k::
 
 A contact that is solved with W and this offset is therefore in equilibrium with the law when the
 acting forces are f_k. At the end of every interval the equilibrium under the present forces is
-solved. The offset then changes to the new offset during the next interval, without a jump. It also
-depends linearly on the depth of the tool: the slope is computed from the last two equilibria. W is
-the compliance at rest as long as the equilibria are close to its prediction. After that, W is the
-compliance of the tangent stiffness at the present displacement (Newton's method).
+solved. The offset then changes to the new offset during the next interval, without a jump. The
+offset also depends linearly on the depth of the tool: the slope is computed from the last two
+equilibria. W is the compliance at rest as long as the equilibria are close to its prediction. After
+that, W is the compliance of the tangent stiffness at the present displacement (Newton's method).
 
 A run without a real device waits for a solve. With a real device a second thread solves, and the
 ticks continue with the last offset until the solve is done.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
-7). Its nodal forces are the hereditary integral of the elastic nodal forces, with one reduced
-relaxation function. The inverse integral of the nodal forces f, with the creep function, is called
-the crept forces (`tissue.models.organ.model`). The displacement is the response of the elastic law
-to the crept forces. In the equations above, f then stands for the crept forces. The integral keeps
-the directions of the forces fixed, so tissue must not rotate much while it relaxes.
+7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
+reduced relaxation function. The inverse integral of the nodal forces f, with the creep function, is
+called the crept forces (`tissue.models.organ.model`). The displacement is the response of the
+elastic law to the crept forces. In the equations above, f then stands for the crept forces. The
+integral keeps the directions of the forces fixed, so tissue must not rotate much while it relaxes.
 """
 
 from collections.abc import Callable
@@ -306,8 +306,9 @@ class LawOffset:
     def solve(self, depth_m: float, contact: TickState) -> TickState:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
-        If the organ does not relax, the crept forces are the contact forces. The linear algebra
-        always uses one thread, so the forces do not depend on the number of available threads.
+        Crept forces are the contact forces after creep of the tissue. If the organ does not relax,
+        they are the contact forces. The linear algebra always uses one thread, so the forces do not
+        depend on the number of available threads.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -396,7 +397,7 @@ class LawOffset:
         return offset
 
     def _change_compliance(self, contact: TickState) -> None:
-        """Replace the contact's compliance by that of the last factorised stiffness."""
+        """Replace the contact's compliance by the compliance of the last factorised stiffness."""
         self._factor = self.windows.now.follower.factor
         contact.change_compliance(self._compliance(contact.compliance_m_N))
 

@@ -37,7 +37,8 @@ stiffens to twice the linear force, the error of the force at rest is 3.3 % with
 LOADED = 1e-3
 """Smallest crept force of a node that gets a spring, relative to the largest force; chosen.
 
-At earlier contacts of a tool, crept forces decay but never reach zero.
+Crept forces are the contact forces after creep of the tissue. At earlier contacts of a tool, they
+decay but never reach zero.
 """
 
 TOUCHED = 2.0 / 3.0
@@ -97,7 +98,8 @@ class LawWindow:
         Parameters
         ----------
         crept_N, held_m
-            Crept forces [N] and displacements [m] of all touchable nodes, each of shape (t, 3).
+            Crept forces (contact forces after creep) [N] and displacements [m] of all touchable
+            nodes, each of shape (t, 3).
         compliance
             Function that returns the compliance of the springs [m/N], shape (3l, 3l). Its arguments
             are this window and the loaded nodes, as indices into `inside`, shape (l,).
@@ -158,9 +160,9 @@ class LawWindows:
         Parameters
         ----------
         nodal_forces_N, crept_N
-            Contact forces, and crept forces [N], each of shape (t, 3). The new window starts from
-            the displacement of the last window. Nodes outside the last window start from the
-            displacement by the linear law.
+            Contact forces, and crept forces (contact forces after creep) [N], each of shape (t, 3).
+            The new window starts from the displacement of the last window. Nodes outside the last
+            window start from the displacement by the linear law.
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():

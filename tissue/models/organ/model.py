@@ -326,8 +326,8 @@ class LiverModel:
     def converge(self, motion: ToolMotion, *, limit: int) -> float:
         """Solve contact and hyperelastic law in turn at the present pose until the force converges.
 
-        Return the last change of the force, relative to the force. It is 0 for a linear organ,
-        which needs only the contact solve of the tick.
+        Return the last change of the force, relative to the force. This change is 0 for a linear
+        organ, which needs only the contact solve of the tick.
 
         Parameters
         ----------
@@ -394,7 +394,7 @@ class LiverModel:
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
 
-        It is NaN at nodes where it is not known.
+        The displacement is NaN at nodes where it is not known.
         """
         return self.contact.result.displacement_m() + self._offset_m
 

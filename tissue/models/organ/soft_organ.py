@@ -265,7 +265,7 @@ class SoftOrgan:
     def rest(self) -> tuple[Array, Array]:
         """Load of the organ's weight [N] and displacement by it [m], each of shape (n, 3).
 
-        Both are zero without a density.
+        Load and displacement are zero without a density.
         """
         load = np.zeros((self.space.node_count, 3))
         if self._density is None:

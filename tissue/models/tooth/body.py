@@ -294,7 +294,8 @@ class ParticleBody:
     def spread(self, point_m: Array, force_N: Array) -> Array:
         """Return nodal forces [N], shape (n, 3), of forces at points.
 
-        Each force acts on the load-carrying cell that holds its point, or on the nearest one.
+        Each force acts on the load-carrying cell that holds its point, or on the nearest
+        load-carrying cell.
 
         Parameters
         ----------
@@ -369,7 +370,8 @@ class ParticleBody:
         estimated as the larger of two values. The first value is ``sqrt(r . B r)``, the estimate of
         the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)`` with the diagonal D. It
         is a lower bound, because a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to
-        24. It detects a load on a motion without resistance, which the preconditioner leaves out.
+        24. The second value detects a load on a motion without resistance, which the preconditioner
+        leaves out.
 
         Parameters
         ----------

@@ -259,7 +259,7 @@ class ParticleSet:
     ) -> "ParticleSet":
         """Return whole particles of one size and one material.
 
-        The default Poisson's ratio, 0.3, is close to that of bone and dentin (0.30 to 0.32).
+        The default Poisson's ratio, 0.3, is close to the values of bone and dentin (0.30 to 0.32).
         """
         count = len(position_m)
         return cls(
@@ -393,7 +393,7 @@ def bed_springs(
 
     The voxel faces form a staircase. The weight of a face is the component of the smoothed surface
     normal along the normal of the face. The weighted areas therefore sum to the area of the surface
-    and not to that of the staircase.
+    and not to the area of the staircase.
 
     Parameters
     ----------

@@ -41,11 +41,11 @@ Below 0.5 mm the pulp is at risk (from the literature, quoted from memory).
 class ToothModel:
     """Tooth that a bur drills.
 
-    Removal and forces are those of the bone model. The distance of the bur from the pulp is
-    measured to the voxels that the pulp filled at the start. The smallest distance so far is the
-    thickness of the remaining dentin at its thinnest point. The error of the distance is half a
-    voxel. If the voxels hold no pulp, the distance is not measured: the pulp is then farther away
-    than the margin around the bur's reach.
+    The bone model computes removal and forces. The distance of the bur from the pulp is measured to
+    the voxels that the pulp filled at the start. The smallest distance so far is the thickness of
+    the remaining dentin at its thinnest point. The error of the distance is half a voxel. If the
+    voxels hold no pulp, the distance is not measured: the pulp is then farther away than the margin
+    around the bur's reach.
 
     In every tick the tooth moves as a rigid body under the force, with the compliance of its
     ligament. The motion is reported at the centroid of the stiff material, and at the point that

@@ -85,8 +85,8 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
 REACH_M = 0.6e-3
 """Radius of the ball over which stress is averaged [m].
 
-It is about the radius of a bur; the bur's force is spread over a similar radius. Next to a cut, the
-error with cells of 0.3 mm is 6 %, and it decreases with smaller cells.
+This is about the radius of a bur; the bur's force is spread over a similar radius. Next to a cut,
+the error of the recovered stress is 6 % with cells of 0.3 mm, and decreases with smaller cells.
 """
 CELLS_A_REACH = 2.0
 """Ratio of reach to cell edge from which stress is first averaged within each cell.
@@ -201,7 +201,7 @@ class SupportCompliance:
     reference_m
         Reference point of motion and wrench [m], shape (3,).
     solutions
-        The six solves. If one of them has not converged, the matrix must not be used.
+        Results of the six solves. If a solve has not converged, the matrix must not be used.
     loads_N
         Nodal forces of each solve [N], shape (n, 3).
     asymmetry
@@ -270,7 +270,7 @@ def support_compliance(
 NULL_CUT = 1e-6
 """Relative threshold for the scaled eigenvalues of the matrix of energies between solutions.
 
-Eigenvalues below this fraction of the largest one are errors of the solves.
+Eigenvalues below this fraction of the largest eigenvalue are errors of the solves.
 """
 
 

@@ -1,8 +1,8 @@
 """Background solves of the stress in a tooth, in this process or in a separate process.
 
 Ticks and solves in one Python process wait for each other's interpreter lock. The 99th percentile
-of this wait is most of a millisecond. A separate process avoids it. It receives the removed
-material and the force of the bur, and sends its frames at the end of the run.
+of this wait is most of a millisecond. A separate process avoids this wait. The process receives the
+removed material and the force of the bur, and sends its frames at the end of the run.
 """
 
 import os
@@ -136,7 +136,7 @@ class InlineStressSolver:
 class StressProcess:
     """Stress solver in a separate process, at a lower priority than the ticks.
 
-    The parameters are those of `InlineStressSolver`.
+    The parameters are described in `InlineStressSolver`.
 
     Raises
     ------
