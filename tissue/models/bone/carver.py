@@ -1,9 +1,9 @@
 """Removal of the bone that a moving tool reaches, during a run and in its replay.
 
 The bone at any tick of a run follows from the tool's poses. A replay carves these poses again with
-the kernel of the run, so the bricks (blocks of 8 x 8 x 8 voxels) are bitwise equal to the bricks of
-the run. The bricks are divided into groups. A tick visits some of the groups in turn: it carves
-their bricks at the present pose.
+the kernel of the run. The bricks (blocks of 8 x 8 x 8 voxels) of run and replay are bitwise equal.
+The bricks are divided into groups. A tick visits some of the groups in turn: it carves their bricks
+at the present pose.
 """
 
 from math import ceil, sqrt

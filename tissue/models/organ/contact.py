@@ -280,7 +280,7 @@ class SurfaceContact:
     spacing_m
         Largest spacing of contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores
-        Warp device name, and number of cores that share a shell's projection (default all).
+        Warp device name, and number of cores that share a shell's projection (default: all cores).
 
     Raises
     ------

@@ -373,9 +373,9 @@ class LawOffset:
 
         The springs have the compliance of the contact. Let w be the stiffness of the contact, k the
         stiffness of the tissue and s the stiffness of the springs. Each solve multiplies the error
-        of the contact force by (k - w) / (k + s) if the tool prescribes the displacement, and by s
-        (k - w) / w (k + s) if it prescribes the force. With s = w the two factors are equal: (k -
-        w) / (k + w). Their magnitude is below 1 for any tissue.
+        of the contact force by a factor. The factor is (k - w) / (k + s) if the tool prescribes the
+        displacement, and s (k - w) / w (k + s) if the tool prescribes the force. With s = w the two
+        factors are equal: (k - w) / (k + w). Their magnitude is below 1 for any tissue.
         """
         window = self.windows.now
         inside_N = np.zeros_like(crept_N)

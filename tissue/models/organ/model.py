@@ -91,7 +91,7 @@ class ContactSolution:
         Tolerance and sweeps of the contact solver, see `SurfaceContact`. The defaults suit a tick
         of 1 ms.
     cores
-        Number of processor cores that share a shell's projection; default all.
+        Number of processor cores that share a shell's projection; default: all cores.
     """
 
     path: CompliancePath | None = None

@@ -289,8 +289,8 @@ class FirstGuess:
         the support compliance.
     recent
         Number of latest solutions that are kept in addition. While a body is cut, a solve takes 3
-        iterations with two solutions and 5 iterations with six, because older solutions belong to a
-        body with more material.
+        iterations with two solutions and 5 iterations with six solutions, because older solutions
+        belong to a body with more material.
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
