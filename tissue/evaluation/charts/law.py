@@ -55,25 +55,25 @@ radii, and 1.8 times on a layer of 2.5 radii.
 INSTANTS = 4
 """Number of instants at which the contact is solved.
 
-They lie in the middle of equal parts of the contact.
+Each instant lies in the middle of one of four equal parts of the contact.
 
 Each instant takes two nonlinear solves of about 5 s in liver-press.
 """
 POSES = 400
 """Number of poses of the motion that are searched for contact.
 
-On a path of 40 mm they are 0.1 mm apart.
+On a path of 40 mm the poses are 0.1 mm apart.
 """
 COARSER = 1.4
-"""Ratio of the mesh's edges to the scene's edges.
+"""Ratio of the edge lengths of the mesh for the comparison to those of the scene's mesh.
 
-With 1.4, liver-press takes 40 s on one core. A graded slab with a nodule takes minutes: the nodule
-needs short cells, and the gradients need more iterations.
+With this ratio, liver-press takes 40 s on one core. A graded slab with a nodule takes minutes: the
+nodule needs short cells, and the gradients need more iterations.
 """
 TOLERANCE = 1e-4
 """Residual of a solve, and distance of a node from the ball relative to its radius.
 
-The laws differ by several per cent.
+The forces of the two laws differ by several per cent, far more than this tolerance.
 """
 
 
@@ -185,7 +185,7 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
 def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
     """Mesh a scene's organ with edges longer by `COARSER`.
 
-    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
+    A nodule keeps the edge lengths of the scene. Tetrahedra from a file are not made coarser away
     from the tool.
     """
     longer_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else COARSER)

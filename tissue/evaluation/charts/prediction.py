@@ -46,7 +46,7 @@ FIRST_SEED = 10_000
 SHARES = (0.7, 1.3)
 """Ratios of the tissue's force in unseen runs to its force in training.
 
-The runs use them in turn.
+Unseen runs use the two ratios in turn.
 """
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
@@ -176,7 +176,7 @@ def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
     Raises
     ------
     InputError
-        If no scene has one.
+        If no scene has a trained predictor.
     """
     able = [scene for scene in scenes if is_trained(scene.name, scene.predictor_file)]
     notes = [
@@ -229,8 +229,8 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     """Return the errors 4 ms ahead in words, and a comparison with the other predictors.
 
     The predictor of the engine is compared with zero-order hold and with the best other predictor.
-    It is called better or worse only if the interval of the paired difference over runs excludes
-    zero.
+    The text calls it better or worse only if the interval of the paired difference over runs
+    excludes zero.
     """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:

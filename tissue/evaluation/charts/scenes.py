@@ -146,7 +146,7 @@ FAMILIES = {
 }
 """Colour, mark and label of each family of settings, after Okabe and Ito (2008) where possible."""
 LEAST = 1e-4
-"""Error that is drawn in place of zero on logarithmic axes [%]."""
+"""Error [%] that replaces zero on logarithmic axes."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
 """Colours and labels in the overview. The second colour is dark enough for text."""
 COLUMNS = 4
