@@ -54,7 +54,10 @@ def scene_stability(scene: Scene) -> StabilityMap:
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
-    """Return the verdict in words, and the boundary over some delays, measured and exact [N/m]."""
+    """Return the verdict in words, and the largest stable stiffness at some delays [N/m].
+
+    Each stiffness is given by eigenvalues, by measurement, and as the passive bound.
+    """
     chosen = found.chosen
     data = found.over_delay
     return [

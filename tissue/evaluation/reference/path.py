@@ -130,9 +130,10 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Return the distance [m] from a piece, and a component along its normal [m].
+    """Return the distance of points from a piece [m], and its component along the normal [m].
 
-    It is the component of the line from the nearest point of the piece.
+    The component is that of the vector from the nearest point of the piece to the point, along the
+    outward normal of the piece at the nearest point.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)

@@ -165,7 +165,10 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
-    """Report travel by group and method, noticed punctures, and capsule against parenchyma."""
+    """Report travel by group and method, noticed punctures, and discrimination.
+
+    The discrimination is that of the capsule and the parenchyma.
+    """
     rows = []
     groups = (each for each in GROUPS if each in table.group)
     for method, group in product(methods_of(table), groups):

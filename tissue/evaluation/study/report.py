@@ -58,7 +58,7 @@ PICTURES = ("force", "discrimination", "case-needle", "tasks", "sensitivity", "p
 """Sections whose pictures begin the report, the most important first."""
 MOST_PICTURES = 3
 NAMED = 5
-"""Largest number of names in a row of the table."""
+"""Largest number of names that a row of the table lists."""
 Difference = tuple[str, str, str]
 """Kind, object and detail of a difference from the registered plan."""
 TISSUES = {
@@ -170,7 +170,7 @@ def found_section(sections: Sequence[Section]) -> Section:
 
     It holds at most five sentences and three pictures of the other sections.
 
-    The last sentence states how many figures agree with the published ones.
+    The last sentence states how many figures agree with the published figures.
     """
     named = {each.name: each for each in sections}
     headlines = [named[name].headline for name in HEADLINES if name in named]
@@ -183,7 +183,7 @@ def found_section(sections: Sequence[Section]) -> Section:
 
 
 def _agreement(sections: Sequence[Section]) -> str:
-    """Return how many figures were compared with published ones, and which of them disagree."""
+    """Return the number of figures with a published value, and the figures that disagree."""
     compared = 0
     apart = []
     for section in sections:

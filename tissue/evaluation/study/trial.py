@@ -58,7 +58,10 @@ Row = dict[str, str | float]
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Spread of the logarithm of pace between people, and between trials of one person; assumed."""
+"""Spread of the logarithm of pace between trials of one person; assumed.
+
+`PACE_SPREAD` is the spread between people; assumed too.
+"""
 NUMBERS = 24
 """Number of forces that a person rated in the calibration, the default of a session."""
 PLAIN = Variant("", "", {})
@@ -71,9 +74,9 @@ class Trial:
     Attributes
     ----------
     key
-        Which.
+        Key of the trial.
     seed
-        Seed of its scenes.
+        Seed of the scenes of the trial.
     rows
         For each method its name and its metrics, or the sentence of its failure.
     took_s
@@ -227,8 +230,9 @@ def _all_specimens(task: str) -> list[Scene]:
 def _stiffness_N_m(scene: Scene) -> int:
     """Return the chosen stiffness of a scene, rounded down [N/m].
 
-    The search for the critical stiffness is cached. It does not depend on specimen, seed, pace and
-    person. The force map of the person only divides its result.
+    The search for the critical stiffness is cached. The critical stiffness does not depend on
+    specimen, seed, pace and person. For a person with a force map, the cached result is divided by
+    a factor of the map.
     """
     return floor(judged_loop(loop_settings(scene)).stiffness_N_m)
 
@@ -254,8 +258,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 def methods_of_trial(plan: Plan, key: TrialKey) -> tuple[str, ...]:
     """Return the methods of a trial.
 
-    Variants are run only with the methods of the headline, and the reference variant with one
-    method.
+    Variants are run only with the methods penalty and koopman. The reference variant is run with
+    one method.
     """
     if not key.variant:
         return plan.methods
