@@ -284,7 +284,10 @@ def _draw(found: Ranking, path: Path) -> None:
 
 
 def _folders(folder: Path) -> list[Path]:
-    """Return the folders in a folder, in the order of their names with numbers as numbers."""
+    """Return the folders in a folder, sorted by name.
+
+    Numbers in the names are compared as numbers.
+    """
     if not folder.is_dir():
         raise InputError("folder", "exist", folder, "name the folder of the trainees")
     found = (each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))

@@ -39,7 +39,8 @@ __all__ = [
 DENSITY = Prior(1.0, 0.85, 1.18)
 """Prior of the factor on a layer's density, with a standard deviation of 10 %.
 
-Assumption: laws from CT numbers to density differ by this amount between scanners and authors.
+The deviation is an assumption: laws that convert CT numbers to density differ by this amount
+between scanners and authors.
 """
 FACTOR = "density_factor"
 """Field of a free density."""
@@ -60,7 +61,7 @@ class FreeConstant:
     Attributes
     ----------
     parameter
-        Its name and prior.
+        Name and prior of the constant.
     layer
         Index of the layer.
     field
@@ -121,7 +122,7 @@ class CuttingForward:
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
         """Return the cut with averaged loads, and the measured log for the comparison.
 
-        The loads are averaged over the time of one sample of the log. These averages are computed
+        Each average is taken over the duration of one sample of the log. The averages are computed
         at three times the rate of the samples.
 
         A fit computes loads thousands of times, so the average is computed once.
@@ -266,7 +267,9 @@ REFERENCE = "reference_density_kg_m3"
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
-"""Feeds, spins and depths of candidate logs, relative to the log's feed, the spin and the radius.
+"""Depths of the cut in candidate logs, relative to the radius of the tool.
+
+`FEEDS` and `SPINS` are the feeds and spins, relative to the feed and the spin of the log.
 
 Feed and spin change the chip force but not the edge force. This separates the coefficients of both
 forces. The depth changes the directions of the forces of the cutting elements.
@@ -276,19 +279,24 @@ TICKS = 60
 STEADY = slice(30, 60)
 """Ticks of a record over which the steady load is averaged.
 
-The tool starts in a cavity that it fills, and has left the cavity before these ticks. `TICKS` is
-the length of a record.
+At the start, the tool fills a cavity. It has left the cavity before these ticks. `TICKS` is the
+number of ticks of a record.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
-"""Travel of the tool in a record, in radii. A plunge is so short that its depth hardly changes."""
-VOXELS = 20
-"""Number of voxels on a radius.
+"""Travel of the tool in a record, relative to its radius.
 
-With 10, 20 and 40, the steady loads of a ball burr agree within 0.12 %.
+A plunge is so short that its depth hardly changes.
+"""
+VOXELS = 20
+"""Number of voxels along a radius of the tool.
+
+With 10, 20 and 40 voxels, the steady loads of a ball burr agree within 0.12 %.
 """
 AIR = 250
 LASTS = 1250
-"""Number of ticks in air, which show the sensor's bias, and number of all ticks of a candidate.
+"""Number of ticks of a candidate log.
+
+The first `AIR` ticks are in air and show the bias of the sensor.
 """
 
 

@@ -34,10 +34,10 @@ Such numbers are not constants of a material.
 """
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Ratio to the end of a cited range above which a value always contradicts its prior.
+"""Ratio of a value to the end of its cited range, above which it contradicts its prior.
 
 This limit is needed because some priors have a heavy tail towards zero. `FAR` is the limit in
-standard deviations of a prior. By chance, 0.3 % of constants lie beyond `FAR`.
+standard deviations of a prior. 0.3 % of the constants lie beyond `FAR` by chance.
 """
 UNIT_TIMES = 100.0
 """Ratio of a value to the end of its cited range that suggests a wrong unit.
@@ -117,7 +117,7 @@ class SceneFit:
     path
         File of the measured log.
     posterior
-        Constants given the log.
+        Posterior of the constants given the log.
     identified
         Constants and combinations that the log determines.
     gains

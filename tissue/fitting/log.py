@@ -44,7 +44,7 @@ end.
 GAP = 5.0
 """Ratio of a time step to the median step above which it is reported as a gap.
 
-A few lost samples are therefore not reported.
+A few lost consecutive samples are therefore not reported as a gap.
 """
 SHORTEST_PATH_M = 5e-5
 """Extent of the positions below which their unit must be given [m].
@@ -54,8 +54,8 @@ A path of 50 mm has this extent if its positions are in metres but are read in m
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
 
-Such a log holds 100 blocks of 5 ms. Without the gaps, at least `tissue.fitting.problem.FEWEST`
-samples are needed.
+Such a log holds 100 blocks of 5 ms. At least `tissue.fitting.problem.FEWEST` blocks must remain
+after gaps are left out.
 """
 
 
@@ -274,9 +274,9 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
 
 
 PLATEAU = 10
-"""Consecutive samples at a channel's extreme from which a sensor counts as saturated.
+"""Number of consecutive samples at an extreme value that indicates a saturated sensor.
 
-With noise, so many equal neighbours are unlikely.
+In a channel with noise, so many equal neighbours are unlikely.
 """
 SHARPER = 5
 """Smallest ratio of the length of a plateau to the lengths of the plateaus before and after it.
@@ -294,7 +294,9 @@ BASELINE = 0.5
 Such an extreme is not the end of a sensor's range.
 """
 SLOWER = 5.0
-"""Ratio of the pose interval to the load interval from which on the path between poses matters.
+"""Smallest ratio of the pose interval to the load interval at which poses are too slow.
+
+The path between two poses then matters.
 
 With loads at 1 kHz, a block of 5 ms then holds less than one pose.
 """

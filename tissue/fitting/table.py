@@ -42,7 +42,7 @@ DRILL = "twist-drill"
 LAYER = "bone"
 """Layer of a block."""
 NORMAL = 1e6
-"""Degrees of freedom at which Student's distribution equals the normal distribution."""
+"""Degrees of freedom for which Student's distribution is practically normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,8 @@ class SteadyTable:
     def units(self) -> Array:
         """Divisors of the loads, shape (n, channels).
 
-        The divisors are the scatter, or, without a scatter, the mean of each load.
+        The divisor is the scatter of the load. Without a scatter, it is the mean of the load over
+        the rows.
         """
         if self.scatter is not None:
             return self.scatter

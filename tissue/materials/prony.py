@@ -129,14 +129,18 @@ class HereditaryIntegral:
         fall = -np.expm1(-ratio)
         mean = fall / ratio
         self.instant_factor = float(1.0 + spectrum.amplitude @ (1.0 - mean))
-        """Response at the end of a step in which the input rises to 1; 1 for a short step.
+        """Response at the end of a step in which the input rises from 0 to 1.
+
+        For a short step, the response is about 1.
         """
         self._keep = 1.0 - fall
         self._gain = spectrum.amplitude * mean * fall
         self._terms = np.zeros((len(ratio), *shape))
         self._scaled = np.zeros(shape)
         self.history = np.zeros(shape)
-        """Response at the end of the next step to all previous inputs, if the input is zero there.
+        """Response to all previous inputs at the end of the next step.
+
+        It is the whole response if the input at the end of the next step is zero.
         """
 
     def advance(self, value: ArrayLike) -> None:

@@ -35,7 +35,10 @@ TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 ENERGY = "tangential_chip_N_mm2"
 """Name of the constant that is the specific cutting energy."""
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Limit of a constant, by name. The equations cannot be solved for a Poisson's ratio of 0.5."""
+"""Upper limit of a constant, by name.
+
+The equations cannot be solved for a Poisson's ratio of 0.5.
+"""
 
 
 @dataclass(frozen=True)

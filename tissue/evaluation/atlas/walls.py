@@ -439,7 +439,9 @@ class ThinWalls(Page):
         return {"penalty": sweep("thickness_m", thickness, penalty), "proxy": proxy}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the crossing speed with the energy of half a wall, and count rejected devices.
+        """Compare the crossing speed with its prediction, and count rejected devices.
+
+        The prediction follows from the energy that half a wall stores.
 
         A rejected device is a device that a proxy throws back.
         """

@@ -286,7 +286,7 @@ def questioner(
     """Yield a source of answers and the largest force of the device [N].
 
     The answers are given by a simulated observer or by a person. A real device is open inside the
-    block, and pushes only while an interval is played.
+    `with` block, and applies force only while an interval is played.
 
     Raises
     ------

@@ -401,8 +401,8 @@ def machine() -> str:
 def sources() -> str:
     """Return the checksum of all code and constants.
 
-    The time of a tick and the error may change with any of them. External parts are included by
-    their names and by the code of their packages.
+    The time of a tick and the error may change with any part of the code and with any constant.
+    External parts are included by their names and by the code of their packages.
     """
     # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
@@ -430,7 +430,7 @@ def _code_of(part: Any) -> str:
 def _package_sum(name: str) -> str:
     """Return the checksum of all Python files of a package, or of a module.
 
-    Without a file, the result is unique to the call.
+    If there is no such file, the result is unique to the call.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     # code from an interactive session cannot be compared: its results are never reused

@@ -209,7 +209,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
-        """Return the cells that may be engaged, and flags for those engaged in a single layer."""
+        """Return the cells that may be engaged, and flags for cells engaged in a single layer."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]

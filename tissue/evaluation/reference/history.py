@@ -153,7 +153,7 @@ def force_on_path(
     ----------
     kept_by
         Identification of cutter and solid. Together with the path it is the key of the cache.
-        Without it nothing is stored.
+        Without this identification, nothing is stored.
     """
     fine = resolution or Resolution()
 

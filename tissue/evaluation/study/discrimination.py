@@ -82,7 +82,10 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
-        """Return the statistics of trials; `person`, shape (n,), holds numbers below ``count``.
+        """Return the statistics of trials by person.
+
+        `person`, shape (n,), holds the index of the person of each trial, which is below
+        ``count``.
 
         Every person has at least one trial.
         """

@@ -125,8 +125,9 @@ class TrialScene:
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
     """Run a trial under every method of its plan.
 
-    A method that fails leaves a sentence, and the other methods are run. A single call gives the
-    same result as the study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
+    If a method fails, its row holds a sentence on the failure, and the other methods are still
+    run. A single call gives the same result as the study: ``run_trial(Plan(seed=0),
+    TrialKey.named("T1-novice-0007"))``.
     """
     started = perf_counter()
     rows: list[Row] = []

@@ -184,7 +184,7 @@ def density_prior(law: str) -> Prior | None:
 Figure = tuple[str, ...]
 """Name of a figure: its position in ``summary.json``, entry by entry.
 
-For an event it is ``events``, a sentence, ``time_s``.
+The name of the time of an event consists of ``events``, the sentence of the event and ``time_s``.
 """
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 """Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
@@ -251,7 +251,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
 def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
     """Return the names of all figures and their values in each run, shape (runs, figures).
 
-    A value is NaN where a run does not have the figure.
+    The value of a figure that a run does not have is NaN.
     """
     names = tuple(dict.fromkeys(name for run in runs for name in run))
     return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
@@ -288,7 +288,7 @@ def _by_level(values: Array) -> dict[str, float]:
 
 
 REACH = 0.9
-"""Smallest share of the runs that a quantile over time may be computed from.
+"""Smallest share of the runs from which a quantile at a tick may be computed.
 
 The 5 and 95 % quantiles of fewer runs would describe only a part of them.
 """
@@ -337,10 +337,10 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 Outcome = tuple[Array, dict[Figure, float]] | str
 """Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
 PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s], equal to the value of a study."""
+"""Time that a scheduler may take to answer [s]; the value is the same for a study."""
 LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
-"""Number of consecutive losses without a finished sample after which the run stops.
+"""Number of consecutive losses of workers, without a finished sample, that end the run.
 
 A sample that ends its worker causes at most two losses: one together with other samples, and one
 alone.
@@ -359,7 +359,7 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Yield the number and the outcome of the run of each file of materials, as each run ends.
+    """Run each file of materials, and yield its number and outcome when its run ends.
 
     If a worker is lost, its samples are run again, one at a time. A sample that is lost again is
     counted as the cause of the loss.
@@ -411,7 +411,7 @@ def _in_pool(
 ) -> Iterator[tuple[int, Outcome | None]]:
     """Yield outcomes of samples on one pool until it is lost.
 
-    When a sample is submitted, its outcome None is yielded.
+    When a sample is submitted, None is yielded as its outcome.
     """
     # two samples for each process keep it busy; if the pool is lost, all submitted samples are run
     # again
