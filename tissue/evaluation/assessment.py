@@ -38,9 +38,10 @@ __all__ = [
 
 
 GAP_S = 0.15
-"""Longest gap between two breaches that count as one [s], about a period of slow tremor.
+"""Longest time between two breaches that count as one [s], about a period of slow tremor.
 
-Otherwise a trembling hand that rests at a limit would make one breach in each period.
+Without this rule, a trembling hand that rests at a limit would make one breach in each period of
+the tremor.
 """
 FORCE_MARGIN = 1.25
 """Default limit of the trainee's force, as a ratio to the peak force of the reference.
@@ -121,7 +122,9 @@ class Quantity:
     reference: Array | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Return the spans above the limit. Two spans with a short gap between them are joined."""
+        """Return the spans above the limit. Two spans are joined if the time between them is at
+        most `GAP_S`.
+        """
         above = np.flatnonzero(self.values > self.limit)
         found = []
         for span in (

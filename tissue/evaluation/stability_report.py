@@ -109,8 +109,8 @@ def write_stability_files(
 def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     """Draw both charts.
 
-    They show the growth from eigenvalues as shading, the measured boundary, lines of theory, and
-    the chosen point.
+    The charts show the growth from eigenvalues as shading, the measured boundary, lines of theory,
+    and the chosen point.
     """
     # inches; the margins are shares of the figure: title and chosen point above, legend below
     chart = figure(9.0, 4.9)

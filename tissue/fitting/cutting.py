@@ -43,7 +43,7 @@ The deviation is an assumption: laws that convert CT numbers to density differ b
 between scanners and authors.
 """
 FACTOR = "density_factor"
-"""Field of a free density."""
+"""Value of `FreeConstant.field` for the factor on a density."""
 FIELDS = {
     **{field.removesuffix("_Pa") + "_N_mm2": (field, N_MM2) for field in CuttingCoefficients.CHIP},
     **{field.removesuffix("_N_m") + "_N_mm": (field, N_MM) for field in CuttingCoefficients.EDGE},
@@ -51,7 +51,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""Constants of a layer: field of `CuttingCoefficients`, and factor to its unit."""
+"""Field of `CuttingCoefficients` and factor to its unit, for each constant of a layer."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,8 @@ def cutting_forward(
     Parameters
     ----------
     scene
-        The bone or tooth and the tool. Its motion and its device are ignored.
+        Scene with the bone or tooth and the tool. The motion and the device of the scene are
+        ignored.
     times_s
         Times of the poses, increasing [s], shape (n,).
     tips_m, quaternions

@@ -301,8 +301,8 @@ def fit_scene(
     Parameters
     ----------
     scene
-        The specimen and the tool. Its motion and its device are ignored; the poses of the log
-        replace them.
+        Scene with the specimen and the tool. The poses of the log replace the motion and the
+        device of the scene.
     log
         Measured log in the scene's frame.
     free

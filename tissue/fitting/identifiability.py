@@ -73,9 +73,9 @@ Names of density factors begin with `DENSITY`.
 class Combination:
     """Weighted mean of loads that a log determines better than any single constant.
 
-    Near the fitted values it is a weighted sum of constants times powers of densities. An example
-    is a weighted sum of a chip and an edge coefficient at one feed, multiplied by a power of the
-    density.
+    Near the fitted values, the mean is a weighted sum of constants, multiplied by powers of
+    densities. An example is a weighted sum of a chip and an edge coefficient at one feed,
+    multiplied by a power of the density.
 
     Attributes
     ----------
@@ -149,10 +149,10 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    They follow from the eigenvectors of the log's information in units of the prior, with free
-    nuisance parameters. A direction of z that the log determines is the slope of a weighted mean
-    of the loads. The log determines this mean even if the direction of z changes along a curve of
-    constant mean.
+    The combinations follow from the eigenvectors of the log's information in units of the prior,
+    with free nuisance parameters. A direction of z that the log determines is the slope of a
+    weighted mean of the loads. The log determines this mean even if the direction of z changes
+    along a curve of constant mean.
     """
     p = len(posterior.names)
     target = posterior.target
@@ -187,9 +187,9 @@ def _combination(
 ) -> Combination:
     """Return the combination for a direction of z.
 
-    The combination is a mean of whitened loads, shape (m * channels,). Its slope by z is the
-    information multiplied by the direction. Constants with little influence are not named, but
-    their uncertainty widens the interval.
+    The combination is a mean of whitened loads, shape (m * channels,). The derivative of the mean
+    with respect to z is the information multiplied by the direction. Constants with little
+    influence are not named, but their uncertainty widens the interval.
     """
     target = posterior.target
     noise = posterior.nuisances

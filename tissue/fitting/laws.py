@@ -7,9 +7,9 @@ loads minus the number of constants. Constants at their lower limit of 0 are not
 
 A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
 edge term. Free coefficients absorb the factor between the two drills, so the maximum likelihood
-does not distinguish the drills. A second misfit uses the cited ranges as priors. It is the smallest
-sum of squared errors and of squared standard normal numbers of the constants. In a linear problem,
-its degrees of freedom are the number of loads.
+does not distinguish the drills. A second misfit uses the cited ranges as priors. This misfit is
+the smallest sum of squared errors and of squared standard normal numbers of the constants. In a
+linear problem, its degrees of freedom are the number of loads.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ ALIKE = (
 NO_EFFECT = 1e-6
 """Singular value, relative to the largest, below which a combination has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
-"""Root mean square residual, relative to the mean load, that replaces that of an exact fit."""
+"""Root mean square residual, relative to the mean load, that is used for an exact fit."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +77,8 @@ class LawMisfit:
         Sum of squares of this fit relative to the scatter, degrees of freedom, and probability of a
         larger sum. None without a scatter or without degrees of freedom.
     aic
-        Akaike's information criterion, up to a constant that all laws of a table share. None for a
-        table without scatter with so few rows that the law could fit one load exactly.
+        Akaike's information criterion, up to a constant that all laws of a table share. None if
+        the table has no scatter, and so few rows that the law could fit one load exactly.
     left_out
         Error of each row as predicted from the other rows, relative to its loads (root mean
         square). None if the other rows do not determine the constants.

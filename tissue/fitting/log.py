@@ -38,8 +38,8 @@ LARGEST = {"N": 1e5, "Nm": 1e4}
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
-Such a position has another unit or is damaged. The computation of a cut along such a jump would not
-end.
+A position beyond this distance has another unit or is damaged. The computation of a cut along such
+a jump would not end.
 """
 GAP = 5.0
 """Ratio of a time step to the median step above which it is reported as a gap.
@@ -314,7 +314,7 @@ def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) 
     loads
         Loads [N, N m], shape (m, channels), NaN where missing.
     channels
-        Their names.
+        Names of the channels.
     notes
         List to which a sentence on each saturated channel is appended.
     """

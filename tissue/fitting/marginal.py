@@ -73,7 +73,7 @@ END = float(0.5 * np.sqrt(2.0 * np.pi))
 POINTS = 256
 """Number of points of the quasi-random integral.
 
-Its error is below 1 % for three correlated constants.
+The error of the integral is below 1 % for three correlated constants.
 """
 MOST_STEPS = 60
 NEAR = 0.01
@@ -199,7 +199,7 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the logarithm of the ratio of two evidences: with a one-sided and a normal prior.
+    """Compute the logarithm of the evidence with a one-sided prior over that with a normal prior.
 
     The posterior is normal. The evidence with a one-sided prior is an integral over the one-sided
     numbers. It is computed for one number at a time (Geweke, Hajivassiliou and Keane). For each

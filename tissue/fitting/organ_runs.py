@@ -192,7 +192,7 @@ class OrganRuns:
     Parameters
     ----------
     scene
-        The organ and the tool. Its motion and its device are ignored.
+        Scene with the organ and the tool. The motion and the device of the scene are ignored.
     poses
         Poses of the tool.
     channels

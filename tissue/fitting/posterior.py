@@ -1,8 +1,8 @@
 """Posterior of constants given a log: maximum, and normal approximation about it (Laplace).
 
 The covariance is the inverse of the expected information. Differences of gradients are not used:
-they would be dominated by small jumps of a load, for example if the tool leaves an element of the
-mesh, or a shaft begins to slide, one sample earlier.
+small jumps of a load would dominate them. A jump occurs, for example, if the tool leaves an
+element of the mesh one sample earlier, or a shaft begins to slide one sample earlier.
 """
 
 from collections.abc import Sequence

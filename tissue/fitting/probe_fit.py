@@ -220,7 +220,8 @@ def fit_probes(
     Parameters
     ----------
     scene
-        A slab of one material on its bed, and a ball. Its motion, friction and device are ignored.
+        Scene with a slab of one material on its bed, and a ball. Motion, friction and device of
+        the scene are ignored.
     table
         The presses.
     free

@@ -80,8 +80,8 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
     path
         The file, for messages.
     found
-        Its columns: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press. Without
-        ``probe``, a press begins where the depth falls.
+        Columns of the file: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press.
+        Without ``probe``, a press begins where the depth falls.
     columns
         ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
 

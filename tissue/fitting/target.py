@@ -122,7 +122,8 @@ def place_information(freedom: Array) -> Array:
 def freedom_information(freedom: Array) -> tuple[Array, Array]:
     """Return the Fisher information of the degrees of freedom, and its cross term with ln scale.
 
-    The formulas are from Lange, Little and Taylor (1989). Both have the shape of freedom.
+    The formulas are from Lange, Little and Taylor (1989). Both results have the shape of
+    `freedom`.
     """
     curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
     of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
@@ -167,7 +168,7 @@ the correlations lie within +-0.986.
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
 FREEDOM_SPREAD = 1.0
-"""Scale of the degrees of freedom of the noise above their minimum.
+"""Spread of the logarithm of the noise's degrees of freedom above their minimum.
 
 `LEAST_FREEDOM` is the minimum, at which the variance becomes finite. `FREEDOM` is the median above
 this minimum. 90 % of the values lie between 3 and 23. This range covers heavy tails, and is close

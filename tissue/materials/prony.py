@@ -9,9 +9,9 @@ space. If the dashpot strains y are the state, creep follows ``y' = -B y + c sig
 reciprocals of the eigenvalues of the symmetric matrix B. One eigenvalue lies below each relaxation
 rate (Gross 1953, Mathematical Structure of the Theories of Viscoelasticity; Tschoegl 1989).
 
-The two integrals need one exponential per term and step. They are exact if the input is linear
-within each step, and have second-order accuracy for a smooth input (Taylor, Pister and Goudreau
-1970, Int. J. Numer. Methods Eng. 2:45).
+The two integrals need one exponential per term and step. The integrals are exact if the input is
+linear within each step, and have second-order accuracy for a smooth input (Taylor, Pister and
+Goudreau 1970, Int. J. Numer. Methods Eng. 2:45).
 """
 
 import math

@@ -85,7 +85,7 @@ class Materials:
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Return the constants of a file or a `Materials` object, or the cited ones for None.
+        """Return the constants of a file or a `Materials` object, or the cited constants for None.
 
         Raises
         ------
@@ -159,7 +159,8 @@ class Materials:
     ) -> dict[str, float]:
         """Return the numbers of a device or a simulated hand, replaced by the numbers of the file.
 
-        Later materials take precedence over earlier ones.
+        The numbers of a later material in `materials` take precedence over those of an earlier
+        material.
         """
         found = dict(numbers)
         for material in materials:

@@ -1,4 +1,4 @@
-"""Settings of a scene, measured once and kept, and the Pareto-optimal ones."""
+"""Settings of a scene, measured once and stored, and the Pareto-optimal settings."""
 
 import csv
 from collections.abc import Sequence

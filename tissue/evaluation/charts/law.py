@@ -1,8 +1,7 @@
 """Error of the linear elastic law of an organ, and the law that a demanded fidelity needs.
 
 `law_error` solves the body at rest under the linear and the neo-Hookean law, at some instants of
-the motion. Both use the same mesh and no friction, so that the difference is caused only by the
-laws.
+the motion. Both solutions use the same mesh and no friction, so only the laws cause a difference.
 """
 
 from collections.abc import Sequence
@@ -42,9 +41,9 @@ __all__ = ["LawError", "law_error", "linear_error", "with_law"]
 
 
 LAW = "neo-hookean"
-"""Law that replaces the linear one. It needs no constants beyond the small-strain constants."""
+"""Law that replaces the linear law. It needs no constants beyond the small-strain constants."""
 CITED_LAW = "exponential"
-"""Law that replaces the linear one for a material with a published rate of this law."""
+"""Law that replaces the linear law for a material with a published rate of this law."""
 EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
 """Depth relative to the ball's radius, and error of the linear force against the exponential law.
 

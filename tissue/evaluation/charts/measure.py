@@ -83,8 +83,8 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
     """Return the force of a run and its reference on the same motion, each shape (n, 3) [N].
 
-    For a hand it is the played force. Its reference is the force of a loop without delay on the
-    finest model.
+    For a hand, the returned force is the played force. The reference is then the force of a loop
+    without delay on the finest model.
     """
     if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
@@ -198,7 +198,7 @@ class Measured:
     median_us, p99_us, missed
         Time of a tick in contact [us], and number of ticks over 1 ms.
     far_us
-        Median tick out of contact [us]; NaN without one.
+        Median time of a tick out of contact [us]; NaN if all ticks are in contact.
     engaged_mm2, step_mm
         Mean area in contact, and edge of a voxel or element.
     elements, met

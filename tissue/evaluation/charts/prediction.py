@@ -171,7 +171,7 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
 
 
 def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
-    """Return the scenes that have a trained predictor, and a note for each of the others.
+    """Return the scenes that have a trained predictor, and a note for each other scene.
 
     Raises
     ------

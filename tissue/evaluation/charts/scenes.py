@@ -71,7 +71,7 @@ def chart_scenes(
 
 
 def charted(scene: Scene) -> list[Scene]:
-    """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
+    """Return the scenes whose frontiers are charted: moved by a script, by a hand or by both.
 
     A wall is charted only with a hand. A cutting scene is charted only with a script. In a chart's
     short excerpt, the hand presses less than the friction of its device, so its force error would

@@ -288,9 +288,9 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
     """Return the simpler cutting laws and drill of a scene by name.
 
-    Each of them leaves out one refinement that the scene has. The last law leaves out the size
-    effect as well, because the size effect grows without bound if there is no minimum chip
-    thickness.
+    Each simpler law or drill leaves out one refinement that the scene has. The last law leaves out
+    the size effect as well, because the size effect grows without bound if there is no minimum
+    chip thickness.
     """
     found: dict[str, Changes] = {}
     if _of_law(scene, "minimum_chip_um") > 0.0:

@@ -56,7 +56,7 @@ velocity changes by more.
 CHECKED = 32
 """Number of ticks at which the reference is evaluated again with twice the resolution.
 
-Each of these evaluations takes four times as long as the first one.
+The second evaluation at a tick takes four times as long as the first evaluation.
 """
 WINDOW_TICKS = 50
 """Number of ticks in a mean over 50 ms."""

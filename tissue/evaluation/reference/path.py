@@ -22,7 +22,7 @@ RESOLUTION_M = 1e-12
 STRAIGHT_M = 5e-9
 """Largest bend of a point's path through the tool's frame within a leg [m].
 
-It is far below a chip thickness, which is a tenth of a micrometre or more.
+The bend is far smaller than a chip thickness, which is a tenth of a micrometre or more.
 """
 
 
@@ -204,11 +204,11 @@ class ToolPath:
     ) -> Array:
         """Return the signed distance [m] from all volume that the tool has swept before a tick.
 
-        The distance is negative inside. The points, shape (n, 3), are in the world. On the leg to
-        which the tick belongs, the first part is left out: no point on a convex body that advances
-        on a straight path was inside the body before. The distance is infinite if nothing was
-        swept. Above ``within``, shape (n,) [m], the result is only known to be larger than
-        ``within``.
+        The distance is negative inside. The points, shape (n, 3), are in the world. The first part
+        is left out on the leg to which the tick belongs, because no point on a convex body that
+        advances on a straight path was inside the body before. The distance is infinite if nothing
+        was swept. If a result is larger than ``within``, shape (n,) [m], the true distance is
+        larger than ``within`` too, but may differ from the result.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:

@@ -1,7 +1,7 @@
 """Result of a hypothesis test.
 
-It holds effect sizes with exact intervals, assumptions with their checks, and other tests of the
-same question.
+The result holds effect sizes with exact intervals, assumptions with their checks, and other tests
+of the same question.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,7 @@
 """Metrics of one trial.
 
-They are force error, latency, smoothness, distance from the target, and alignment of two paths.
+The metrics are force error, latency, smoothness, distance from the target, and alignment of two
+paths.
 """
 
 import numpy as np

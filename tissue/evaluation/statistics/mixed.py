@@ -257,7 +257,7 @@ With 48 nodes, the intervals agree to four digits.
 
 
 SLOPE_SPREAD = 10.0
-"""Prior standard deviation of slopes and intercept, relative to that of the residual.
+"""Prior standard deviation of slopes and intercept, relative to the residual deviation.
 
 This prior is almost uninformative.
 """
@@ -323,7 +323,7 @@ def regression(
         Name of the response.
     slope_spread
         Standard deviation of slopes and intercept in the prior, divided by the residual standard
-        deviation. Both refer to standardised columns.
+        deviation. Both standard deviations refer to standardised columns.
 
     Raises
     ------

@@ -56,7 +56,7 @@ def planned_power(
 ) -> dict[str, float]:
     """Return the power of each deciding test of one metric on one task for an effect of interest.
 
-    One method, one group, or one method in one group differs by ``effect`` from all others. The
+    One method, one group, or one method in one group differs by ``effect`` from all others. All
     others are equal. The unit of the effect is the standard deviation of differences within people
     between two methods, or of people's means in a group. Values are normal with equal spreads.
 

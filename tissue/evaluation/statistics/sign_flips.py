@@ -177,7 +177,7 @@ def _signs(count: int, users: int, rng: np.random.Generator) -> Array:
 
 
 def flipped_p(measured: Array, flipped: Array) -> Array:
-    """Return the share of statistics that reach the measured ones (Edgington 1995).
+    """Return the share of flipped statistics that reach the measured statistic (Edgington 1995).
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ __all__ = ["case_sections", "median_interval", "travel_by_people"]
 TEETH = ("carious", "sound")
 """Specimens of the drilling task.
 
-Their errors differ by more than the errors of different methods.
+The errors of the two specimens differ by more than the errors of different methods.
 """
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 

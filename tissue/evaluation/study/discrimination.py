@@ -1,6 +1,7 @@
 """Discrimination of two forces at the skin.
 
-It covers levels over trials, sensitivity d', right answers, and their changes.
+The module computes levels over trials, sensitivity d', right answers, and changes of d' and of
+right answers.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -66,8 +66,8 @@ class Task:
     scene
         Name of the scene.
     changes
-        Changes of the scene, by dotted key. They leave out all that has no effect on the force, and
-        make the run short enough for thousands of trials.
+        Changes of the scene, by dotted key. The changes leave out all parts without effect on the
+        force, and make the run short enough for thousands of trials.
     specimens
         Specimens. Each person gets all of them in turn. The first two are compared in the
         discrimination.

@@ -23,7 +23,8 @@ The excess travel has three parts. The first part is the release of the springs 
 For the tip, it is dF / k_c, where dF is the drop of P. For the device, it is more than dF / K_0
 because of the inertia of the device. No hand can prevent this part. The second part is the motion
 of the aim until the stop, da/dt times the delay. The third part is the response of the aim to the
-sudden advance of the device. It occurs in the part of the delay beyond the reaction time.
+sudden advance of the device. The third part occurs in the part of the delay beyond the reaction
+time.
 """  # noqa: E501 a table
 
 from math import inf

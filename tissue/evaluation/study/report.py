@@ -168,7 +168,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 def found_section(sections: Sequence[Section]) -> Section:
     """Return the first section.
 
-    It holds at most five sentences and three pictures of the other sections.
+    The first section holds at most five sentences and three pictures of the other sections.
 
     The last sentence states how many figures agree with the published figures.
     """

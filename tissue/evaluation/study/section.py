@@ -208,7 +208,7 @@ def tasks_of(table: TrialTable) -> list[str]:
 
 
 def methods_of(table: TrialTable) -> list[str]:
-    """Return the methods that have trials: those of `METHODS` in its order, then the others."""
+    """Return the methods that have trials: first the methods in `METHODS`, then other methods."""
     others = sorted(set(table.method.tolist()) - set(METHODS))
     return [*(each for each in METHODS if each in table.method), *others]
 

@@ -106,7 +106,8 @@ class TrialScene:
     ----------
     scenes
         The scene under each method. The coupling stiffness is the smallest of the stiffnesses
-        chosen for the methods. It is stable with all methods, so that their forces can be compared.
+        chosen for the methods. This stiffness is stable with all methods, so their forces can be
+        compared.
     specimen
         Number of the specimen.
     person

@@ -67,7 +67,7 @@ If more samples failed, the ends of a 90 % band would describe only the remainin
 SAME = 3e-3
 """Tolerance of loads as a share of the largest load.
 
-It covers the interpolation between nodes of chip thickness.
+The tolerance covers the interpolation between nodes of chip thickness.
 """
 SOBOL_ROWS = 512
 """Number of rows of each of the two samples from which the indices are computed.

@@ -138,7 +138,7 @@ def rounded(asked: int) -> int:
 def normals(count: int, width: int, *, seed: int) -> Array:
     """Return independent standard normal numbers, shape (count, width).
 
-    They follow a scrambled Sobol sequence. `count` is a power of two.
+    The numbers follow a scrambled Sobol sequence. `count` is a power of two.
 
     Raises
     ------

@@ -170,8 +170,8 @@ def with_sizes(loads: Array) -> Array:
 def density_prior(law: str) -> Prior | None:
     """Return the prior of a density factor from the law in the notes of an image of densities.
 
-    The result is None if the image records no law. The uncertainty of the law is given for the
-    median density. It is applied as a relative uncertainty to every voxel.
+    The result is None if the image records no law. The law states its uncertainty for the median
+    density. The same relative uncertainty is applied to every voxel.
     """
     found = LAW.search(law)
     # a density that the scene states has no law and no band
@@ -297,7 +297,8 @@ The 5 and 95 % quantiles of fewer runs would describe only a part of them.
 def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
     """Compute the quantiles `LEVELS` of the loads at each tick.
 
-    A tick has quantiles if at least nine in ten runs reach it. They are computed from these runs.
+    A tick has quantiles if at least nine in ten runs reach it. The quantiles are computed from
+    these runs.
 
     Parameters
     ----------
