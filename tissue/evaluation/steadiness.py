@@ -62,8 +62,9 @@ class Steadiness:
     tremor_mm
         Root mean square of the intended motion between 8 and 12 Hz, all three axes together.
     score
-        0 for the tremor of a novice and 100 for that of an expert, by the constants of hands.toml.
-        It is linear in the logarithm of the tremor, and may lie outside this range.
+        Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
+        the constants of hands.toml. The score is linear in the logarithm of the tremor, and may
+        lie outside the range from 0 to 100.
     low, high
         95 % interval of the score over the windows of the run.
     """

@@ -137,7 +137,7 @@ class Identified:
 
     @property
     def at_prior(self) -> tuple[str, ...]:
-        """Constants whose single interval the log does not narrow."""
+        """Constants whose interval the log does not narrow."""
         return tuple(np.array(self.names)[self.contraction > AT_PRIOR].tolist())
 
     @property

@@ -80,8 +80,8 @@ class LawMisfit:
         Akaike's information criterion, up to a constant that all laws of a table share. None if
         the table has no scatter, and so few rows that the law could fit one load exactly.
     left_out
-        Error of each row as predicted from the other rows, relative to its loads (root mean
-        square). None if the other rows do not determine the constants.
+        Root mean square error of rows that are predicted from the other rows, relative to the
+        loads of the row. None if the other rows do not determine the constants.
     cited_chi_square, cited_p
         Sum of squares with the cited ranges as priors, and the probability of a larger sum. None
         without a scatter.

@@ -94,7 +94,7 @@ class MeasuredLog:
     notes: tuple[str, ...] = ()
 
     def averaged(self) -> tuple[MeasuredLoads, int]:
-        """Return the loads averaged over blocks, and the ticks of a block."""
+        """Return the loads averaged over blocks, and the number of ticks in a block."""
         duration_s = float(self.load_times_s[-1] - self.load_times_s[0])
         ticks = block_ticks(duration_s, float(np.median(np.diff(self.load_times_s))))
         return block_averages(self.load_times_s, self.loads, self.channels, ticks), ticks

@@ -44,7 +44,7 @@ _RATE_NAME = re.compile(
 TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
-"""Loads on the tool, in the scene's frame, torques about the tip."""
+"""Names of loads on the tool, in the scene's frame, with torques about the tip."""
 
 
 def refusal(path: Path, requirement: str, value: str, remedy: str) -> InputError:

@@ -255,7 +255,7 @@ def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[flo
 
 @cache
 def _uniform(count: int) -> Array:
-    """Quasi-random points of the unit cube, shape (POINTS, count)."""
+    """Return quasi-random points of the unit cube, shape (POINTS, count)."""
     return Sobol(count, scramble=True, rng=0).random(POINTS)
 
 

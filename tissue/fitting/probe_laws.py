@@ -194,7 +194,7 @@ def probe_curves(
 
 
 def _curve(mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_m: float) -> Array:
-    """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN where none was found."""
+    """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN without a solution."""
     table = lame(np.array([UNIT_PA]), layer.poisson_ratio)
     found = law_of(layer.organ.model_copy(update=shape), table)
     first, shear = table[0].tolist()

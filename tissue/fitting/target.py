@@ -249,7 +249,7 @@ class Target:
         return np.array([prior.x(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Return the derivative of each constant by its z."""
+        """Return the derivative of each constant with respect to its standard normal number."""
         return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def simulated(self, u: Array) -> Array:

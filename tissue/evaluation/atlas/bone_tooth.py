@@ -191,7 +191,7 @@ class ExplicitCutting(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Push a tool too light for an explicit step, and give a scene a thrust that is NaN."""
+        """Push a tool that is too light for an explicit step, and give a scene a NaN thrust."""
         # at 1 ms, an explicit step of 10 g would be 380 times too long
         force, speed = plunge(0.01, 40.0)
         scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
@@ -487,7 +487,9 @@ class Contrast(Page):
         return {"contrast": table}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the growth of plain iterations with the range of iterations of the multigrid."""
+        """Compare the growth of the iterations without a multigrid with the range with a
+        multigrid.
+        """
         table = data["contrast"]
         plain = table["plain"]
         multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])

@@ -99,7 +99,7 @@ class HeldTool(Page):
         return dict(_measured())
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest amplification of the tool and of its limit with the bound."""
+        """Compare the largest amplifications with the bound, also in the massless limit."""
         largest = {
             rule: {name: table[rule].max() for name, table in data.items()} for rule in RULES
         }

@@ -461,7 +461,7 @@ class ThinWalls(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Move a proxy fast onto a thin wall, and place one inside a wall."""
+        """Move a proxy fast onto a thin wall, and place a proxy inside a wall."""
         # 51 mm within a tick of 1 ms, across a wall a fifth as thick as a voxel
         rest = point_proxy(2e-5, start_m=1e-3).advance(np.array([0.0, 0.0, -5e-2])).position_m[2]
         return [

@@ -70,7 +70,7 @@ With this share, the force fades for less time than `RAMP_S`.
 
 
 class StoppedError(Exception):
-    """Raised when a person stops a session."""
+    """Error that is raised when a person stops a session."""
 
 
 def play(
@@ -223,7 +223,7 @@ class Person:
             self._wait(PAUSE_S)
 
     def _length(self, force_N: float) -> int:
-        """Return the length of a bar in characters. A line of a terminal has space for 60."""
+        """Return the length of a bar in characters, at most 60, to fit a line of a terminal."""
         return max(round(60.0 * force_N / self._limits.force_limit_N), 1)
 
 

@@ -48,9 +48,9 @@ RESAMPLES = 2000
 With this number, the probability of 2.5 % beyond each end has a standard error of 0.35 %.
 """
 TOUCH = ForceRange(limit_N=3.3)
-"""Range of a Touch."""
+"""Force range of the haptic device Touch."""
 Command = Callable[[Array], Array]
-"""Function from the force that shall be felt to the force at the device [N], any shape."""
+"""Function that converts a force to be felt to the force at the device [N], of any shape."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -164,7 +164,7 @@ def _pressed_by_a_ball(scene: Scene) -> bool:
 
 
 def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
-    """Return a solver of the scene's organ for each law, on its coarser mesh."""
+    """Return a solver of the scene's organ for each law, on a coarser mesh than the scene's."""
     from tissue.fem.hyperelastic import NonlinearBody
     from tissue.fem.newton import NewtonSolver
     from tissue.fem.space import Space

@@ -62,7 +62,7 @@ LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
 
 
 def of_model(scene: Scene) -> Scene:
-    """Return the scene moved by its script, without parts that have no effect on such a run."""
+    """Return the scene with its script, without parts that have no effect on a scripted run."""
     return changed(scene, {"device": "none"})
 
 
@@ -242,7 +242,7 @@ class Measured:
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:
-    """Return the excerpt of a scene with which its settings are run."""
+    """Return the excerpt of a scene that is run at each setting."""
     return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
 
 

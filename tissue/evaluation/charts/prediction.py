@@ -54,7 +54,7 @@ DELAY_MS = 4
 SLOW_TICKS = 10
 """Ticks between two answers of the slow model: 100 Hz, a tenth of the haptic rate."""
 SIZES = (3, 6, 12)
-"""Numbers of training runs: the smallest that a fit accepts, twice as many, and the default."""
+"""Numbers of training runs: the smallest number for a fit, twice this number, the default."""
 SIZED_RUNS = 8
 """Number of unseen runs for the comparison of training sizes. Each size needs a separate fit."""
 HEADS = {

@@ -105,7 +105,7 @@ class Setting:
 
 
 def by_hand(scene: Scene) -> Scene:
-    """Return the scene on a device, with a latency to hide."""
+    """Return the scene on a device, with a latency that a predictor can compensate."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
     # without a latency, predictors have nothing to predict
     if scene.device is None or scene.device.coupling.delay_ms == 0:
@@ -388,7 +388,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def machine() -> str:
-    """Return the key of a measured time, from processor, cores and versions of the libraries."""
+    """Return the key of measured times: processor, cores and versions of the libraries."""
     import psutil
 
     return (

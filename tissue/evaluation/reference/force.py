@@ -77,7 +77,10 @@ class Solid:
         )
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
-        """Return the layers, shape (n,), of points [m], shape (n, 3)."""
+        """Return the number of the layer at each point, shape (n,).
+
+        The points [m] have shape (n, 3).
+        """
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:

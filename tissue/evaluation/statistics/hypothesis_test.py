@@ -97,8 +97,8 @@ class HypothesisTest:
     assumptions
         Assumptions of the test.
     alternatives
-        Other tests of the same question, such as the tests of the paper. They are reported but do
-        not decide.
+        Other tests of the same question, such as the tests of the paper. The alternatives are
+        reported, but decisions do not use them.
     note
         Further information for the reader. May be empty.
     """
@@ -132,7 +132,7 @@ class HypothesisTest:
 
 
 def format_p(p: float) -> str:
-    """Return a p value as a reader expects it."""
+    """Return a p value as text in the usual form."""
     if not np.isfinite(p):
         return "p unknown"
     # smaller values depend on the tails of the assumed law

@@ -44,8 +44,8 @@ class Cells:
     users
         Label of every user.
     factors
-        Names of the crossed factors within users and their levels, the last one changing fastest
-        along `levels`.
+        Names of the crossed factors within users, and their levels. Along the axis `levels`, the
+        last factor changes fastest.
     dropped
         Users that are left out because all their trials at one of the levels failed.
     """

@@ -51,7 +51,7 @@ def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Report tracking error in newtons at the reamer, distance from its path, and torque steps."""
+    """Report tracking error in newtons at the reamer, distance from the path, and torque steps."""
     force = CASES["reaming_rms_N"]
     rows = []
     for method in methods_of(table):

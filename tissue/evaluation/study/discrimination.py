@@ -117,7 +117,7 @@ class FeltPair:
     Attributes
     ----------
     less, more
-        Forces on the softer and the stiffer specimen, of the same people.
+        Forces on the softer specimen and forces on the stiffer specimen, for the same people.
     """
 
     less: Felt
@@ -195,14 +195,14 @@ def sides(needle: TrialTable) -> FeltPair | None:
 
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
-    """Return the right answers of simulated people by group [%]."""
+    """Return the share of right answers of simulated people by group [%]."""
     return {group: 100.0 * pair.felt_by(people_of(group, seed))[1].mean() for group in GROUPS}
 
 
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Return the pair of forces, each with its people; the same people are in both.
+    """Return the pair of forces. The same people feel both forces.
 
     The result is None if the forces have no scatter.
     """

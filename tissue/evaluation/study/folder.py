@@ -177,7 +177,7 @@ class StudyFolder:
         return self._begun()[0]
 
     def registrations(self) -> list[Registration]:
-        """Return the registered plans, newest last. The errors are those of `plan`."""
+        """Return the registered plans, newest last. Raises the errors of `plan`."""
         return self._begun()[1]
 
     def _begun(self) -> tuple[Plan, list[Registration]]:

@@ -52,7 +52,7 @@ REFERENCE_TRIALS = 2
 Reference trials take longest, so there are few.
 """
 MIDDLE = "intermediate"
-"""Group of people in which the variants are run."""
+"""Group of the people with whom the variants are run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,7 @@ class Task:
 def _scaled(
     nominal: Mapping[str, float], shares: Sequence[float]
 ) -> tuple[Mapping[str, object], ...]:
-    """Return the specimens with numbers scaled by shares."""
+    """Return one specimen for each share: the nominal numbers multiplied by the share."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
 

@@ -79,7 +79,7 @@ STUDY = (
     ("spread of the logarithm of pace, trials", WITHIN_SPREAD, "", "L", "assumed"),
     ("numbers given to forces in a calibration", NUMBERS, "", "L", "assumed"),
 )
-"""The study's own parameters."""
+"""Parameters of the study itself: name, value, range, confidence and source."""
 
 
 def write_report(
@@ -385,7 +385,7 @@ def _unordered(test: str) -> tuple[str, frozenset[str]]:
 
 
 def _named(names: Sequence[str], mark: str = ", ") -> str:
-    """Return the number of names, and the first of them."""
+    """Return the number of names and the first names, as text."""
     return f"{len(names)}: {mark.join(names[:NAMED])}{f'{mark}...' * (len(names) > NAMED)}"
 
 

@@ -148,7 +148,7 @@ class Section:
 
     @property
     def rows(self) -> tuple[tuple[str, ...], ...]:
-        """Entries of the table, empty where a row has none."""
+        """Entries of the table, empty where a row has no entry."""
         header = self.header
         return tuple(tuple(row.get(name, "") for name in header) for row in self.table)
 

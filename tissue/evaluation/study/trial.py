@@ -165,7 +165,7 @@ def trial_seed(plan: Plan, key: TrialKey) -> int:
 
 
 def error_sentence(error: Exception) -> str:
-    """Return the kind and words of an error on one line."""
+    """Return the type and the message of an error on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 

@@ -161,7 +161,7 @@ SOURCE = "a sample of a band"
 
 
 def sample_name(number: int, count: int) -> str:
-    """Name of the file of a sample, such as ``sample_017.toml`` of 256."""
+    """Return the name of the file of a sample, such as ``sample_017.toml`` of 256 samples."""
     return f"sample_{number:0{len(str(count - 1))}d}.toml"
 
 
@@ -359,7 +359,7 @@ def _product(free: Array, term: tuple[int, ...]) -> Array:
 
 
 def _fitted(basis: Array, values: Array, ridge: float) -> Array:
-    """Return the coefficients of a ridge regression of values and basis without their means."""
+    """Return the coefficients of a ridge regression of centred values on a centred basis."""
     centred = basis - basis.mean(axis=0)
     kernel = centred @ centred.T
     kernel[np.diag_indices_from(kernel)] += ridge * len(basis)

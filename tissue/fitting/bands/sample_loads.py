@@ -53,7 +53,7 @@ CHANNELS = (
     "torque_z_Nm",
     "torque_Nm",
 )
-"""Components and sizes of the loads on the tool in the world, as the model gives them."""
+"""Components and magnitudes of the model's loads on the tool, in the world frame."""
 DENSITY = "density.bone"
 BLOCK = 500_000
 """Number of loads that are in memory at once: 4 MB, about the size of a cache."""
@@ -469,7 +469,7 @@ def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
 
 
 def loads_of(run: Run) -> Array:
-    """Return forces and torques of the model on the tool with their sizes, shape (n, 8)."""
+    """Return the model's forces and torques on the tool with their magnitudes, shape (n, 8)."""
     trace = run.trace
     loads = [trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]
     return with_sizes(np.hstack(loads))
