@@ -27,9 +27,12 @@ __all__ = [
 
 ON_SURFACE = 3000
 INSIDE = 1000
-"""Approximate largest number of points on the surface, and inside; chosen for pictures."""
+"""Approximate largest number of points inside a tool; chosen for pictures.
+
+`ON_SURFACE` is this number for points on the surface.
+"""
 CONVEX = 1e-9
-"""Largest sine of a turn to the right that counts as a rounding error."""
+"""Largest sine of a right turn of a convex outline that counts as a rounding error."""
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
@@ -167,9 +170,11 @@ deviation, and the two steps of sampling and merging each add one deviation.
 """
 FIRST_SAMPLES = 9
 HALVINGS = 26
-"""Number of initial samples of each piece, and of halvings of the intervals between samples.
+"""Largest number of halvings of the interval between two samples of a piece.
 
-The smallest intervals are 2e-9 of a piece.
+`FIRST_SAMPLES` is the number of initial samples of each piece.
+
+The smallest intervals have 2e-9 of the length of a piece.
 """
 BISECTIONS = 44
 """Number of halvings of the interval of a ball's radius.
@@ -190,8 +195,8 @@ class MedialAxis:
         Radius, height and ball radius at the two ends of each segment [m], shape (segments, 3). The
         ball radius is linear along a segment.
     across
-        1 if no single convex part of the tool contains the balls, such as at the foot of a peg,
-        shape (segments,).
+        1 if no single convex part of the tool contains the balls of the segment, shape
+        (segments,). An example is the foot of a peg.
     """
 
     starts_m: Array

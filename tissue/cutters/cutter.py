@@ -20,8 +20,8 @@ __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table [voxel], curvature x cell^2 / 8.
 
-The error is less than one step of the stored distances, 1/4096 voxel. The limits of the resolution
-take precedence over this error.
+The error is less than one step of the stored distances, which is 1/4096 voxel. `CELLS_PER_VOXEL`
+takes precedence over this error.
 """
 CELLS_PER_VOXEL = 2.0, 6.0
 """Smallest and largest number of table cells per voxel.
@@ -30,13 +30,15 @@ From a tool radius of 156 voxels, two cells are enough for `TABLE_ERROR_VOXELS`.
 17 voxels, six cells are not enough. At a radius of 5 voxels the error is 7e-4 voxels.
 """
 EDGE_REACH_VOXELS = 3.0
-"""Distance from an edge of the profile within which voxels are cut one by one.
+"""Distance from an edge of the profile [voxel] within which voxels are cut one by one.
 
 The distance is larger than the half diagonal of a block.
 """
 PATCH = 128
 SMALL_PATCH = 8
-"""Number of neighbouring surface elements in a patch, and in a small patch within a patch.
+"""Number of neighbouring surface elements in a small patch.
+
+A patch consists of small patches and holds `PATCH` elements.
 
 The elements of a patch have similar normals and touch the same voxels. The kernels process these
 elements together, see `kernels.elements.CHUNK` and `kernels.elements.LANES`.
@@ -44,9 +46,9 @@ elements together, see `kernels.elements.CHUNK` and `kernels.elements.LANES`.
 GOLDEN = 0.6180339887498949
 """Fraction of a turn between consecutive elements of a Fibonacci lattice: 1 / golden ratio."""
 MARGIN_VOXELS = 10.0
-"""Margin of the table around the tool.
+"""Margin of the distance table around the tool [voxel].
 
-It is larger than the half diagonal of a brick, a block of 8 x 8 x 8 voxels.
+The margin is larger than the half diagonal of a block of 8 x 8 x 8 voxels.
 """
 
 
@@ -86,7 +88,11 @@ class DistanceTable:
     high: float
 
     def bend_at(self, radius: Array, height: Array) -> Singles:
-        """Return the bend at points with radius and height above the tip [voxel], shape (n,)."""
+        """Return a sixth of the sum of the principal curvatures at points, shape (n,).
+
+        The points are given by radius and height above the tip [voxel]. Near an edge of the
+        profile, the value is `kernels.revolution.EDGE_BEND`.
+        """
         u = radius * self.cells_per_voxel
         v = (height - self.height_min) * self.cells_per_voxel
         last = self.bend.shape[0] - 2, self.bend.shape[1] - 2
@@ -216,7 +222,10 @@ class Cutter:
 
 _tables: Kept[DistanceTable] = Kept(8)
 _shells: Kept[PointShell] = Kept(8)
-"""Caches of shells and tables, by profile and by spacing of elements or voxels."""
+"""Cache of point shells, by profile and spacing of elements.
+
+`_tables` is the cache of distance tables, by profile and spacing of voxels.
+"""
 
 
 def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:

@@ -30,8 +30,8 @@ CHISEL_ANGLE = radians(130.0)
 FRICTION_ANGLE = atan(160.0 / 250.0)
 """Friction angle between chip and tool at the reference rake of zero.
 
-Its tangent is the ratio of the radial to the tangential chip coefficient of bone, by Merchant's
-formulas.
+By Merchant's formulas, the tangent of this angle is the ratio of the radial to the tangential chip
+coefficient of bone.
 """
 
 
@@ -90,7 +90,7 @@ class DrillPoint:
 
     @property
     def indentation(self) -> float:
-        """Ratio of the thrust on the chisel edge to that of an edge with the reference rake."""
+        """Thrust on the chisel edge, relative to the thrust on an edge with the reference rake."""
         from scipy.optimize import brentq
 
         wedge = atan(tan(0.5 * self.point_angle_rad) * sin(CHISEL_ANGLE))

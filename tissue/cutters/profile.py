@@ -86,7 +86,7 @@ class Line:
         return distance, np.where(ends, 1.0 / np.maximum(distance, 1e-12), 0.0)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Return the points that outline the piece, without its end."""
+        """Return the points that outline the piece, without its last point."""
         return [self.start]
 
 
@@ -124,7 +124,7 @@ class Arc:
         return np.asarray(self.centre) + self.radius * normal, normal
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return the distance [m] of ``points``, shape (n, 2), and a curvature.
+        """Return the distance [m] of ``points``, shape (n, 2), from this arc, and a curvature.
 
         The curvature is the meridional curvature of the parallel curve at the points [1/m].
         """
@@ -142,7 +142,7 @@ class Arc:
         return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Return points that outline the piece, without its end.
+        """Return points that outline the piece, without its last point.
 
         The error of the outline is 1e-5 of the radius.
         """

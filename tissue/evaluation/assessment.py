@@ -38,9 +38,10 @@ __all__ = [
 
 
 GAP_S = 0.15
-"""Longest gap between two breaches that count as one [s], about a period of slow tremor.
+"""Longest time between two breaches that count as one [s], about a period of slow tremor.
 
-Otherwise a trembling hand that rests at a limit would make one breach in each period.
+Without this rule, a trembling hand that rests at a limit would make one breach in each period of
+the tremor.
 """
 FORCE_MARGIN = 1.25
 """Default limit of the trainee's force, as a ratio to the peak force of the reference.
@@ -52,7 +53,7 @@ The value is a convention, not a standard.
 class NoSharedContactError(InputError):
     """Error for a run that does not touch the tissue where the reference run does.
 
-    `reason` completes a sentence that begins with the run.
+    `reason` is the end of a sentence whose subject is the run.
     """
 
     def __init__(self, reason: str) -> None:
@@ -67,7 +68,7 @@ class NoSharedContactError(InputError):
 
 @dataclass(frozen=True)
 class AssessedRun:
-    """Data of a run that an assessment reads. `path` is None without a folder."""
+    """Data of a run that an assessment reads. `path` is None if the run has no folder."""
 
     path: Path | None
     summary: Summary
@@ -111,7 +112,7 @@ class Quantity:
     limit
         Limit of the values.
     reference
-        Values of the reference at the aligned place, shape (ticks,).
+        Values of the reference at the place that is aligned with each tick, shape (ticks,).
     """
 
     what: str
@@ -121,7 +122,9 @@ class Quantity:
     reference: Array | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Return the spans above the limit. Two spans with a short gap between them are joined."""
+        """Return the spans above the limit. Two spans are joined if the time between them is at
+        most `GAP_S`.
+        """
         above = np.flatnonzero(self.values > self.limit)
         found = []
         for span in (
@@ -208,8 +211,8 @@ def assess(
     Raises
     ------
     InputError
-        If the runs are of different tasks (another anatomy, tool or material), hold no trace, or
-        the reference has no contact.
+        If the runs have different tasks (another anatomy, tool or material), a run holds no trace,
+        or the reference has no contact.
     NoSharedContactError
         If the run has no contact where the reference has contact.
     """
@@ -303,7 +306,7 @@ def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
 
 
 def _trace(run: AssessedRun, name: str) -> Table:
-    """Return the trace of a run, long enough to compare."""
+    """Return the trace of a run; raise InputError if it has fewer than ten ticks."""
     # a path needs several ticks
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
@@ -317,12 +320,12 @@ def _trace(run: AssessedRun, name: str) -> Table:
 
 
 def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str, float]:
-    """Return a figure of both runs."""
+    """Return a figure of the trainee's run and of the reference."""
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
 def _steadiness(run: AssessedRun, trace: Table) -> tuple[Steadiness | None, str]:
-    """Return tremor and score of the hand in a run, or the reason why there are none."""
+    """Return tremor and score of the hand in a run, or the reason why the run has no score."""
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
         return None, "the run has no device whose constants are known"
     constants = run.scene.constants
@@ -375,16 +378,16 @@ def _approach(trace: Table) -> tuple[Array, Array]:
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 """Parts of a scene that define the task.
 
-In another tissue or with another tool, other forces and depths are correct.
+The correct forces and depths depend on the tissue and on the tool.
 """
 NUMERICAL = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
 )
-"""Keys of these parts that change only the computation, not the task."""
+"""Keys of the parts in `TASK` that change only the computation, not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Keys that may differ between a trainee and a reference without a note.
+"""Scene keys that may differ between a trainee's run and the reference without a note.
 
-They describe the user who moves the tool, and the device.
+These keys describe the run, the user who moves the tool, and the device.
 """
 
 
@@ -429,7 +432,11 @@ def path_note(summary: Summary) -> str:
 
 
 def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
-    """Yield keys of two scenes with their values where these differ, defaults included."""
+    """Yield each key whose value differs between two scenes, with both values.
+
+    Keys with default values are included. A key that only one of the scenes has gets the value
+    "nothing" for the other scene.
+    """
     first, second = (dict(_flat(tomllib.loads(each.to_toml()))) for each in (one, other))
     for key in dict.fromkeys((*first, *second)):
         if first.get(key) != second.get(key) and not _same_file(

@@ -18,7 +18,7 @@ __all__ = [
 ]
 
 MOST_BREACHES = 8
-"""Breaches that are printed. All are in the file, and a terminal shows the other lines too."""
+"""Largest number of breaches in the printed text. ``assessment.json`` holds all breaches."""
 FILES = ("assessment.json", "assessment.png")
 TRAINEE = "#0072B2"
 REFERENCE = "0.45"
@@ -80,7 +80,10 @@ def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list
 
 
 def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
-    """Return the folders of both runs, which name the people; a run in memory has no folder."""
+    """Return a line with the folder of each run, which names the person.
+
+    A run in memory has no folder and no line.
+    """
     runs = {"trainee": trainee, "reference": reference}
     # A trainee may have a folder for each attempt, so two parts of the path are shown.
     return [

@@ -43,10 +43,10 @@ COLUMNS = (
     "limits_exceeded",
 )
 LEAST_ATTEMPTS = 3
-"""Number of attempts from which on the interval is computed from their spread."""
+"""Smallest number of attempts for which the interval is computed from their spread."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 INCH_PER_ROW = 0.32
-"""Height of a trainee in the picture."""
+"""Height of the row of a trainee in the picture [inches]."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class Person:
     def interval(self) -> tuple[float, float]:
         """95 % interval of the mean score.
 
-        It follows from the spread of the attempts (Student's t). For one or two attempts it follows
-        from the interval of each.
+        It follows from the spread of the attempts (Student's t). For one or two attempts it
+        follows from the interval of each attempt.
         """
         count = len(self.attempts)
         if count >= LEAST_ATTEMPTS:
@@ -103,7 +103,8 @@ class Person:
     def gain(self) -> tuple[float, float, float] | None:
         """Change of the score from attempt to attempt, with its 95 % interval.
 
-        The change is the slope of a straight line. None for fewer than three attempts.
+        The change is the slope of a straight line that is fitted to the scores. It is None for
+        fewer than three attempts.
         """
         from scipy.stats import linregress, t
 
@@ -119,8 +120,8 @@ class Person:
 class Ranking:
     """Trainees in the order of their mean score, the best first.
 
-    `left_out` has a sentence for each run that is not ranked. Such a run has no score, or no
-    contact where the reference has contact.
+    `left_out` has a sentence for each run that is not ranked. A run that is not ranked has no
+    score, or has no contact where the reference has contact.
     """
 
     scene: str
@@ -283,7 +284,10 @@ def _draw(found: Ranking, path: Path) -> None:
 
 
 def _folders(folder: Path) -> list[Path]:
-    """Return the folders in a folder, in the order of their names with numbers as numbers."""
+    """Return the folders in a folder, sorted by name.
+
+    Numbers in the names are compared as numbers.
+    """
     if not folder.is_dir():
         raise InputError("folder", "exist", folder, "name the folder of the trainees")
     found = (each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))

@@ -54,7 +54,10 @@ def scene_stability(scene: Scene) -> StabilityMap:
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
-    """Return the verdict in words, and the boundary over some delays, measured and exact [N/m]."""
+    """Return the verdict in words, and the largest stable stiffness at some delays [N/m].
+
+    Each stiffness is given by eigenvalues, by measurement, and as the passive bound.
+    """
     chosen = found.chosen
     data = found.over_delay
     return [
@@ -106,8 +109,8 @@ def write_stability_files(
 def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     """Draw both charts.
 
-    They show the growth from eigenvalues as shading, the measured boundary, lines of theory, and
-    the chosen point.
+    The charts show the growth from eigenvalues as shading, the measured boundary, lines of theory,
+    and the chosen point.
     """
     # inches; the margins are shares of the figure: title and chosen point above, legend below
     chart = figure(9.0, 4.9)

@@ -17,15 +17,16 @@ __all__ = ["Steadiness", "hand_motion_m", "steadiness"]
 
 Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
-"""Band of physiological hand tremor; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
+"""Band of physiological tremor [Hz]; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
 SMOOTH_HZ = 40.0
 """Cut-off [Hz] of the velocity that gives the direction of friction; above the tremor band."""
 STICKS_M_S = 0.05
 """Speed below which the friction of the device is treated as viscous [m/s].
 
-The friction of a device that sticks is not known. It is at most the Coulomb friction. The value was
-chosen with `python tests/bench/bench_assessment.py --sticks` from 0.005 to 0.1 m/s. At 0.005 m/s
-the tremor found in slow scenes is twice as large on a device with 0.26 N of friction.
+The friction of a device that sticks is not known. It is at most the Coulomb friction. The value
+was chosen between 0.005 and 0.1 m/s with `python tests/bench/bench_assessment.py --sticks`. With
+0.005 m/s, the tremor computed for slow scenes is twice as large on a device with 0.26 N of
+friction.
 """
 WINDOW_S = 0.25
 """Window over which the tremor is averaged [s], two to three periods long."""
@@ -43,7 +44,10 @@ PATH_HZ = 4.0
 DRAWS = 1000
 """Number of random draws of the noise in all windows, for the interval."""
 LEAST_MM = 1e-4
-"""Smallest tremor of a score [mm], far below that of a hand. Without tremor a score is infinite."""
+"""Smallest tremor in a score [mm], far below the tremor of a hand.
+
+The score of zero tremor would be infinite.
+"""
 TYPICAL = "intermediate"
 """Group whose grip is assumed, because the grip of an individual person is not known."""
 NOVICE, EXPERT = "novice", "expert"
@@ -58,8 +62,9 @@ class Steadiness:
     tremor_mm
         Root mean square of the intended motion between 8 and 12 Hz, all three axes together.
     score
-        0 for the tremor of a novice and 100 for that of an expert, by the constants of hands.toml.
-        It is linear in the logarithm of the tremor, and may lie outside this range.
+        Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
+        the constants of hands.toml. The score is linear in the logarithm of the tremor, and may
+        lie outside the range from 0 to 100.
     low, high
         95 % interval of the score over the windows of the run.
     """
@@ -82,8 +87,8 @@ def steadiness(
     Parameters
     ----------
     position_m, force_N
-        Measured position of the device, and the force that it played, with a row per tick of 1 ms,
-        shape (n, 3).
+        Measured position of the device [m] and force that the device applied [N], with a row for
+        each tick of 1 ms, shape (n, 3).
     device
         Inertia, damping and friction of the device.
     constants
@@ -148,7 +153,8 @@ def hand_motion_m(
     Parameters
     ----------
     position_m, force_N
-        Position of the device, and the force that it played, a row per tick, shape (n, 3).
+        Position of the device [m] and force that the device applied [N], with a row for each tick,
+        shape (n, 3).
     device, grip
         Parameters of device and grip. The mass of the grip moves with the device.
     band_Hz

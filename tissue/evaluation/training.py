@@ -273,7 +273,7 @@ A hundred times as many runs as for the shipped predictors would take days, so a
 counts as a typing error.
 """
 HELD_OUT = 4
-"""Interval between runs for validation: one run in this number.
+"""Interval between two runs that are used for validation: one run in four.
 
 The other runs are used for training.
 
@@ -284,7 +284,9 @@ HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
 MARGIN = 3.0
-"""Ratio to the largest mean square in training above which a window is outside; a prior.
+"""Limit of a window's mean square, relative to the largest mean square in training.
+
+A window above this limit counts as outside the training range. The value is assumed.
 """
 
 
@@ -420,12 +422,12 @@ def _largest_square(moments: Moments, runs: Sequence[Recording]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """Compute the forecasts of every tick [N], shape (n, horizons, 3), and the primary flags.
+    """Compute the forecasts of every tick [N], shape (n, horizons, 3), and a flag for each tick.
 
     The flag, shape (n,), is set if the forecast is from the primary predictor.
 
-    The predictor receives a force every `model_ticks` ticks. Until the next force it receives the
-    contact of the same tick, as in a loop.
+    The predictor receives a force every `model_ticks` ticks. Until the next force, it receives the
+    contact of the tick of the last force, as in a loop.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
@@ -453,7 +455,8 @@ def forecast_errors(
 ) -> Array:
     """Return ||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
 
-    F is the reference force in the predicted tick, over all ticks that can be predicted.
+    F is the reference force in the predicted tick. The norms are taken over all ticks that can be
+    predicted.
 
     Raises
     ------

@@ -39,10 +39,11 @@ __all__ = [
 DENSITY = Prior(1.0, 0.85, 1.18)
 """Prior of the factor on a layer's density, with a standard deviation of 10 %.
 
-Assumption: laws from CT numbers to density differ by this amount between scanners and authors.
+The deviation is an assumption: laws that convert CT numbers to density differ by this amount
+between scanners and authors.
 """
 FACTOR = "density_factor"
-"""Field of a free density."""
+"""Value of `FreeConstant.field` for the factor on a density."""
 FIELDS = {
     **{field.removesuffix("_Pa") + "_N_mm2": (field, N_MM2) for field in CuttingCoefficients.CHIP},
     **{field.removesuffix("_N_m") + "_N_mm": (field, N_MM) for field in CuttingCoefficients.EDGE},
@@ -50,7 +51,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""Constants of a layer: field of `CuttingCoefficients`, and factor to its unit."""
+"""Field of `CuttingCoefficients` and factor to its unit, for each constant of a layer."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class FreeConstant:
     Attributes
     ----------
     parameter
-        Its name and prior.
+        Name and prior of the constant.
     layer
         Index of the layer.
     field
@@ -121,7 +122,7 @@ class CuttingForward:
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
         """Return the cut with averaged loads, and the measured log for the comparison.
 
-        The loads are averaged over the time of one sample of the log. These averages are computed
+        Each average is taken over the duration of one sample of the log. The averages are computed
         at three times the rate of the samples.
 
         A fit computes loads thousands of times, so the average is computed once.
@@ -173,7 +174,8 @@ def cutting_forward(
     Parameters
     ----------
     scene
-        The bone or tooth and the tool. Its motion and its device are ignored.
+        Scene with the bone or tooth and the tool. The motion and the device of the scene are
+        ignored.
     times_s
         Times of the poses, increasing [s], shape (n,).
     tips_m, quaternions
@@ -266,7 +268,9 @@ REFERENCE = "reference_density_kg_m3"
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
-"""Feeds, spins and depths of candidate logs, relative to the log's feed, the spin and the radius.
+"""Depths of the cut in candidate logs, relative to the radius of the tool.
+
+`FEEDS` and `SPINS` are the feeds and spins, relative to the feed and the spin of the log.
 
 Feed and spin change the chip force but not the edge force. This separates the coefficients of both
 forces. The depth changes the directions of the forces of the cutting elements.
@@ -276,19 +280,24 @@ TICKS = 60
 STEADY = slice(30, 60)
 """Ticks of a record over which the steady load is averaged.
 
-The tool starts in a cavity that it fills, and has left the cavity before these ticks. `TICKS` is
-the length of a record.
+At the start, the tool fills a cavity. It has left the cavity before these ticks. `TICKS` is the
+number of ticks of a record.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
-"""Travel of the tool in a record, in radii. A plunge is so short that its depth hardly changes."""
-VOXELS = 20
-"""Number of voxels on a radius.
+"""Travel of the tool in a record, relative to its radius.
 
-With 10, 20 and 40, the steady loads of a ball burr agree within 0.12 %.
+A plunge is so short that its depth hardly changes.
+"""
+VOXELS = 20
+"""Number of voxels along a radius of the tool.
+
+With 10, 20 and 40 voxels, the steady loads of a ball burr agree within 0.12 %.
 """
 AIR = 250
 LASTS = 1250
-"""Number of ticks in air, which show the sensor's bias, and number of all ticks of a candidate.
+"""Number of ticks of a candidate log.
+
+The first `AIR` ticks are in air and show the bias of the sensor.
 """
 
 

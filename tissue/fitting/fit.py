@@ -34,10 +34,10 @@ Such numbers are not constants of a material.
 """
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Ratio to the end of a cited range above which a value always contradicts its prior.
+"""Ratio of a value to the end of its cited range, above which it contradicts its prior.
 
 This limit is needed because some priors have a heavy tail towards zero. `FAR` is the limit in
-standard deviations of a prior. By chance, 0.3 % of constants lie beyond `FAR`.
+standard deviations of a prior. 0.3 % of the constants lie beyond `FAR` by chance.
 """
 UNIT_TIMES = 100.0
 """Ratio of a value to the end of its cited range that suggests a wrong unit.
@@ -117,7 +117,7 @@ class SceneFit:
     path
         File of the measured log.
     posterior
-        Constants given the log.
+        Posterior of the constants given the log.
     identified
         Constants and combinations that the log determines.
     gains
@@ -301,8 +301,8 @@ def fit_scene(
     Parameters
     ----------
     scene
-        The specimen and the tool. Its motion and its device are ignored; the poses of the log
-        replace them.
+        Scene with the specimen and the tool. The poses of the log replace the motion and the
+        device of the scene.
     log
         Measured log in the scene's frame.
     free

@@ -38,7 +38,7 @@ __all__ = [
 
 
 DIGITS = 9
-"""Significant digits of a number. The rounding is far below any interval."""
+"""Significant digits of a number. The rounding is far smaller than any interval."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> None:
 
 
 def _write_log_loads(fit: SceneFit, folder: Path) -> None:
-    """Write loads over time, as numbers and pictures."""
+    """Write loads as a function of time, as numbers and as pictures."""
     posterior = fit.posterior
     log = posterior.target.log
     simulated = posterior.simulated
@@ -184,7 +184,7 @@ def _write_log_loads(fit: SceneFit, folder: Path) -> None:
 
 
 def _write_table_loads(fit: TableFit, folder: Path) -> None:
-    """Write loads by feed per turn, as numbers and a picture."""
+    """Write loads as a function of the feed per turn, as numbers and as a picture."""
     table = fit.table
     simulated = fit.posterior.simulated * table.units
     feeds_mm = 1e3 * table.feeds_per_turn_m
@@ -321,8 +321,8 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
 def verdicts(fit: SceneFit) -> list[str]:
     """Return sentences on the results of the fit.
 
-    Their order is: contradictions to the priors, determined constants, combinations, constants that
-    stay at their priors, and the log to measure next.
+    The sentences are about contradictions to the priors, determined constants, combinations,
+    constants that stay at their priors, and the log to measure next, in this order.
     """
     found = [f"doubtful: {each}" for each in fit.doubts]
     for each in fit.constants:

@@ -25,12 +25,14 @@ __all__ = [
 ]
 
 AT_PRIOR = 0.9
-"""Ratio of a constant's standard deviation to that of its prior above which it stays at its prior.
+"""Smallest ratio of standard deviations at which a constant counts as at its prior.
+
+The ratio is the standard deviation after the fit divided by the standard deviation of the prior.
 
 The log narrows the interval of such a constant by less than 10 %.
 """
 DETERMINED = 0.5
-"""Ratio below which a constant counts as determined by the log.
+"""Ratio of standard deviations, as for `AT_PRIOR`, below which a constant is determined.
 
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
 """
@@ -47,34 +49,42 @@ Such a direction is reported as that constant and not as a combination.
 BETTER = 0.5
 """Ratio of standard deviations below which a combination counts as better known than its constants.
 
-It is the standard deviation of the combination divided by that of its best known constant. Each is
-first divided by its prior standard deviation.
+The ratio is the standard deviation of the combination divided by the standard deviation of its
+best known constant. Each of these standard deviations is relative to the standard deviation of the
+prior.
 """
 BALANCED = 0.2
-"""Weighted sum divided by the sizes of its terms, below which it counts as a difference.
+"""Ratio below which a weighted sum of constants counts as a difference.
 
-A difference has no powers, because its terms cancel.
+The ratio is the absolute value of the weighted sum, divided by the sum of the absolute values of
+its terms.
+
+No powers of densities are computed for a difference, because its terms cancel.
 """
 DENSITY = "density."
 EXPONENT = ".density_exponent"
-"""Suffix of names of constants that scale loads by a power. `DENSITY` is the prefix."""
+"""Suffix of names of constants that scale loads by a power.
+
+Names of density factors begin with `DENSITY`.
+"""
 
 
 @dataclass(frozen=True)
 class Combination:
     """Weighted mean of loads that a log determines better than any single constant.
 
-    Near the fitted values it is a weighted sum of constants times powers of densities. An example
-    is a weighted sum of a chip and an edge coefficient at one feed, multiplied by a power of the
-    density.
+    Near the fitted values, the mean is a weighted sum of constants, multiplied by powers of
+    densities. An example is a weighted sum of a chip and an edge coefficient at one feed,
+    multiplied by a power of the density.
 
     Attributes
     ----------
     weights
-        Weight of each constant, divided by the median of its prior, by name. The absolute weights
-        sum to 1.
+        Weight by name of the constant. A weight applies to the constant divided by the median of
+        its prior. The absolute weights sum to 1.
     powers
-        Power of each density factor or exponent, divided by the median of its prior.
+        Power by name of a density factor or exponent. A power applies to the factor or exponent
+        divided by the median of its prior.
     value, low, high
         Median, 5 and 95 % quantiles.
     contraction
@@ -106,7 +116,8 @@ class Identified:
     Attributes
     ----------
     contraction
-        Standard deviation of each constant's z after the fit, shape (p,). It is 1 before the fit.
+        Standard deviation of the standard normal number of each constant after the fit, shape
+        (p,). It is 1 before the fit.
     eigenvalues
         Eigenvalues of the information of the log relative to the information of the prior, shape
         (p,), largest first.
@@ -126,7 +137,7 @@ class Identified:
 
     @property
     def at_prior(self) -> tuple[str, ...]:
-        """Constants whose own interval the log does not narrow."""
+        """Constants whose interval the log does not narrow."""
         return tuple(np.array(self.names)[self.contraction > AT_PRIOR].tolist())
 
     @property
@@ -138,10 +149,10 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    They follow from the eigenvectors of the log's information in units of the prior, with free
-    nuisance parameters. A direction of z that the log determines is the slope of a weighted mean of
-    the loads. The log also determines this mean if the direction of z changes along the curve on
-    which the mean is constant.
+    The combinations follow from the eigenvectors of the log's information in units of the prior,
+    with free nuisance parameters. A direction of z that the log determines is the slope of a
+    weighted mean of the loads. The log determines this mean even if the direction of z changes
+    along a curve of constant mean.
     """
     p = len(posterior.names)
     target = posterior.target
@@ -176,9 +187,9 @@ def _combination(
 ) -> Combination:
     """Return the combination for a direction of z.
 
-    The combination is a mean of whitened loads, shape (m * channels,). Its slope by z is the
-    information multiplied by the direction. Constants with little influence are not named, but
-    their uncertainty widens the interval.
+    The combination is a mean of whitened loads, shape (m * channels,). The derivative of the mean
+    with respect to z is the information multiplied by the direction. Constants with little
+    influence are not named, but their uncertainty widens the interval.
     """
     target = posterior.target
     noise = posterior.nuisances

@@ -7,9 +7,9 @@ loads minus the number of constants. Constants at their lower limit of 0 are not
 
 A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
 edge term. Free coefficients absorb the factor between the two drills, so the maximum likelihood
-does not distinguish the drills. A second misfit uses the cited ranges as priors. It is the smallest
-sum of squared errors and of squared standard normal numbers of the constants. In a linear problem,
-its degrees of freedom are the number of loads.
+does not distinguish the drills. A second misfit uses the cited ranges as priors. This misfit is
+the smallest sum of squared errors and of squared standard normal numbers of the constants. In a
+linear problem, its degrees of freedom are the number of loads.
 """
 
 from collections.abc import Sequence
@@ -34,14 +34,16 @@ REJECTED = 0.05
 """Probability of a larger misfit below which a law is rejected."""
 TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")
 THRUST = ("radial_chip_Pa", "radial_edge_N_m")
-"""Coefficients that a maximum-likelihood fit finds for each load: one of the chip, one of the edge.
+"""Chip and edge coefficient that a maximum-likelihood fit finds for the thrust.
+
+`TORQUE` holds the two coefficients of the torque.
 
 The axial coefficients reduce the thrust in proportion to the radial ones. The fitted coefficients
 of the thrust are therefore differences of radial and axial coefficients, and may have any sign. The
 coefficients of the torque are 0 or above.
 """
 TYPICAL = np.array([1e8, 1e3])
-"""Units of these coefficients [Pa, N/m] in which their effects have similar size."""
+"""Units of chip and edge coefficients [Pa, N/m] for which their effects have similar size."""
 EXPONENTS = np.linspace(0.0, 0.9, 19)
 """Exponents of the size effect from which the search begins."""
 PRECISION = 1e-4
@@ -53,7 +55,7 @@ ALIKE = (
 NO_EFFECT = 1e-6
 """Singular value, relative to the largest, below which a combination has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
-"""Root mean square residual, relative to the mean load, that stands in for an exact fit."""
+"""Root mean square residual, relative to the mean load, that is used for an exact fit."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,11 @@ class LawMisfit:
         Sum of squares of this fit relative to the scatter, degrees of freedom, and probability of a
         larger sum. None without a scatter or without degrees of freedom.
     aic
-        Akaike's information criterion, up to a constant that all laws of a table share. None for a
-        table without scatter with so few rows that the law could fit one load exactly.
+        Akaike's information criterion, up to a constant that all laws of a table share. None if
+        the table has no scatter, and so few rows that the law could fit one load exactly.
     left_out
-        Error of each row as predicted from the other rows, relative to its loads (root mean
-        square). None if the other rows do not determine the constants.
+        Root mean square error of rows that are predicted from the other rows, relative to the
+        loads of the row. None if the other rows do not determine the constants.
     cited_chi_square, cited_p
         Sum of squares with the cited ranges as priors, and the probability of a larger sum. None
         without a scatter.
@@ -205,7 +207,7 @@ class MaximumLikelihood:
     table
         Measured loads.
     has_size_effect
-        Whether the exponent is free.
+        True if the exponent is free.
 
     Attributes
     ----------
@@ -327,7 +329,7 @@ def _ranking(laws: Sequence[LawMisfit]) -> str:
 
 
 def law_sentences(laws: Sequence[LawMisfit]) -> list[str]:
-    """Return sentences on which laws a table rejects."""
+    """Return sentences on the laws that a table rejects."""
     if not laws:
         return []
     by_law = list({each.law: each for each in laws}.values())

@@ -38,13 +38,13 @@ LARGEST = {"N": 1e5, "Nm": 1e4}
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
-Such a position has another unit or is damaged. The computation of a cut along such a jump would not
-end.
+A position beyond this distance has another unit or is damaged. The computation of a cut along such
+a jump would not end.
 """
 GAP = 5.0
 """Ratio of a time step to the median step above which it is reported as a gap.
 
-A few lost samples are therefore not reported.
+A few lost consecutive samples are therefore not reported as a gap.
 """
 SHORTEST_PATH_M = 5e-5
 """Extent of the positions below which their unit must be given [m].
@@ -54,8 +54,8 @@ A path of 50 mm has this extent if its positions are in metres but are read in m
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
 
-Such a log holds 100 blocks of 5 ms. Without the gaps, at least `tissue.fitting.problem.FEWEST`
-samples are needed.
+Such a log holds 100 blocks of 5 ms. At least `tissue.fitting.problem.FEWEST` blocks must remain
+after gaps are left out.
 """
 
 
@@ -94,7 +94,7 @@ class MeasuredLog:
     notes: tuple[str, ...] = ()
 
     def averaged(self) -> tuple[MeasuredLoads, int]:
-        """Return the loads averaged over blocks, and the ticks of a block."""
+        """Return the loads averaged over blocks, and the number of ticks in a block."""
         duration_s = float(self.load_times_s[-1] - self.load_times_s[0])
         ticks = block_ticks(duration_s, float(np.median(np.diff(self.load_times_s))))
         return block_averages(self.load_times_s, self.loads, self.channels, ticks), ticks
@@ -274,9 +274,9 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
 
 
 PLATEAU = 10
-"""Consecutive samples at a channel's extreme from which a sensor counts as saturated.
+"""Number of consecutive samples at an extreme value that indicates a saturated sensor.
 
-With noise, so many equal neighbours are unlikely.
+In a channel with noise, so many equal neighbours are unlikely.
 """
 SHARPER = 5
 """Smallest ratio of the length of a plateau to the lengths of the plateaus before and after it.
@@ -294,7 +294,9 @@ BASELINE = 0.5
 Such an extreme is not the end of a sensor's range.
 """
 SLOWER = 5.0
-"""Ratio of the pose interval to the load interval from which on the path between poses matters.
+"""Smallest ratio of the pose interval to the load interval at which poses are too slow.
+
+The path between two poses then matters.
 
 With loads at 1 kHz, a block of 5 ms then holds less than one pose.
 """
@@ -312,7 +314,7 @@ def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) 
     loads
         Loads [N, N m], shape (m, channels), NaN where missing.
     channels
-        Their names.
+        Names of the channels.
     notes
         List to which a sentence on each saturated channel is appended.
     """

@@ -46,7 +46,7 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zei
 EPOCH_S = 1e8
 """Time above which times count from 1970 [s]. No log lasts three years."""
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
-"""Words in the header of a force, before its axis."""
+"""Words that precede the axis in the header of a force."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
 """Words in the headers of quantities with an axis that are not positions."""
 
@@ -172,7 +172,7 @@ def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str
 def _clock(column: str, times: Array) -> tuple[float, str]:
     """Return the factor to seconds of times without a unit, and a remark, which may be empty.
 
-    Times since 1970 show their unit by their size, because every log was made after 1973.
+    The unit of times since 1970 follows from their size, because every log was made after 1973.
     """
     middle = float(np.nanmedian(times)) if len(times) else 0.0
     for unit in ("ns", "us", "ms"):
@@ -217,7 +217,7 @@ def from_first(values: dict[str, Array], notes: list[str]) -> None:
 
 
 def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
-    """Return flags that name the columns of missing quantities, as far as headers show them."""
+    """Return suggested flags for missing quantities whose columns the headers show."""
     found = {name: [each for each in names if _is_like(name, each)] for name in missing}
     depths = [each for each in names if unit_of(each, "length")]
     if set(TIPS) <= set(missing) and len(depths) == 1 and not found[TIPS[0]]:

@@ -44,7 +44,7 @@ _RATE_NAME = re.compile(
 TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
-"""Loads on the tool, in the scene's frame, torques about the tip."""
+"""Names of loads on the tool, in the scene's frame, with torques about the tip."""
 
 
 def refusal(path: Path, requirement: str, value: str, remedy: str) -> InputError:
@@ -126,7 +126,7 @@ def read_columns(path: Path) -> LogColumns:
 
 
 def _held(columns: Mapping[str, Any]) -> LogColumns:
-    """Return the columns in arrays. A matrix gives no columns."""
+    """Return the columns of a file. Arrays that are not one-dimensional hold no numbers."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
 
     def numbers(name: str) -> Array:
@@ -259,8 +259,8 @@ _BYTES = 8
 def parquet_columns(file: Path) -> Answer:
     """Return the columns of a Parquet file by name.
 
-    The recorded size of the file is first compared with the memory limit. A column without numbers
-    is returned as an empty matrix, so that its name is known.
+    Before the file is read, its recorded size is compared with the memory limit. A column without
+    numbers is returned as an empty matrix, so that its name is known.
     """
     import pyarrow.parquet
 

@@ -44,33 +44,40 @@ __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
 
 
 STEPS = np.cumsum(0.4 * 1.25 ** np.arange(16))
-"""Places of the grid to either side of the maximum, in standard deviations of the normal law there.
-The last one is 55 away: the flat side of a constant can be many standard deviations wide."""
+"""Places of the grid on each side of the maximum.
+
+The unit is the standard deviation of the normal approximation. The last place is 55 standard
+deviations away, because the flat side of a constant can be many standard deviations wide.
+"""
 WITHIN = np.linspace(0.05, 3.0, 60)
 ABOUT = np.linspace(0.25, 4.0, 16)
-"""Places of the grid of the offset: in samples of the log, and in standard deviations of the
-normal law.
+"""Places of the grid of the offset, in standard deviations of the normal approximation.
+
+`WITHIN` holds further places in samples of the log.
 """
 NEGLIGIBLE = 10.0
 """Decrease of the log density from its maximum at which the grid ends."""
 STEEP = 3.0
 HALVINGS = 4
-"""Decrease of the log density that halves an interval of the grid, and number of halvings."""
+"""Largest number of halvings of an interval of the grid.
+
+`STEEP` is the decrease of the log density above which an interval is halved.
+"""
 FINE = 20
 """Number of quadrature points between two places of the grid."""
 SHARES = np.array([0.05, 0.5, 0.95])
 PRIOR_SPREAD = float(np.sqrt(0.5 - 0.5 / np.pi))
-"""Standard deviation of a standard normal number whose negative values are set to 0."""
+"""Standard deviation of a standard normal variable whose negative values are set to 0."""
 END = float(0.5 * np.sqrt(2.0 * np.pi))
-"""Probability of the end under the cut-off prior, divided by the normal density there."""
+"""Probability of the end under the cut-off prior, divided by the normal density at the end."""
 POINTS = 256
 """Number of points of the quasi-random integral.
 
-Its error is below 1 % for three correlated constants.
+The error of the integral is below 1 % for three correlated constants.
 """
 MOST_STEPS = 60
 NEAR = 0.01
-"""Twice the increase of the log density below which the search for the other numbers ends.
+"""Limit of twice the increase of the log density at which a search for other numbers ends.
 
 `MOST_STEPS` limits the number of least-squares steps of this search. Many steps are needed if a log
 determines only combinations of constants, because these constants then lie on a curve.
@@ -81,8 +88,8 @@ EASIER = 0.2
 """Factor on the damping after a good step.
 
 The damping is used if a step would lower the density. It is relative to the information of the
-priors (Levenberg 1944). The two constants above are its first value and its factor after a further
-step of this kind.
+priors (Levenberg 1944). `DAMPING` is its first value. `HARDER` is the factor on the damping after
+a further step that would lower the density.
 """
 
 
@@ -102,7 +109,7 @@ class Marginal:
     spread: float
 
     def widened(self, deviation: float) -> "Marginal":
-        """Return the distribution with a further independent error of the number."""
+        """Return the distribution of the number with an additional independent error."""
         low, middle, high = self.quantiles.tolist()
         reach = Z_95 * deviation
         widest = [
@@ -192,7 +199,7 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the logarithm of the ratio of two evidences: with a one-sided and a normal prior.
+    """Compute the logarithm of the evidence with a one-sided prior over that with a normal prior.
 
     The posterior is normal. The evidence with a one-sided prior is an integral over the one-sided
     numbers. It is computed for one number at a time (Geweke, Hajivassiliou and Keane). For each
@@ -248,7 +255,7 @@ def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[flo
 
 @cache
 def _uniform(count: int) -> Array:
-    """Quasi-random points of the unit cube, shape (POINTS, count)."""
+    """Return quasi-random points of the unit cube, shape (POINTS, count)."""
     return Sobol(count, scramble=True, rng=0).random(POINTS)
 
 
@@ -262,8 +269,8 @@ def _walked(
 ) -> dict[float, tuple[float, Array]]:
     """Return log densities at places away from a first place, with the best other numbers.
 
-    The search ends when the density has been negligible for longer than `patience`. The density of
-    the offset may rise again within a sample of the log.
+    The search ends when the density has been negligible over a range longer than `patience`. The
+    density of the offset may rise again within a sample of the log.
     """
     found: dict[float, tuple[float, Array]] = {}
     highest, u = first

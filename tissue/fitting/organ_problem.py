@@ -1,6 +1,7 @@
 """Loads of a probe on an organ as a function of its constants.
 
-The loads are proportional to all moduli together, and of second order in the other constants.
+If all moduli change by one factor, the loads change by this factor. A polynomial of second order
+in the other constants approximates the loads.
 """
 
 import os
@@ -145,7 +146,7 @@ class OrganForward:
 
 
 EVERY = 2
-"""Ticks between two loads that are kept of a run. A log is averaged over more ticks."""
+"""Number of ticks between two kept loads of a run. A log is averaged over more ticks."""
 STEPS = (0.1, 1.0)
 """Smallest and largest step for load differences, in standard deviations of a prior.
 
@@ -155,13 +156,16 @@ come into contact or leave it.
 FIRST_STEP = 0.5
 """One-sided step before a constant has been estimated, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance below which the most probable constants agree with the constants of the runs.
+"""Distance below which the fitted constants agree with the constants of the last run.
 
-It is measured in standard deviations of the constants. An interval is 3.3 standard deviations wide.
+The distance is measured in standard deviations of the constants. A 90 % interval is 3.3 standard
+deviations wide.
 """
 ROUNDS = 3
 TRIES = 6
-"""Number of times that slopes are computed, and number of further runs with each set of slopes.
+"""Largest number of further runs with one set of slopes.
+
+`ROUNDS` is the largest number of times that slopes are computed.
 
 These numbers limit the runs of a fit that does not converge. `UNSETTLED` reports such a fit.
 """
@@ -174,17 +178,17 @@ UNSETTLED = (
 FINER = 1.4
 """Ratio of the edges of the mesh of a fit to the edges of the finer mesh that shows its error."""
 PARTS = 4
-"""Number of parts of a log. In each part alone, the loads of the finer mesh are tried.
+"""Number of parts of a log. The loads of the finer mesh are tried in one part at a time.
 
-The parts are about press, hold, retreat and rest.
+The four parts are approximately press, hold, retreat and rest.
 """
 WIDE = 0.2
-"""Standard deviation of a constant relative to its prior above which it is stepped in pairs.
+"""Standard deviation relative to the prior above which a constant is stepped in pairs.
 
 Such a constant is stepped together with each other constant of this kind.
 """
 FARTHEST = 3.0
-"""Largest distance of a run from the median of a prior, in standard deviations.
+"""Largest distance of a constant of a run from its prior median [standard deviations].
 
 The ends of a cited range are 1.6 standard deviations from its median.
 """
@@ -199,7 +203,7 @@ class Settled:
     forward
         Model of the loads.
     posterior
-        Constants given the log.
+        Posterior of the constants given the log.
     away
         Distance of the constants from the constants of the last run, in standard deviations.
     """
@@ -288,10 +292,10 @@ def settled(
 ) -> Settled:
     """Return the loads from runs near the most probable constants of a log.
 
-    Slopes are differences between runs about one point. Further runs use the fitted constants and
-    correct the slopes, until the fitted constants agree with the constants of the last run. The
-    slopes are then computed again at this point, with steps as wide as the uncertainty of the
-    constants.
+    Slopes are computed from differences between runs about one point. Further runs use the fitted
+    constants and correct the slopes, until the fitted constants agree with the constants of the
+    last run. The slopes are then computed again at this point, with steps as wide as the
+    uncertainty of the constants.
     """
     at = np.array([each.prior.x(0.0) for each in parameters])
     spread = None

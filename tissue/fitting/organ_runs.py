@@ -49,7 +49,7 @@ Friction of wet tissue on metal is 0.1 to 0.6 (from memory of the literature).
 MODULUS = (1.0 / 3.0, 3.0)
 """5 and 95 % quantiles of a modulus that the scene sets, relative to the scene's value.
 
-The range is the scatter of liver in tissue/materials/soft.toml.
+The range is the scatter of the modulus of liver in tissue/materials/soft.toml.
 """
 SHAPE = (0.4, 2.5)
 """Relative range of the shape constants of a hyperelastic law.
@@ -57,13 +57,13 @@ SHAPE = (0.4, 2.5)
 The range is assumed, because no source gives a range for an organ.
 """
 SHAPES = tuple(chain.from_iterable(LAW_SHAPES.values()))
-"""Keys of the organ for these constants."""
+"""Keys of the organ for the shape constants of the hyperelastic laws."""
 SHARE = "second_share"
 NEAREST = 0.1
 """Smallest distance from 1 of the 95 % quantile of a share's prior.
 
-It is given relative to the distance of the scene's value from 1. The value is assumed. The limits
-of the other shape constants are input limits and not physical bounds.
+The distance is relative to the distance of the scene's value from 1. The factor is assumed. The
+limits of the other shape constants are input limits and not physical bounds.
 """
 
 
@@ -94,7 +94,7 @@ def organ_parameters(
 def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
     """Return the constants of the organ's material that the scene does not set.
 
-    The names of all moduli among them are returned too.
+    The second result holds the names of all moduli among these constants.
     """
     used = [
         each
@@ -166,9 +166,9 @@ LAW_MS = 5.0
 A short time is needed because measured tissue has no latency.
 """
 PAYS_S = 2.0
-"""Duration of a run from which on further processes save time [s].
+"""Shortest duration of a run for which additional processes save time [s].
 
-A process takes this time to start.
+A process takes about this time to start.
 """
 
 
@@ -192,7 +192,7 @@ class OrganRuns:
     Parameters
     ----------
     scene
-        The organ and the tool. Its motion and its device are ignored.
+        Scene with the organ and the tool. The motion and the device of the scene are ignored.
     poses
         Poses of the tool.
     channels

@@ -1,8 +1,8 @@
-"""Constants given a log: maximum of their density, and normal approximation about it (Laplace).
+"""Posterior of constants given a log: maximum, and normal approximation about it (Laplace).
 
 The covariance is the inverse of the expected information. Differences of gradients are not used:
-they would be dominated by small jumps of a load, for example if the tool leaves an element of the
-mesh, or a shaft begins to slide, one sample earlier.
+small jumps of a load would dominate them. A jump occurs, for example, if the tool leaves an
+element of the mesh one sample earlier, or a shaft begins to slide one sample earlier.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
 """Number of searches for a higher maximum at nearby offsets.
 
-`NEARBY` holds these offsets from a maximum, in samples of the log.
+`NEARBY` holds the distances of these offsets from a maximum, in samples of the log.
 """
 FARTHEST = 12.0
 """Limit of the search, in standard deviations of a prior.
@@ -55,7 +55,9 @@ FARTHEST = 12.0
 The limit keeps the exponentials of the priors finite when a search takes a long step.
 """
 STEEP = 1e-2
-"""Squared distance from the maximum, in standard deviations, below which it counts as found.
+"""Squared distance from the maximum below which the maximum counts as found.
+
+The distance is measured in standard deviations.
 
 A tenth of a standard deviation is small compared with an interval, which is 3.3 standard deviations
 wide.
@@ -70,13 +72,13 @@ SHORTER = 0.5 ** np.arange(10)
 RESTRICTED = 2
 """Number of times that the noise is estimated again with updated sensitivities of the constants.
 
-On a milled block, 1, 2 and 4 times give the same maximum within 0.001 standard deviations.
+On a milled block, 1, 2 and 4 repetitions give the same maximum within 0.001 standard deviations.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Constants given a log, as a normal distribution of their z.
+    """Posterior of constants given a log: normal distribution of their standard normal numbers.
 
     Attributes
     ----------
@@ -89,8 +91,8 @@ class Posterior:
     converged
         True if a maximum was found.
     mesh_z
-        Shift of the constants by the error of the mesh of the runs, in their z, shape (p,). The
-        shift widens the intervals. None if the loads have no mesh.
+        Shift of the constants by the error of the mesh of the runs, in their standard normal
+        numbers, shape (p,). The shift widens the intervals. None if the loads have no mesh.
     """
 
     target: Target
@@ -116,7 +118,7 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance of these numbers with free nuisance parameters, shape (p, p)."""
+        """Covariance of the standard normal numbers with free nuisances, shape (p, p)."""
         p = self.target.constants
         found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
@@ -173,7 +175,7 @@ class Posterior:
 
     @property
     def spreads(self) -> Array:
-        """Standard deviation of each constant divided by that of its prior, shape (p,)."""
+        """Standard deviation of each constant relative to its prior, shape (p,)."""
         return np.array([each.spread for each in self.marginals])
 
     def interval(self, at: int) -> tuple[float, float, float]:
@@ -305,9 +307,9 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
 # would treat it as a bias with noise and return wrong constants without a message. Each channel,
 # all forces, all torques and all loads are therefore fitted with their signs reversed as well.
 GAIN = 10.0
-"""Increase of the log density that reversed signs must reach. It corresponds to odds of 2e4."""
+"""Smallest increase of the log density for reversed signs. It corresponds to odds of 2e4."""
 SCREENED = 50.0
-"""Deficit of the log density up to which a search with reversed signs continues.
+"""Largest deficit of the log density with which a search for reversed signs continues.
 
 The search changes the noise too, so the first guess alone is not enough.
 """
@@ -344,7 +346,7 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
     Parameters
     ----------
     forward
-        Function for the loads from the constants.
+        Function that computes the loads from the constants.
     log
         Measured loads.
     """

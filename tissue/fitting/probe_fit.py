@@ -4,8 +4,8 @@ The median of the presses at each depth is fitted by least squares. The free con
 modulus, the shape constants of the law and the bias of the force sensor, which is the same at all
 depths. The presses differ by far more than the noise of the sensor, so the intervals follow from
 the scatter of the presses: the presses are resampled with replacement and fitted again (bootstrap,
-Efron 1979, Ann. Stat. 7:1). The error of the mesh is added. It is the shift of the constants that
-compensates a mesh with two thirds of the edge lengths.
+Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the intervals. This error is the
+shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ FINER = 1.5
 The force converges with second order, so the difference is more than half of the remaining error.
 """
 THICKER = 1.2
-"""Factor on the thickness of the layer with which the modulus is fitted again, for a note."""
+"""Factor on the thickness of the layer in a second fit of the modulus, for a note."""
 DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
@@ -195,7 +195,7 @@ class ProbeFit:
 def half_differences(forces_N: Array, *, splits: int = 200, seed: int = SEED) -> Array:
     """Return the differences between the medians of two random halves of presses, shape (splits,).
 
-    Each is the L2 norm of the difference divided by the L2 norm of the second median.
+    Each result is the L2 norm of the difference divided by the L2 norm of the second median.
     """
     random = np.random.default_rng(seed)
     half = len(forces_N) // 2
@@ -220,7 +220,8 @@ def fit_probes(
     Parameters
     ----------
     scene
-        A slab of one material on its bed, and a ball. Its motion, friction and device are ignored.
+        Scene with a slab of one material on its bed, and a ball. Motion, friction and device of
+        the scene are ignored.
     table
         The presses.
     free

@@ -1,9 +1,9 @@
 """Force of a ball on a layer over a bed, as a function of the constants of an elastic law.
 
-The force is proportional to Young's modulus. Its logarithm is interpolated over the logarithms of
-the constants that give a law its shape, from solutions on an axisymmetric mesh
-(`tissue.fem.axisymmetric`). A fit then needs no further solution, so that thousands of resampled
-presses can be fitted.
+The force is proportional to Young's modulus. The logarithm of the force is interpolated between
+solutions on an axisymmetric mesh (`tissue.fem.axisymmetric`). The coordinates of the interpolation
+are the logarithms of the shape constants of the law. A fit then needs no further solution, so
+thousands of resampled presses can be fitted.
 """
 
 from dataclasses import dataclass
@@ -40,18 +40,19 @@ The ends are the limits of the key, or factors of ten around the values of publi
 NODES = {1: 9, 2: 7}
 """Number of solutions along each shape constant, by the number of shape constants.
 
-With one constant, 9 nodes give the forces between them within 0.3 %:
-`tests/tissue/fitting/test_probes.py`.
+With one constant and 9 nodes, interpolated forces have an error below 0.3 %
+(`tests/tissue/fitting/test_probes.py`).
 """
 DENSE = {1: 400, 2: 60}
 """Number of values of each shape constant that a fit compares.
 
-The steps of a rate are 1.6 % with one shape constant, and 12 % with two.
+Two neighbouring values of a rate differ by 1.6 % with one shape constant, and by 12 % with two
+shape constants.
 """
 SHARES = np.array([0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 """Depths of the solutions divided by the largest depth.
 
-Between them, force / depth^1.5 is interpolated.
+Between these depths, force / depth^1.5 is interpolated.
 """
 UNIT_PA = 1e3
 """Modulus of the solutions [Pa]."""
@@ -193,7 +194,7 @@ def probe_curves(
 
 
 def _curve(mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_m: float) -> Array:
-    """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN where none was found."""
+    """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN without a solution."""
     table = lame(np.array([UNIT_PA]), layer.poisson_ratio)
     found = law_of(layer.organ.model_copy(update=shape), table)
     first, shear = table[0].tolist()

@@ -26,7 +26,7 @@ USUAL = {DEPTH: ("indentation", "displacement", "penetration"), FORCE: ("load", 
 FEWEST_PROBES = 3
 """Smallest number of presses. The intervals follow from the scatter between presses."""
 FEWEST_STEPS = 4
-"""Smallest number of depths of a press: modulus, shape, bias and one more."""
+"""Smallest number of depths of a press: one more than modulus, shape and bias."""
 SHORT = 0.9
 """Share of the median of the largest depths that a press must reach to be used."""
 
@@ -80,8 +80,8 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
     path
         The file, for messages.
     found
-        Its columns: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press. Without
-        ``probe``, a press begins where the depth falls.
+        Columns of the file: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press.
+        Without ``probe``, a press begins where the depth falls.
     columns
         ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
 

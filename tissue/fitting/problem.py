@@ -172,12 +172,12 @@ class MeasuredLoads:
     within_s: tuple[float, ...] = (0.0,)
 
     def sizes(self) -> Array:
-        """Robust root mean square of each channel's unit [N or N m], shape (channels,).
+        """Robust root mean square of the loads of each channel [N or N m], shape (channels,).
 
         Outliers have little influence.
 
-        Channels of one unit share the largest value, because a channel without load holds only
-        noise.
+        All channels of one unit get the largest value of these channels, because a channel without
+        load holds only noise.
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
@@ -197,7 +197,7 @@ class Problem:
     Attributes
     ----------
     forward
-        Loads by the constants.
+        Function from the constants to the loads.
     measured
         Measured log, averaged over blocks.
     block_s
@@ -233,7 +233,7 @@ MOST_SAMPLES = 2000
 Noise that lasts longer than a block is modelled, not averaged out.
 """
 ROUNDING_S = 1e-6
-"""Largest rounding error of a time between two samples [s].
+"""Largest rounding error of the time between two samples [s].
 
 Times with six decimals have an error of 1e-6 s. Seconds since 1970 in double precision have an
 error of 2.4e-7 s.

@@ -42,7 +42,7 @@ DRILL = "twist-drill"
 LAYER = "bone"
 """Layer of a block."""
 NORMAL = 1e6
-"""Degrees of freedom at which Student's distribution equals the normal distribution."""
+"""Degrees of freedom for which Student's distribution is practically normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,8 @@ class SteadyTable:
     def units(self) -> Array:
         """Divisors of the loads, shape (n, channels).
 
-        The divisors are the scatter, or, without a scatter, the mean of each load.
+        The divisor is the scatter of the load. Without a scatter, it is the mean of the load over
+        the rows.
         """
         if self.scatter is not None:
             return self.scatter
@@ -100,10 +101,10 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
     path
         The file, for messages.
     found
-        Its columns. The feed is ``feed_mm_min`` or ``feed_mm_s``, each with ``spin_rpm``, or
-        ``feed_mm_per_turn``. The loads are ``thrust_N`` and ``torque_Nmm`` or ``torque_Nm``, a
-        thrust or a torque at least. The scatter, one standard deviation, is ``thrust_pm_N`` and so
-        on.
+        Columns of the file. The column of the feed is ``feed_mm_min`` or ``feed_mm_s``, each with
+        ``spin_rpm``, or ``feed_mm_per_turn``. The columns of the loads are ``thrust_N``, and
+        ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of
+        a load is in a column such as ``thrust_pm_N``.
 
     Raises
     ------
@@ -184,7 +185,7 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
     Parameters
     ----------
     scene
-        A block of bone and a drill. Its motion, device and spin are ignored.
+        Scene with a block of bone and a drill. Motion, device and spin of the scene are ignored.
     table
         Measured loads.
     free

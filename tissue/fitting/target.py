@@ -122,7 +122,8 @@ def place_information(freedom: Array) -> Array:
 def freedom_information(freedom: Array) -> tuple[Array, Array]:
     """Return the Fisher information of the degrees of freedom, and its cross term with ln scale.
 
-    The formulas are from Lange, Little and Taylor (1989). Both have the shape of freedom.
+    The formulas are from Lange, Little and Taylor (1989). Both results have the shape of
+    `freedom`.
     """
     curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
     of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
@@ -139,39 +140,40 @@ def _previous(residuals: Array) -> tuple[Array, Array]:
 OFFSET_S = 0.02
 """Standard deviation of the prior of the time between force clock and pose clock [s].
 
-It describes two instruments started by hand on one computer. Logs of one instrument have an offset
-of zero.
+The value describes two instruments that are started by hand on one computer. Logs of one
+instrument have an offset of zero.
 """
 BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias relative to the size of the log's loads."""
 NOISE_SHARE = 0.05
 NOISE_SPREAD = 1.5
-"""Median of the noise relative to the size of the log's loads, and spread of the noise.
+"""Spread of the prior of the noise. `NOISE_SHARE` is its median relative to the log's loads.
 
-The spread is the standard deviation of the logarithm: 90 % lie within a factor of 12.
+The spread is the standard deviation of the logarithm of the noise. 90 % of the values lie within a
+factor of 12 of the median.
 """
 LEAST_NOISE = 1e-3
 """Smallest noise relative to the size of the log's loads.
 
-It covers the rounding of loads in a file, and the error of the velocity of a replayed tool within a
-tick.
+This noise covers the rounding of loads in a file, and the error of the velocity of a replayed tool
+within a tick.
 """
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
 """Largest absolute correlation of neighbours.
 
-The constant above is the standard deviation of artanh of this correlation: 90 % of the correlations
-lie within +-0.986.
+`CORRELATION_SPREAD` is the standard deviation of artanh of the correlation in the prior: 90 % of
+the correlations lie within +-0.986.
 """
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
 FREEDOM_SPREAD = 1.0
-"""Scale of the degrees of freedom of the noise above their minimum.
+"""Spread of the logarithm of the noise's degrees of freedom above their minimum.
 
-The constants above are the minimum of the degrees of freedom, at which the variance becomes finite,
-and the median above the minimum. 90 % of the values lie between 3 and 23. This range covers heavy
-tails, and is close enough to a normal distribution: for normal noise, 90 % intervals that assume 4
-degrees of freedom would contain 87 %.
+`LEAST_FREEDOM` is the minimum, at which the variance becomes finite. `FREEDOM` is the median above
+this minimum. 90 % of the values lie between 3 and 23. This range covers heavy tails, and is close
+enough to a normal distribution: for normal noise, 90 % intervals that assume 4 degrees of freedom
+would contain 87 %.
 """
 
 
@@ -207,7 +209,7 @@ class Target:
     Parameters
     ----------
     forward
-        Loads by the constants.
+        Function from the constants to the loads.
     log
         Measured loads.
     """
@@ -247,7 +249,7 @@ class Target:
         return np.array([prior.x(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Return the derivative of each constant by its z."""
+        """Return the derivative of each constant with respect to its standard normal number."""
         return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def simulated(self, u: Array) -> Array:
@@ -335,7 +337,7 @@ class Target:
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
         """Return the interpolation at an offset.
 
-        The last result is kept, because a search needs loads and slopes at the same place.
+        The last result is kept, because a search needs loads and slopes at the same offset.
         """
         if self._last_shift is None or self._last_shift[0] != offset_s:
             operators = shift_operators(
@@ -363,7 +365,7 @@ class Target:
     def value(self, u: Array) -> float:
         """Return the log density, up to a constant.
 
-        This takes less time than with the gradient.
+        This takes less time than `value_and_gradient`.
         """
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
@@ -371,7 +373,7 @@ class Target:
 
     @staticmethod
     def terms(residuals: Array, each: Unpacked) -> NoiseTerms:
-        """Log density of residuals, shape (m, channels), by the noise."""
+        """Return the log density of residuals, shape (m, channels), for some noise."""
         return noise_terms(residuals, each.scale, each.correlation, each.freedom)
 
     def noise_gradient(
@@ -436,8 +438,7 @@ class Target:
 MOST_WEIGHT = 10.0
 """Number of neighbouring samples that count as one while the correlation of the noise is unknown.
 
-Samples with a correlation of 0.8 hold as much information as a ninth of their number of independent
-samples.
+With a correlation of 0.8, nine samples hold as much information as one independent sample.
 """
 CORRELATED = 0.5
 """Correlation of neighbours at the start of an optimiser, between white noise and a slow drift."""
@@ -449,7 +450,7 @@ class Restricted:
     Parameters
     ----------
     target
-        Density of constants and nuisances.
+        Log density of constants and nuisances.
     u
         Numbers at which the sensitivities are evaluated, shape (size,).
     """

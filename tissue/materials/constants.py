@@ -72,7 +72,7 @@ class Entry(TypedDict):
 
 @dataclass(frozen=True)
 class CuttingCoefficients:
-    """Mechanistic cutting coefficients of a material, for chips [Pa] and edges [N/m].
+    """Mechanistic cutting coefficients of a material: for chip [Pa] and edge [N/m].
 
     The chip coefficients are valid at the reference chip thickness. Their size effect is described
     in `effective_chip`. Without a minimum chip thickness the law is linear in the chip thickness.
@@ -255,10 +255,9 @@ solids, and relaxation shares, whose sum must be less than one. Cited ranges of 
 at 0.4999.
 """
 NEAR_ZERO = 0.05
-"""Threshold of the soft limit above zero, relative to the cited value; chosen.
+"""Threshold below which values are compressed, relative to the cited value; chosen.
 
-If a range begins at zero, values below this threshold are compressed so that they are always above
-zero.
+If a range begins at zero, values below this threshold are compressed. They then stay above zero.
 """
 
 
@@ -400,7 +399,7 @@ class Prior:
 
     @cached_property
     def _skewed(self) -> float:
-        """Ratio of shift to span of the log-normal distribution, cached."""
+        """Ratio of the shift c to the span of the log-normal distribution, cached."""
         return float(_relative(self._skew))
 
     @cached_property

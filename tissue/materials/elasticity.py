@@ -158,7 +158,7 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
 
         1 / K = (2 (1 - nu_across) + (1 - 4 nu) / r) / E
 
-    This is equal to the isotropic value 3 (1 - 2 nu) / E if nu_across = 3 nu - 1/2 + (1 - 4 nu) /
+    1 / K is equal to the isotropic value 3 (1 - 2 nu) / E if nu_across = 3 nu - 1/2 + (1 - 4 nu) /
     (2 r).
 
     Parameters

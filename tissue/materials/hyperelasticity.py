@@ -155,7 +155,7 @@ class Hyperelastic:
 
 
 def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
-    """Return S(alpha) - 3 and its first and second derivatives by the log stretches."""
+    """Return S(alpha) - 3 and its first and second derivatives by the logarithms of stretches."""
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
     mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0

@@ -9,9 +9,9 @@ space. If the dashpot strains y are the state, creep follows ``y' = -B y + c sig
 reciprocals of the eigenvalues of the symmetric matrix B. One eigenvalue lies below each relaxation
 rate (Gross 1953, Mathematical Structure of the Theories of Viscoelasticity; Tschoegl 1989).
 
-The two integrals need one exponential per term and step. They are exact if the input is linear
-within each step, and have second-order accuracy for a smooth input (Taylor, Pister and Goudreau
-1970, Int. J. Numer. Methods Eng. 2:45).
+The two integrals need one exponential per term and step. The integrals are exact if the input is
+linear within each step, and have second-order accuracy for a smooth input (Taylor, Pister and
+Goudreau 1970, Int. J. Numer. Methods Eng. 2:45).
 """
 
 import math
@@ -129,14 +129,18 @@ class HereditaryIntegral:
         fall = -np.expm1(-ratio)
         mean = fall / ratio
         self.instant_factor = float(1.0 + spectrum.amplitude @ (1.0 - mean))
-        """Response at the end of a step in which the input rises to 1; 1 for a short step.
+        """Response at the end of a step in which the input rises from 0 to 1.
+
+        For a short step, the response is about 1.
         """
         self._keep = 1.0 - fall
         self._gain = spectrum.amplitude * mean * fall
         self._terms = np.zeros((len(ratio), *shape))
         self._scaled = np.zeros(shape)
         self.history = np.zeros(shape)
-        """Response at the end of the next step to all previous inputs, if the input is zero there.
+        """Response to all previous inputs at the end of the next step.
+
+        It is the whole response if the input at the end of the next step is zero.
         """
 
     def advance(self, value: ArrayLike) -> None:

@@ -35,7 +35,10 @@ TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 ENERGY = "tangential_chip_N_mm2"
 """Name of the constant that is the specific cutting energy."""
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Limit of a constant, by name. The equations cannot be solved for a Poisson's ratio of 0.5."""
+"""Upper limit of a constant, by name.
+
+The equations cannot be solved for a Poisson's ratio of 0.5.
+"""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class Materials:
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Return the constants of a file or a `Materials` object, or the cited ones for None.
+        """Return the constants of a file or a `Materials` object, or the cited constants for None.
 
         Raises
         ------
@@ -156,7 +159,8 @@ class Materials:
     ) -> dict[str, float]:
         """Return the numbers of a device or a simulated hand, replaced by the numbers of the file.
 
-        Later materials take precedence over earlier ones.
+        The numbers of a later material in `materials` take precedence over those of an earlier
+        material.
         """
         found = dict(numbers)
         for material in materials:

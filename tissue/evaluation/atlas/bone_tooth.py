@@ -47,9 +47,9 @@ THRUST_N = 20.0
 its value.
 """
 STEPS = 400
-"""Number of steps: a mode that grows by 2 % in each step is then a thousand times as large."""
+"""Number of steps. A mode that grows by 2 % per step grows more than a thousandfold."""
 MASS_KG = 0.05
-"""Mass in the sweep of the step."""
+"""Mass of the tool in the sweep of the time step [kg]."""
 
 
 def bone_model(size_mm: tuple[float, float, float], profile: Profile, flutes: int) -> BoneModel:
@@ -148,7 +148,7 @@ class ExplicitCutting(Page):
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
         def limit_s(mass: float) -> dict[str, float]:
-            """Return the step above which the explicit feed grows, measured and by theory."""
+            """Return the limit of the explicit time step: measured, and by theory."""
             runs_away = boundary(
                 # thirty bisections of eight decades find the limit to 2e-8
                 lambda step: left_over(step, mass, implicit=False) > 1.0,
@@ -159,7 +159,7 @@ class ExplicitCutting(Page):
             return {"explicit_s": runs_away, "theory_s": 2.0 * mass / drag_N_s_m()}
 
         def left(step: float) -> dict[str, float]:
-            """Return the remaining error of both rules."""
+            """Return the remaining error of the explicit and of the implicit rule."""
             return {
                 "explicit": left_over(step, MASS_KG, implicit=False),
                 "implicit": left_over(step, MASS_KG, implicit=True),
@@ -191,7 +191,7 @@ class ExplicitCutting(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Push a tool too light for an explicit step, and give a scene a thrust that is NaN."""
+        """Push a tool that is too light for an explicit step, and give a scene a NaN thrust."""
         # at 1 ms, an explicit step of 10 g would be 380 times too long
         force, speed = plunge(0.01, 40.0)
         scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
@@ -256,9 +256,9 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 
 
 def conditions(body: ParticleBody) -> tuple[float, float]:
-    """Compute the condition number of the stiffness, plain and scaled by its diagonal.
+    """Compute the condition number of the stiffness matrix, unscaled and scaled by its diagonal.
 
-    The result is limited to 1e17.
+    Each of the two numbers is limited to 1e17.
     """
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)
@@ -282,7 +282,10 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 
 
 def at_fill(fill: float) -> dict[str, float]:
-    """Measure condition numbers and compliance with and without the stabilising inner stiffness."""
+    """Measure condition numbers and compliance, with and without inner stiffness.
+
+    The inner stiffness stabilises cut cells.
+    """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
     # A thousandth of the inner stiffness closes the matrix and adds next to nothing to the
@@ -389,7 +392,7 @@ REAL = 42e3
 """Ratio of the modulus of enamel (84 GPa) to the modulus of pulp (2 MPa)."""
 CONTRASTS = np.array([1.0, 10.0, 1e2, 1e3, 4200.0, REAL, 1e6])
 MOST = 5000
-"""Iterations after which a plain solve stops."""
+"""Largest number of iterations of a solve without a multigrid."""
 
 
 def soft_middle(cells: int, contrast: float) -> ParticleBody:
@@ -484,7 +487,9 @@ class Contrast(Page):
         return {"contrast": table}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the growth of plain iterations with the range of iterations of the multigrid."""
+        """Compare the growth of the iterations without a multigrid with the range with a
+        multigrid.
+        """
         table = data["contrast"]
         plain = table["plain"]
         multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])

@@ -2,8 +2,8 @@
 path.
 
 The device path of a closed loop is recorded once. It is then replayed without feedback, once
-unchanged and once changed. The functions read the trace and the true poses of the device. The only
-property of the tool that they use is the mass.
+unchanged and once changed. The functions of this module read the trace and the true poses of the
+device. The mass is the only property of the tool that these functions use.
 """
 
 from dataclasses import dataclass
@@ -141,7 +141,10 @@ class _PoseObserver(RunObserver):
 
 
 def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
-    """Return the scene on a device in an expert's hand, without parts that change no force."""
+    """Return the scene on a device in an expert's hand.
+
+    Parts of the scene without influence on the force are left out.
+    """
     changes: dict[str, object] = {
         "hand": "expert",
         "seed": seed,

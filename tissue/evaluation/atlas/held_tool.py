@@ -37,19 +37,19 @@ __all__ = ["HeldTool"]
 LIGHT = 1e-4
 """Factor on the mass of the tool in the runs of the massless quasi-static limit.
 
-The value was chosen. The damping grows with the square root of the mass, so it falls to a
-hundredth.
+The value was chosen. The damping is proportional to the square root of the mass, so this factor
+reduces the damping to a hundredth.
 """
 SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries": 1.6}
-"""Duration of the run of each scene that cuts [s], which includes one second of contact."""
+"""Duration of the run of each cutting scene [s]. The run includes one second of contact."""
 SHIFTS_M = np.array([1e-9, 1e-6, 1e-5])
 SEED = 1
 MOST = 10.0
 """Amplification above which a tool counts as ill-conditioned.
 
-The value was chosen. At commit c4a1af96, this page finds at most 2.6 with the tool of the engine.
-In the massless limit it finds 23 for a shift of 1 nm in ``molar``, and at most 3.7 in the other
-scenes.
+The value was chosen. At commit c4a1af96, the amplification is at most 2.6 with the tool of the
+engine. In the massless limit, the amplification is 23 for a shift of 1 nm in ``molar``, and at
+most 3.7 in the other scenes.
 """
 STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), ("v-", "#CC79A7"))
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
@@ -99,7 +99,7 @@ class HeldTool(Page):
         return dict(_measured())
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest amplification of both rules with the bound."""
+        """Compare the largest amplifications with the bound, also in the massless limit."""
         largest = {
             rule: {name: table[rule].max() for name, table in data.items()} for rule in RULES
         }
@@ -120,7 +120,7 @@ class HeldTool(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Return the amplifications as a table, and replay paths unchanged and on a wall."""
+        """Tabulate the amplifications, and replay an unchanged path and a path on a wall."""
         return [*_rows(_measured()), *_replays()]
 
     def draw(self, data: Data, chart: Figure) -> None:

@@ -45,21 +45,26 @@ __all__ = ["BadTetrahedra", "LargeRotation", "Locking"]
 
 LENGTH = 10.0
 YOUNG = 1000.0
-"""Modulus of a bar of 10 m x 1 m x 1 m with a force of 1 N at its end, as the published cantilever.
-The result is scale-free.
+"""Young's modulus of the bar [Pa].
+
+The bar of 10 m x 1 m x 1 m has a force of 1 N at its end, like the published cantilever. The
+result does not depend on the scale.
 """
 MESHES = {
     "quadratic": (2, (16, 2, 2), ENGINE),
     "linear_fine": (1, (30, 4, 4), ("^", ORANGE)),
     "linear_coarse": (1, (20, 2, 2), FAILING),
 }
-"""Order of the tetrahedra, bricks of six tetrahedra along the bar and across it, and look."""
+"""Order of the tetrahedra, number of blocks in each direction, and plot style of each mesh.
+
+A block is divided into six tetrahedra. The first number counts the blocks along the bar.
+"""
 
 
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
-    """Compute the tip deflection of the clamped bar [m], and the solver's trust in it.
+    """Compute the tip deflection of the clamped bar [m], and a flag for a valid result.
 
-    The trust is 1 if the solver reports a valid result and 0 otherwise.
+    The flag is 1 if the solver has converged and 0 otherwise.
     """
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
     # rounding of node coordinates, far below an edge
@@ -73,7 +78,7 @@ def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[f
 
 
 class Locking(Page):
-    """Poisson's ratio towards 0.5: linear tetrahedra lock, quadratic ones do not."""
+    """Locking of linear but not of quadratic tetrahedra as Poisson's ratio approaches 0.5."""
 
     name = "locking"
     title = "ν → 0.5: do linear tetrahedra lock?"
@@ -121,7 +126,7 @@ class Locking(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Request a solve at the limit itself, and an organ of tetrahedra that lock."""
+        """Request a solve with a Poisson's ratio of 0.5, and an organ of tetrahedra that lock."""
         _, note = elasticity_of(
             # the mesh does not matter: the note depends only on order and Poisson's ratio
             box((0.02, 0.02, 0.02), (1, 1, 1)),
@@ -185,7 +190,10 @@ def turned(nodes_m: Array, degrees: float) -> Array:
 
 
 def false_stress_Pa(law: Law) -> Array:
-    """Compute the pull on an end, divided by its area, after both ends were rotated [Pa].
+    """Compute the stress on an end of a bar that is only rotated [Pa].
+
+    The bar is turned at both ends by each angle of the sweep. The stress is the force on one end
+    divided by the area of the end.
 
     The result is NaN where a solve does not converge.
     """
@@ -207,7 +215,7 @@ def false_stress_Pa(law: Law) -> Array:
 
 
 class LargeRotation(Page):
-    """The linear law finds stress in a bar that is only rotated."""
+    """False stress of the linear law in a bar that is only rotated."""
 
     name = "large_rotation"
     title = "Large rotation: linear against corotational"
@@ -308,7 +316,10 @@ def middle_node(nodes_m: Array) -> int:
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return a cube of tetrahedra whose middle node is lowered to a fraction of its height."""
+    """Return a cube of tetrahedra in which one cell has a fraction of its height.
+
+    The middle node of the cube is moved toward the opposite face of this cell.
+    """
     # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
@@ -329,7 +340,10 @@ def condition(nodes_m: Array, cells: Ints) -> float:
 
 
 def at_height(height: float) -> dict[str, float]:
-    """Measure quality and condition number at a height, before and after repair."""
+    """Measure mesh quality and condition number before and after repair.
+
+    One cell of the mesh has the given fraction of its height.
+    """
     nodes, cells = squashed(height)
     mesh, _ = repair_tets(nodes, cells)
     return {

@@ -68,7 +68,10 @@ GREY = "0.35"
 THEORY = ("-", GREY)
 FAILING = ("s", "#D55E00")
 ENGINE = ("o", "#0072B2")
-"""Format and colour of the curve of theory, of the failing method and of the engine."""
+"""Format and colour of the engine's curve.
+
+`THEORY` and `FAILING` are the formats and colours of theory and of the failing method.
+"""
 Place = Literal["best", "upper left", "lower right", "center right", ""]
 Curve = tuple[str, ArrayLike, tuple[str, str]]
 """Label, values over the sweep (or one value for the whole sweep), and matplotlib's format and
@@ -77,7 +80,7 @@ colour.
 
 
 class Conduct(Enum):
-    """Behaviour of the engine where a method fails. The value is the wording of the page."""
+    """Behaviour of the engine where a method fails. The value is the text on the page."""
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
@@ -115,7 +118,7 @@ class Verdict:
     Attributes
     ----------
     fails
-        True if the questioned method failed in the sweep where theory predicts the failure.
+        True if the tested method failed in the sweep where theory predicts the failure.
     holds
         True if the method of the engine held in the whole sweep.
     sentence
@@ -301,9 +304,9 @@ class Entry:
 
     @property
     def shown(self) -> bool:
-        """True if the questioned method failed, the engine held, and no answer was silent.
+        """True if the tested method failed, the engine held, and no answer was silently wrong.
 
-        A silent answer is a wrong answer without a message.
+        A silently wrong answer is a wrong answer without a message.
         """
         silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
         return bool(self.verdict.fails and self.verdict.holds and not silent)
@@ -395,7 +398,10 @@ def _document(entries: Sequence[Entry]) -> str:
 
 
 def _mark(entry: Entry) -> str:
-    """Return the behaviour of the engine on a page, or the text for an open page."""
+    """Return the behaviour of the engine on a page, or the text for an open page.
+
+    A page is open if its result is not as it should be, see `Entry.shown`.
+    """
     found = {answer.conduct for answer in entry.answers}
     return (
         ", ".join(kind.value for kind in Conduct if kind in found)

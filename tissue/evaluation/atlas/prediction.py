@@ -47,7 +47,7 @@ __all__ = ["Horizon", "TrainedElsewhere"]
 
 SIX_DOF = device_parameters("six-dof")
 HOME_N_M = 800.0
-"""Stiffness of the wall of the training runs."""
+"""Stiffness of the wall in the training runs [N/m]."""
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
 """Rotation of the tapped wall in the world. It makes all components of position and force vary."""
 AHEAD = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
@@ -58,11 +58,14 @@ LABELS = {
     "koopman": "Koopman, guarded (engine)",
 }
 LEADS_MS = 10.0
-"""Horizon up to which the loop predicts [ms]. Its delay and filter take some milliseconds."""
+"""Horizon up to which the loop predicts [ms].
+
+The delay and the filter of the loop take some milliseconds.
+"""
 HORIZON_TICKS = 5
 """Ticks ahead at which the operators are compared, in the middle of the range of `LEADS_MS`."""
 LAGS = 6
-"""Delays of the regression on positions."""
+"""Number of earlier ticks that the regression on positions uses."""
 
 
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
@@ -95,7 +98,7 @@ def recordings() -> list[Recording]:
 
 
 def guarded(trained: Trained) -> Guarded:
-    """Return the predictor of the engine."""
+    """Return the predictor of the engine: the trained operator with its guard."""
     koopman = Koopman(DelayPath(trained.operator))
     return Guarded(koopman, Hold(), reach_N=SIX_DOF.force_limit_N)
 
@@ -178,7 +181,7 @@ class Horizon(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Give the predictor samples that are NaN, and build one without noise."""
+        """Give the predictor NaN samples, and build a predictor without noise."""
         predictor = guarded(fit("wall", recordings()))
         # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=2.0)
@@ -240,12 +243,12 @@ class Horizon(Page):
 def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
     """Predict forces by a regression on positions, shape (n, 3).
 
-    The overlap with the trained wall is among the regressors. The result is zero until the delays
-    are full.
+    The regressors include the penetration depth into the wall. The result is zero for the first
+    ticks, which have too few earlier ticks.
     """
 
     def regressors(run: Recording) -> Array:
-        """Return positions and overlaps with the wall at all delays, and a constant one."""
+        """Return positions and penetration depths at all delays, and a column of ones."""
         overlap = np.maximum(0.0, -run.position_m @ TURN[:, 2:])
         states = np.hstack((run.position_m, overlap))
         count = len(states) - LAGS

@@ -1,4 +1,4 @@
-"""Pages on bad samples of a device: lost, late and repeated ones, and implausible ones."""
+"""Pages on bad device samples: lost, late, repeated and implausible samples."""
 
 from collections.abc import Callable
 from math import nan
@@ -63,7 +63,7 @@ class _Jumping:
         self.command = device.command
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the sample, deeper at `FAULT_S`."""
+        """Return the sample. The sample at `FAULT_S` lies deeper in the wall."""
         sample = self._device.read(time_s)
         # one sample only: times of ticks are sums with rounding
         if sample is None or abs(time_s - FAULT_S) > 0.5 * TICK_S:
@@ -75,10 +75,10 @@ class _Jumping:
 def pressed(
     make: Callable[[Device], Device], *, seconds: float, guarded: bool
 ) -> tuple[Array, SampleGuard | None]:
-    """Let an expert lean on a wall, 5 mm deep, with a device that has faults.
+    """Simulate an expert who presses 5 mm deep into a wall with a device that has faults.
 
-    Return the force in every tick [N] and the sample guard. With a guard, samples pass it as in the
-    engine.
+    Return the force in every tick [N] and the sample guard. If `guarded` is true, the samples pass
+    the guard as in the engine. Otherwise the guard is None.
     """
     # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
@@ -92,9 +92,10 @@ def pressed(
 
 
 def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure the force relative to the force before a gap in the samples.
+    """Measure forces relative to the force before a gap in the samples.
 
-    Return the force in the last tick of the gap, the largest after it, and the largest step in it.
+    Return the force in the last tick of the gap, the largest force after the gap, and the largest
+    change of the force between two ticks of the gap.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     size, _ = pressed(
@@ -127,7 +128,7 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 
 
 class LostSamples(Page):
-    """Lost samples: without a guard the last force stays, with a guard it fades and returns."""
+    """Lost samples: the last force stays without a guard, and fades and returns with a guard."""
 
     name = "lost_samples"
     title = "Dropped, late and repeated samples"

@@ -56,14 +56,14 @@ AXES = {
     "delay": ("delay added to the hold / ms", 1e3, np.linspace(0.0, 8e-3, 7)),
     "rate": ("rate / Hz", 1.0, np.geomspace(250.0, 8000.0, 5)),
 }
-"""Label, factor to its unit, and values of each axis."""
+"""Axis label, factor to the unit of the label, and values of each swept parameter."""
 BOUNDS = {
     "exact_N_m": ("eigenvalues", THEORY, critical_stiffness_N_m),
     "passive_N_m": ("passive", ("--", GREEN), passive_bound_N_m),
     "first_order_N_m": ("first order in delay", ("-.", ORANGE), delay_bound_N_m),
     "pade_N_m": ("Padé", (":", "#CC79A7"), pade_bound_N_m),
 }
-"""Label, look and function of each predicted boundary."""
+"""Label, plot style and function of each predicted boundary."""
 
 
 def loops(along: str, values: Array) -> list[WallLoop]:
@@ -75,7 +75,10 @@ def loops(along: str, values: Array) -> list[WallLoop]:
 
 
 class WallMap(Page):
-    """Critical stiffness for damping, delay and rate: measured, from eigenvalues and bounds."""
+    """Critical stiffness as a function of damping, delay and rate.
+
+    The measured stiffness is compared with eigenvalues and with bounds.
+    """
 
     name = "wall_map"
     title = "Stiffness × delay × damping × rate"
@@ -169,15 +172,19 @@ ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
 """Device with coarse encoders. Its viscous friction alone allows a wall of 2 b / T = 2 kN/m."""
 BUZZ_STEPS = 0.1
-"""Peak-to-peak motion that counts as buzzing [encoder steps]. A device at rest has none."""
+"""Smallest peak-to-peak motion that counts as buzzing [encoder steps]."""
 PUSHES_N = (0.11, 0.37)
-"""Steady pushes onto the wall [N]. After each of them the device rests at another place between two
-encoder steps.
+"""Steady pushes onto the wall [N].
+
+Under each push, the device rests at another place between two encoder steps.
 """
 FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
-"""Coulomb frictions whose bounds 2 f / Δ, 60 to 1600 N/m, lie below 2 b / T [N]."""
+"""Coulomb frictions f [N].
+
+Their bounds 2 f / Δ are 60 to 1600 N/m. All of them lie below the critical stiffness 2 b / T.
+"""
 LADDER_N_M = np.geomspace(40.0, 1950.0, 9)
-"""Tried stiffnesses, from below the lowest bound to just below the critical 2007 N/m [N/m]."""
+"""Tried stiffnesses [N/m], from below the lowest bound to just below the critical 2007 N/m."""
 
 
 class Push:
@@ -194,9 +201,10 @@ class Push:
 
 
 def swing_steps(stiffness: float, friction: float) -> float:
-    """Measure the peak-to-peak motion under the worst push, in the last third [encoder steps].
+    """Measure the peak-to-peak motion in the last third of a run [encoder steps].
 
-    The wall also pulls.
+    The result is the largest motion over `PUSHES_N`. The wall also pulls the device back when the
+    device is outside.
     """
     worst = 0.0
     for steady in PUSHES_N:
@@ -214,7 +222,7 @@ def swing_steps(stiffness: float, friction: float) -> float:
 
 
 def at_vendors_limit(name: str) -> Answer:
-    """Knock a device onto a wall of its vendor's stiffness limit."""
+    """Knock a device onto a wall with the stiffness limit that the vendor states."""
     device = device_parameters(name)
     allowed = 2.0 * device.friction_N / device.encoder_step_m
     run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
@@ -229,7 +237,7 @@ def at_vendors_limit(name: str) -> Answer:
 
 
 class Quantisation(Page):
-    """Encoder steps: without friction that dissipates their energy the device keeps buzzing."""
+    """Encoder steps: a device keeps buzzing if its friction does not dissipate their energy."""
 
     name = "quantisation"
     title = "Quantisation: encoder steps against friction"
@@ -251,7 +259,11 @@ class Quantisation(Page):
         critical = critical_stiffness_N_m(loop)
 
         def buzzing(friction: float) -> dict[str, float]:
-            """Return the lowest stiffness with buzzing, the highest without, and both bounds."""
+            """Return the lowest stiffness with buzzing, the highest quiet stiffness, and two
+            bounds.
+
+            The bounds are the bound from encoder and friction, and the critical stiffness.
+            """
             rungs = [0.0, *LADDER_N_M.tolist(), critical, critical]
             buzzes = [*(swings[friction == FRICTIONS_N][0] > BUZZ_STEPS), True]
             first = int(np.argmax(buzzes))
@@ -335,7 +347,9 @@ class Quantisation(Page):
 STIFFNESS_N_M = 1000.0
 MASS_KG = 0.05
 SHORT_TICK_S = 2.5e-4
-"""Stiffness and mass for which a contact lasts 22 ms, and the tick.
+"""Duration of a tick on the page about thin walls [s].
+
+A contact lasts 22 ms with the stiffness `STIFFNESS_N_M` and the mass `MASS_KG`.
 
 At this tick, the zero-order hold adds little energy during a contact.
 """
@@ -425,7 +439,9 @@ class ThinWalls(Page):
         return {"penalty": sweep("thickness_m", thickness, penalty), "proxy": proxy}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the crossing speed with the energy of half a wall, and count rejected devices.
+        """Compare the crossing speed with its prediction, and count rejected devices.
+
+        The prediction follows from the energy that half a wall stores.
 
         A rejected device is a device that a proxy throws back.
         """
@@ -445,7 +461,7 @@ class ThinWalls(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Move a proxy fast onto a thin wall, and place one inside a wall."""
+        """Move a proxy fast onto a thin wall, and place a proxy inside a wall."""
         # 51 mm within a tick of 1 ms, across a wall a fifth as thick as a voxel
         rest = point_proxy(2e-5, start_m=1e-3).advance(np.array([0.0, 0.0, -5e-2])).position_m[2]
         return [

@@ -54,7 +54,10 @@ DIRECTION = np.array([0.0, 0.0, -1.0])
 LENGTH_S = 0.8
 RAMP_S = 0.1
 PAUSE_S = 0.4
-"""Length of an interval, of its soft start and end, and of the pause between two [s].
+"""Pause between two intervals [s].
+
+`LENGTH_S` is the length of an interval, and `RAMP_S` the length of its soft start and of its soft
+end.
 
 The constant force lasts 0.6 s, six times the 0.1 s over which a person averages a force
 (`integration_s` in perception.toml). A force without a soft start and end would be felt as a tap.
@@ -62,12 +65,12 @@ The constant force lasts 0.6 s, six times the 0.1 s over which a person averages
 MOST_INVALID = 0.1
 """Largest share of invalid samples in an interval.
 
-The force then fades for less time than a ramp takes.
+With this share, the force fades for less time than `RAMP_S`.
 """
 
 
 class StoppedError(Exception):
-    """Raised when a person stops a session."""
+    """Error that is raised when a person stops a session."""
 
 
 def play(
@@ -141,7 +144,8 @@ class Person:
     device
         Device that applies the forces, or a `SafeDevice` that holds one; None for bars.
     limits
-        Limits of the device. A bar is as long as its force relative to the largest one.
+        Limits of the device. The length of a bar is proportional to its force, relative to the
+        largest force of the device.
     read
         Function that returns the next typed line without its end. It raises EOFError at the end of
         the input.
@@ -219,7 +223,7 @@ class Person:
             self._wait(PAUSE_S)
 
     def _length(self, force_N: float) -> int:
-        """Return the length of a bar in characters. A line of a terminal has space for 60."""
+        """Return the length of a bar in characters, at most 60, to fit a line of a terminal."""
         return max(round(60.0 * force_N / self._limits.force_limit_N), 1)
 
 
@@ -282,7 +286,7 @@ def questioner(
     """Yield a source of answers and the largest force of the device [N].
 
     The answers are given by a simulated observer or by a person. A real device is open inside the
-    block, and pushes only while an interval is played.
+    `with` block, and applies force only while an interval is played.
 
     Raises
     ------

@@ -5,10 +5,11 @@ individual noise, which is added after the mapping. The scatter of the force its
 the mapping. A mapping that rises with the force adds no information to a noise that passes through
 it, so the scatter of tissue, hand and device is scaled together with the force. The mapping can
 change discrimination only in relation to the noise that is added after it. A power above 1 spreads
-forces, and a gain lifts them over the low-force term. A power below 1, or a common factor that
-keeps forces within the device, does the opposite. Calibration maps every person to the exponent of
-the reference. People with a lower exponent gain and people with a higher exponent lose. The mean
-over a population may rise or fall.
+forces, and a gain lifts forces over the low-force term of the threshold. Both improve
+discrimination. A power below 1, or a common factor that keeps forces within the limits of the
+device, impairs discrimination. Calibration maps every person to the exponent of the reference. It
+improves the discrimination of people with a lower exponent, and impairs the discrimination of
+people with a higher exponent. The mean over a population may increase or decrease.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,12 +45,12 @@ __all__ = [
 RESAMPLES = 2000
 """Number of resampled groups of people for an interval.
 
-The probability beyond an end is then known to 2.5 ± 0.35 %, one standard error.
+With this number, the probability of 2.5 % beyond each end has a standard error of 0.35 %.
 """
 TOUCH = ForceRange(limit_N=3.3)
-"""Range of a Touch."""
+"""Force range of the haptic device Touch."""
 Command = Callable[[Array], Array]
-"""Function from the force that shall be felt to the force at the device [N], any shape."""
+"""Function that converts a force to be felt to the force at the device [N], of any shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class SimulatedObservers:
     kappa, offset_N
         Weber's fraction and its term for low forces [N].
     lapse
-        Share of wrong answers to strong stimuli. Twice this share is guessed.
+        Share of wrong answers to strong stimuli. Observers guess twice this share of the answers.
     sigma
         Standard deviation of the logarithm of a rated number.
     freedom
@@ -246,9 +247,10 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     """Return the sensitivity d' of each person for two forces at the skin, shape (n,).
 
     The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
-    threshold at the weaker force. A difference of mean m and deviation s is then a distance of mean
-    0.954 m / t and deviation 0.954 s / t between two intervals, each felt with noise of unit
-    variance. d' is the distance without scatter at which equally many answers are right.
+    threshold at the weaker force. A force difference with mean m and standard deviation s is then
+    a distance with mean 0.954 m / t and standard deviation 0.954 s / t between two intervals. Each
+    interval is felt with noise of unit variance. d' is the distance without scatter that gives the
+    same share of right answers.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
@@ -282,7 +284,7 @@ def _played(force_N: Array, device: ForceRange) -> Array:
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
     """Return the relative change of the mean of paired shares of right answers [%].
 
-    Each argument has shape (n,). The 95 % interval follows from resampled people.
+    `before` and `after` have shape (n,). The 95 % interval follows from resampled people.
     """
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)

@@ -232,7 +232,10 @@ def _posterior(session: Session, axes: Axes) -> None:
 
 
 def _answers(session: Session, axes: Axes) -> None:
-    """Draw the shares of right answers against the step in thresholds, in bins of equal count."""
+    """Draw the share of right answers against the force step divided by the threshold.
+
+    Each bin holds about the same number of answers.
+    """
     weber, offset, lapse = (
         float(get()[0])
         for get in (

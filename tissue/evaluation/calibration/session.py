@@ -124,7 +124,7 @@ class Session:
 
     @property
     def trial(self) -> int:
-        """Trials that have been answered."""
+        """Number of answered trials."""
         return len(self.asked) + len(self.given)
 
     @property
@@ -297,8 +297,8 @@ class TrialLog:
     session
         Session with all trials that the file held.
     repaired
-        True if the file ended within a line, for example after a loss of power. This one trial is
-        asked again.
+        True if the file ended within a line, for example after a loss of power. The trial of the
+        incomplete line is asked again.
 
     Raises
     ------

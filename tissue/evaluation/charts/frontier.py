@@ -1,4 +1,4 @@
-"""Settings of a scene, measured once and kept, and the Pareto-optimal ones."""
+"""Settings of a scene, measured once and stored, and the Pareto-optimal settings."""
 
 import csv
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ class Frontier:
 
     @property
     def bounds(self) -> tuple[Measured, ...]:
-        """Rows for errors that no setting reduces (elastic law, rounding), as far as measured."""
+        """Measured rows for errors that no setting reduces: the elastic law and rounding."""
         law = nan if self.law is None else self.law.error
         errors = {("linear law", "law"): law, ("float32", "rounding"): self.rounding}
         return tuple(
@@ -180,7 +180,7 @@ def _store(scene: Scene, *, quick: bool) -> Path:
 
 
 def _kept(path: Path) -> dict[str, Measured]:
-    """Read the measurements of a file of the cache, by key."""
+    """Read the measurements in a file of the cache, as a dictionary with their keys."""
     return {point.key: point for point in measured_of(read_entry(path) or "")}
 
 
@@ -213,9 +213,9 @@ SAFETY = 1.5
 
 The margin keeps the error within the demand at other places. The value was chosen with seeds 1-10
 of an earlier force law. It was then tested with five further motions on each of four scenes and of
-four imaged teeth and scapulae: the error stays within every demand. With 1.25, the error exceeds a
-demand on one tooth. With 1, the error stays within a demand of 1 % for only two of five motions on
-another tooth (tests/bench/held_out.py).
+four imaged teeth and scapulae. With a margin of 1.5, the error stays within every demand. With a
+margin of 1.25, the error exceeds a demand on one tooth. With a margin of 1, the error stays within
+a demand of 1 % for only two of five motions on another tooth (tests/bench/held_out.py).
 """
 
 
@@ -292,5 +292,5 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
 
 
 def _asked(wanted: Fidelity) -> str:
-    """Return a demand as it was written."""
+    """Return a demand as the user wrote it."""
     return ", ".join(f"{name} = {value:g}" for name, value in wanted if value is not None)

@@ -1,8 +1,7 @@
 """Error of the linear elastic law of an organ, and the law that a demanded fidelity needs.
 
 `law_error` solves the body at rest under the linear and the neo-Hookean law, at some instants of
-the motion. Both use the same mesh and no friction, so that the difference is caused only by the
-laws.
+the motion. Both solutions use the same mesh and no friction, so only the laws cause a difference.
 """
 
 from collections.abc import Sequence
@@ -42,9 +41,9 @@ __all__ = ["LawError", "law_error", "linear_error", "with_law"]
 
 
 LAW = "neo-hookean"
-"""Law that replaces the linear one. It needs no constants beyond the small-strain constants."""
+"""Law that replaces the linear law. It needs no constants beyond the small-strain constants."""
 CITED_LAW = "exponential"
-"""Law that replaces the linear one for a material with a published rate of this law."""
+"""Law that replaces the linear law for a material with a published rate of this law."""
 EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
 """Depth relative to the ball's radius, and error of the linear force against the exponential law.
 
@@ -55,25 +54,25 @@ radii, and 1.8 times on a layer of 2.5 radii.
 INSTANTS = 4
 """Number of instants at which the contact is solved.
 
-They lie in the middle of equal parts of the contact.
+Each instant lies in the middle of one of four equal parts of the contact.
 
 Each instant takes two nonlinear solves of about 5 s in liver-press.
 """
 POSES = 400
 """Number of poses of the motion that are searched for contact.
 
-On a path of 40 mm they are 0.1 mm apart.
+On a path of 40 mm the poses are 0.1 mm apart.
 """
 COARSER = 1.4
-"""Ratio of the mesh's edges to the scene's edges.
+"""Ratio of the edge lengths of the mesh for the comparison to those of the scene's mesh.
 
-With 1.4, liver-press takes 40 s on one core. A graded slab with a nodule takes minutes: the nodule
-needs short cells, and the gradients need more iterations.
+With this ratio, liver-press takes 40 s on one core. A graded slab with a nodule takes minutes: the
+nodule needs short cells, and the gradients need more iterations.
 """
 TOLERANCE = 1e-4
 """Residual of a solve, and distance of a node from the ball relative to its radius.
 
-The laws differ by several per cent.
+The forces of the two laws differ by several per cent, far more than this tolerance.
 """
 
 
@@ -165,7 +164,7 @@ def _pressed_by_a_ball(scene: Scene) -> bool:
 
 
 def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
-    """Return a solver of the scene's organ for each law, on its coarser mesh."""
+    """Return a solver of the scene's organ for each law, on a coarser mesh than the scene's."""
     from tissue.fem.hyperelastic import NonlinearBody
     from tissue.fem.newton import NewtonSolver
     from tissue.fem.space import Space
@@ -185,7 +184,7 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
 def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
     """Mesh a scene's organ with edges longer by `COARSER`.
 
-    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
+    A nodule keeps the edge lengths of the scene. Tetrahedra from a file are not made coarser away
     from the tool.
     """
     longer_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else COARSER)

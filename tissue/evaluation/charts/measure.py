@@ -62,7 +62,7 @@ LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
 
 
 def of_model(scene: Scene) -> Scene:
-    """Return the scene moved by its script, without parts that have no effect on such a run."""
+    """Return the scene with its script, without parts that have no effect on a scripted run."""
     return changed(scene, {"device": "none"})
 
 
@@ -83,8 +83,8 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
     """Return the force of a run and its reference on the same motion, each shape (n, 3) [N].
 
-    For a hand it is the played force. Its reference is the force of a loop without delay on the
-    finest model.
+    For a hand, the returned force is the played force. The reference is then the force of a loop
+    without delay on the finest model.
     """
     if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
@@ -95,7 +95,9 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 
 
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
-    """Return the uncertainty of the reference: differences below it are not resolved.
+    """Return the uncertainty of the reference.
+
+    Differences between forces that are smaller than this uncertainty are not resolved.
 
     With an exact geometry, it is the uncertainty of the force on this geometry. For a hand, the
     reference is the finest grid, and the uncertainty is the error of this grid. Without an exact
@@ -139,10 +141,10 @@ def reference_words(scene: Scene, gap: float) -> str:
 def float32_error(scene: Scene) -> float:
     """Return the relative change of a cutting force if the path is rounded to float32.
 
-    Voxels are cut in float32, which rounds all coordinates to about this length. If a tool only
-    grazes voxels, the rounding decides whether it touches. The change is then much larger than the
-    resolution of the force. The result is NaN for models that compute in float64: organs, needles
-    and walls.
+    Voxels are cut in float32, which rounds all coordinates to about `LAST_PLACE_MM`. If a tool
+    only grazes voxels, the rounding decides whether the tool touches them. The change of the force
+    is then much larger than the resolution of the force. The result is NaN for models that compute
+    in float64: organs, needles and walls.
     """
     motion = scene.motion
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
@@ -165,17 +167,17 @@ LATE_S = 0.3
 MARGIN_MM = 0.5
 """Bone around the reach of a script [mm], the smallest margin of a scene.
 
-No force depends on this margin. The time to build the bone does.
+The margin affects the time to build the bone, but no force.
 """
 STRAY_MM = 1.5
 """Bone around the reach of a hand, which deviates from the path [mm]."""
 REPEATS = 2
-"""Runs of a setting at a single place. The fastest run counts.
+"""Number of runs of a setting that has a single place. The fastest run counts.
 
 A quick chart of a loop uses one run.
 """
 SETTLED = 20
-"""Number of ticks in contact that are not counted, because the first ones load code."""
+"""Number of first ticks in contact that are not timed, because they load code."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +198,7 @@ class Measured:
     median_us, p99_us, missed
         Time of a tick in contact [us], and number of ticks over 1 ms.
     far_us
-        Median tick out of contact [us]; NaN without one.
+        Median time of a tick out of contact [us]; NaN if all ticks are in contact.
     engaged_mm2, step_mm
         Mean area in contact, and edge of a voxel or element.
     elements, met
@@ -240,7 +242,7 @@ class Measured:
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:
-    """Return the excerpt of a scene with which its settings are run."""
+    """Return the excerpt of a scene that is run at each setting."""
     return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
 
 
@@ -272,7 +274,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
     """
 
     def found() -> Arrays:
-        """Run the scene with its duration doubled again and again until the tool touches."""
+        """Run the scene with a duration that is doubled until the tool touches the tissue."""
         whole = _length_s(scene)
         span = span_s
         while span < whole:
@@ -331,7 +333,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
 
 
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
-    """Run excerpts of a scene at one setting: one at each place, or several at one place."""
+    """Run excerpts at one setting: one run at each place, or several at a single place."""
     started = perf_counter()
     places = placed(scene)
     runs = []

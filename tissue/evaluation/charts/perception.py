@@ -40,7 +40,8 @@ EXAMPLE = Observer.known(
 )
 """Simulated observer that is drawn by default.
 
-Its perceived intensity grows less with the force than that of the reference observer.
+The perceived intensity of this observer grows less with the force than the intensity of the
+reference observer.
 """
 
 

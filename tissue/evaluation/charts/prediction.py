@@ -46,7 +46,7 @@ FIRST_SEED = 10_000
 SHARES = (0.7, 1.3)
 """Ratios of the tissue's force in unseen runs to its force in training.
 
-The runs use them in turn.
+Unseen runs use the two ratios in turn.
 """
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
@@ -54,7 +54,7 @@ DELAY_MS = 4
 SLOW_TICKS = 10
 """Ticks between two answers of the slow model: 100 Hz, a tenth of the haptic rate."""
 SIZES = (3, 6, 12)
-"""Numbers of training runs: the smallest that a fit accepts, twice as many, and the default."""
+"""Numbers of training runs: the smallest number for a fit, twice this number, the default."""
 SIZED_RUNS = 8
 """Number of unseen runs for the comparison of training sizes. Each size needs a separate fit."""
 HEADS = {
@@ -171,12 +171,12 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
 
 
 def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
-    """Return the scenes that have a trained predictor, and a note for each of the others.
+    """Return the scenes that have a trained predictor, and a note for each other scene.
 
     Raises
     ------
     InputError
-        If no scene has one.
+        If no scene has a trained predictor.
     """
     able = [scene for scene in scenes if is_trained(scene.name, scene.predictor_file)]
     notes = [
@@ -229,8 +229,8 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     """Return the errors 4 ms ahead in words, and a comparison with the other predictors.
 
     The predictor of the engine is compared with zero-order hold and with the best other predictor.
-    It is called better or worse only if the interval of the paired difference over runs excludes
-    zero.
+    The text calls it better or worse only if the interval of the paired difference over runs
+    excludes zero.
     """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:

@@ -71,7 +71,7 @@ def chart_scenes(
 
 
 def charted(scene: Scene) -> list[Scene]:
-    """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
+    """Return the scenes whose frontiers are charted: moved by a script, by a hand or by both.
 
     A wall is charted only with a hand. A cutting scene is charted only with a script. In a chart's
     short excerpt, the hand presses less than the friction of its device, so its force error would
@@ -146,7 +146,7 @@ FAMILIES = {
 }
 """Colour, mark and label of each family of settings, after Okabe and Ito (2008) where possible."""
 LEAST = 1e-4
-"""Error that is drawn in place of zero on logarithmic axes [%]."""
+"""Error [%] that replaces zero on logarithmic axes."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
 """Colours and labels in the overview. The second colour is dark enough for text."""
 COLUMNS = 4

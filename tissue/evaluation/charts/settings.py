@@ -53,9 +53,12 @@ __all__ = [
 LATENCY_MS = 4
 """Latency of the compared loops if the scene has none [ms]. The mean in the paper is 4.3 ms."""
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
-"""Relative lengths of the three grids of a grid-convergence index, for a quick chart or not."""
+"""Relative voxel lengths of the three grids of a grid-convergence index.
+
+The key is True for a quick chart and False for a full chart.
+"""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
-"""Relative lengths of tetrahedra on the three grids.
+"""Relative edge lengths of tetrahedra on the three grids, with the keys of `VOXEL_SHARES`.
 
 Half the edge gives seven times as many unknowns, 140,000 for a liver. With ratios nearer to 1, the
 scatter of the force from mesh to mesh would hide the order of convergence.
@@ -64,8 +67,8 @@ PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
 """Shifts along x and y as shares of the coarsest step, and factors of the depth.
 
 The error of a discretisation depends on the place of the tool on the grid or mesh: a path along
-voxels has a smaller error than a path between voxels. No share is a half, a third or a quarter, so
-the place differs on finer grids as well.
+voxels has a smaller error than a path between voxels. No shift is a half, a third or a quarter of
+a step, so the place relative to a finer grid differs as well.
 """
 COARSEST = 4.0
 """Ratio of the coarsest voxel of a quick chart to the voxel of the scene, see `_voxels`."""
@@ -89,8 +92,8 @@ class Setting:
     compute
         Warp device.
     finer
-        True if the setting is finer than the scene. It is offered only if the finer settings before
-        it stay within the time of a tick.
+        True if the setting is finer than the scene. The setting is offered only if all preceding
+        finer settings stay within the time of a tick.
     """
 
     name: str
@@ -102,7 +105,7 @@ class Setting:
 
 
 def by_hand(scene: Scene) -> Scene:
-    """Return the scene on a device, with a latency to hide."""
+    """Return the scene on a device, with a latency that a predictor can compensate."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
     # without a latency, predictors have nothing to predict
     if scene.device is None or scene.device.coupling.delay_ms == 0:
@@ -177,7 +180,10 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return the scene with its path at three places on the grid, or alone without a grid."""
+    """Return copies of the scene with its path at three places on the grid.
+
+    A scene without a grid is returned alone.
+    """
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
     if isinstance(scene.tool, Tool):
@@ -194,7 +200,10 @@ def placed(scene: Scene) -> list[Scene]:
 
 
 def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
-    """Return the scene with a laterally shifted path, deeper by a factor below z = 0."""
+    """Return the scene with a laterally shifted path.
+
+    Below z = 0, the depth of the path is multiplied by `depth`.
+    """
     assert isinstance(scene.motion, PathMotion)
     points = np.array(scene.motion.points_mm)
     points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
@@ -222,7 +231,7 @@ def force_only(scene: Scene) -> dict[str, object]:
 
 
 def _shell_mm(tool: Tool) -> float:
-    """Return the distance between the cutter's elements [mm]."""
+    """Return the distance between the cutting elements of a cutter [mm]."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
     return tool.shell_spacing_mm or 1e3 * float(
@@ -279,9 +288,9 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
     """Return the simpler cutting laws and drill of a scene by name.
 
-    Each of them leaves out one refinement that the scene has. The last law leaves out the size
-    effect as well, because the size effect grows without bound if there is no minimum chip
-    thickness.
+    Each simpler law or drill leaves out one refinement that the scene has. The last law leaves out
+    the size effect as well, because the size effect grows without bound if there is no minimum
+    chip thickness.
     """
     found: dict[str, Changes] = {}
     if _of_law(scene, "minimum_chip_um") > 0.0:
@@ -295,7 +304,7 @@ def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
 
 
 def _of_law(scene: Scene, name: str) -> float:
-    """Return a constant of the size effect of a scene, the largest of its layers."""
+    """Return a constant of the size effect of a scene: the largest value of its layers."""
     stated = getattr(scene.cutting, name)
     if stated is not None:
         return float(stated)
@@ -379,7 +388,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def machine() -> str:
-    """Return the key of a measured time, from processor, cores and versions of the libraries."""
+    """Return the key of measured times: processor, cores and versions of the libraries."""
     import psutil
 
     return (
@@ -392,8 +401,8 @@ def machine() -> str:
 def sources() -> str:
     """Return the checksum of all code and constants.
 
-    The time of a tick and the error may change with any of them. External parts are included by
-    their names and by the code of their packages.
+    The time of a tick and the error may change with any part of the code and with any constant.
+    External parts are included by their names and by the code of their packages.
     """
     # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
@@ -421,7 +430,7 @@ def _code_of(part: Any) -> str:
 def _package_sum(name: str) -> str:
     """Return the checksum of all Python files of a package, or of a module.
 
-    Without a file, the result is unique to the call.
+    If there is no such file, the result is unique to the call.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     # code from an interactive session cannot be compared: its results are never reused

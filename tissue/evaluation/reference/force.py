@@ -1,6 +1,6 @@
 """Cutting force by adaptive quadrature over the cutter's surface.
 
-It uses no voxels and no elements that are fixed to the tool.
+The quadrature uses no voxels, and no surface elements that are fixed to the tool.
 
 The surface is r(s), z(s) turned by the angle phi; s is the length along the half section. Averaged
 over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi
@@ -41,7 +41,10 @@ __all__ = ["Resolution", "Solid", "wrench_at"]
 GAUSS = 0.5 / 3.0**0.5
 """Distance of the Gauss points from the middle of a cell of length 1."""
 TOUCHING_M = 1e-11
-"""Distance to an earlier cut below which the surface counts as lying on it, without contact [m]."""
+"""Distance to an earlier cut below which the tool's surface is not in contact [m].
+
+A surface closer than this distance counts as lying on the cut.
+"""
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
@@ -74,7 +77,10 @@ class Solid:
         )
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
-        """Return the layers, shape (n,), of points [m], shape (n, 3)."""
+        """Return the number of the layer at each point, shape (n,).
+
+        The points [m] have shape (n, 3).
+        """
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
@@ -99,8 +105,8 @@ class Solid:
 class Resolution:
     """Resolution of the division of the surface.
 
-    At the default, the force of the built-in scenes is within 0.03 % of a resolution twice as fine
-    (``tests/bench/bench_reference.py``).
+    At the default resolution, the force of the built-in scenes is within 0.03 % of the force at a
+    resolution twice as fine (``tests/bench/bench_reference.py``).
 
     Attributes
     ----------
@@ -206,7 +212,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
-        """Return the cells that may be engaged, and flags for those engaged in a single layer."""
+        """Return the cells that may be engaged, and flags for cells engaged in a single layer."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
@@ -251,7 +257,7 @@ class _AtTick:
     ) -> Array:
         """Return the sum of the law over cells, at points of equal weight.
 
-        If tested, points that are not engaged count as 0.
+        If `tested` is true, points that are not engaged count as 0.
         """
         points, normals, around = _surface(piece, cells.points(offsets))
         weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))

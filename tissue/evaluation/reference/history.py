@@ -37,7 +37,10 @@ __all__ = [
 
 
 COARSEST_TICKS = 32
-"""Largest number of ticks between two evaluations, less than the 50 ms of the reported means."""
+"""Largest number of ticks between two evaluations.
+
+It is less than the 50 ms over which the reported means are computed.
+"""
 INTERPOLATION = 2e-3
 """Largest error of interpolation between two evaluations, relative to the mean force.
 
@@ -45,18 +48,18 @@ Above this error, both halves are evaluated too. The uncertainty of the built-in
 interpolation included, is then 0.01 to 0.03 % (``tests/bench/bench_reference.py``).
 """
 JUMP = 0.05
-"""Relative jump of the velocity between two ticks from which on the force may jump too.
+"""Smallest relative jump of the velocity between two ticks at which the force may jump too.
 
-Within a leg of a path, the velocity changes by less from tick to tick. At corners it changes by
-more.
+Within a leg of a path, the velocity changes by less than this from tick to tick. At corners the
+velocity changes by more.
 """
 CHECKED = 32
 """Number of ticks at which the reference is evaluated again with twice the resolution.
 
-Each of these evaluations takes four times as long as the first one.
+The second evaluation at a tick takes four times as long as the first evaluation.
 """
 WINDOW_TICKS = 50
-"""Ticks of a mean over 50 ms."""
+"""Number of ticks in a mean over 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ class ReferenceForce:
         6).
     uncertainty
         Error of the reference relative to the force: the difference from an evaluation with twice
-        the resolution, interpolation included. Both are root mean squares over ticks spread over
-        the contact.
+        the resolution, interpolation included. Error and force are root mean squares over ticks
+        spread over the contact.
     """
 
     wrench: Array
@@ -150,7 +153,7 @@ def force_on_path(
     ----------
     kept_by
         Identification of cutter and solid. Together with the path it is the key of the cache.
-        Without it nothing is stored.
+        Without this identification, nothing is stored.
     """
     fine = resolution or Resolution()
 
@@ -259,11 +262,12 @@ formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific 
 """
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
-"""Roache's safety factors within the asymptotic range and outside this range."""
+"""Roache's safety factor outside the asymptotic range. `SAFETY` is the factor within the range."""
 STEEPEST = 30.0
 """Largest searched order, of either sign. Larger orders count as infinite.
 
-At a ratio of 1.2, two differences would have to differ by a factor of 240.
+For this order and spacings with a ratio of 1.2, the difference of the two coarser forces is 240
+times the difference of the two finer forces.
 """
 
 

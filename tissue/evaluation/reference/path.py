@@ -22,7 +22,7 @@ RESOLUTION_M = 1e-12
 STRAIGHT_M = 5e-9
 """Largest bend of a point's path through the tool's frame within a leg [m].
 
-It is far below a chip thickness, which is a tenth of a micrometre or more.
+The bend is far smaller than a chip thickness, which is a tenth of a micrometre or more.
 """
 
 
@@ -130,9 +130,10 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Return the distance [m] from a piece, and a component along its normal [m].
+    """Return the distance of points from a piece [m], and its component along the normal [m].
 
-    It is the component of the line from the nearest point of the piece.
+    The component is that of the vector from the nearest point of the piece to the point, along the
+    outward normal of the piece at the nearest point.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
@@ -203,11 +204,11 @@ class ToolPath:
     ) -> Array:
         """Return the signed distance [m] from all volume that the tool has swept before a tick.
 
-        The distance is negative inside. The points, shape (n, 3), are in the world. On the leg to
-        which the tick belongs, the first part is left out: no point on a convex body that advances
-        on a straight path was inside the body before. The distance is infinite if nothing was
-        swept. Above ``within``, shape (n,) [m], the result is only known to be larger than
-        ``within``.
+        The distance is negative inside. The points, shape (n, 3), are in the world. The first part
+        is left out on the leg to which the tick belongs, because no point on a convex body that
+        advances on a straight path was inside the body before. The distance is infinite if nothing
+        was swept. If a result is larger than ``within``, shape (n,) [m], the true distance is
+        larger than ``within`` too, but may differ from the result.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:

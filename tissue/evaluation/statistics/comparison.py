@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 ROUNDING = 1e-12
-"""Variation among users, relative to the values, below which it is rounding of their sums."""
+"""Variation among users, relative to the values, below which it counts as rounding error."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class MetricComparison:
     metric, task
         Compared metric, and its task.
     cells
-        Means of every user under every method.
+        Mean of the metric for every user under every method.
     tests
         Tests of method, group and their interaction, if the table holds several methods and groups.
     pairs
@@ -127,8 +127,9 @@ def compare(
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
     """Test a metric over all tasks, by sign flips and by the mixed model.
 
-    The returned model holds the tests by sign flips. The test of the mixed model is the alternative
-    of each. A question whose stratum holds no variation keeps the model's test, with a note.
+    The returned model holds the tests by sign flips. Each of these tests has the test of the mixed
+    model as its alternative. If the stratum of a question holds no variation, the test of the
+    mixed model is kept, with a note.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]

@@ -71,10 +71,11 @@ def redrawn_power(
     same ten users are repeated so often that sign flips seem to give too many false alarms.
 
     In 25 normal studies with a true rate of 5 %, the mean estimate for sign flips is 5.1 to 5.4 %,
-    depending on the question (3.7 to 6.4 % in single studies). Without the noise it is 5.6 to 7.8 %
-    (up to 10.8 %). The estimate for F is too high, because the covariance of ten users is never
-    spherical. Its mean is 5.5 % for groups, 5.9 % for methods and 7.1 % for their interaction (up
-    to 8.4 %). ``python tests/bench/bench_null.py --only redrawn`` measures these rates.
+    depending on the question (3.7 to 6.4 % in single studies). Without the noise, the mean
+    estimate is 5.6 to 7.8 % (up to 10.8 % in single studies). The estimate for F is too high,
+    because the covariance of ten users is never spherical. The mean estimate for F is 5.5 % for
+    groups, 5.9 % for methods and 7.1 % for their interaction (up to 8.4 %). ``python
+    tests/bench/bench_null.py --only redrawn`` measures these rates.
 
     The power applies to an effect of the measured size, which includes the error of the
     measurement. The estimated power is too high if the true effect is zero or small.

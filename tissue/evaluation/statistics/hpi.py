@@ -109,7 +109,7 @@ def composite_index(
     Metrics are oriented so that higher is better, and standardised within each task, because the
     scales of tasks differ. They are then weighted by the squared loadings of the first principal
     component of their correlation matrix. Published weights from raw metrics have mixed signs and
-    depend on the units. The weights of this function have neither problem.
+    depend on the units. The weights of this function are positive and do not depend on the units.
 
     Parameters
     ----------
@@ -178,9 +178,9 @@ def _correlation(rows: Array, times: Array) -> Array:
 
 
 def _means(values: Array, shares: Array) -> Array:
-    """Return weighted means of values, shape (k,), for weights of the rows of shape (k, rows).
+    """Return k weighted means of values, for k sets of weights, shape (k, rows).
 
-    A method that a resampled population does not hold gets zero, because NaN would spread to every
+    The mean is zero for a method without rows in a resampled population. NaN would spread to every
     percentile.
     """
     return shares @ values / np.maximum(shares.sum(axis=1), 1.0)

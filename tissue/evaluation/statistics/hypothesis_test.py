@@ -1,7 +1,7 @@
 """Result of a hypothesis test.
 
-It holds effect sizes with exact intervals, assumptions with their checks, and other tests of the
-same question.
+The result holds effect sizes with exact intervals, assumptions with their checks, and other tests
+of the same question.
 """
 
 from dataclasses import dataclass
@@ -36,9 +36,10 @@ ALPHA = 0.05
 LEVEL = 0.95
 """Coverage of an interval."""
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
-"""Probabilities of a smaller value than the measured one.
+"""Probabilities that define the two ends of an interval.
 
-The true value is then the lower or the upper end of an interval.
+If the true value equals the lower end, a value below the measured value has the first probability.
+If it equals the upper end, such a value has the second probability.
 """
 MOST = 5000
 """Largest sample with a known p value of Shapiro and Wilk's test (Royston 1995)."""
@@ -90,14 +91,14 @@ class HypothesisTest:
     statistic_name, statistic, degrees
         Statistic of the test, such as F, and its degrees of freedom.
     p
-        Probability of such a large statistic without an effect.
+        Probability that the statistic is at least as large if there is no effect.
     effect
         Size of the effect, if the test has one.
     assumptions
         Assumptions of the test.
     alternatives
-        Other tests of the same question, such as the tests of the paper. They are reported but do
-        not decide.
+        Other tests of the same question, such as the tests of the paper. The alternatives are
+        reported, but decisions do not use them.
     note
         Further information for the reader. May be empty.
     """
@@ -131,7 +132,7 @@ class HypothesisTest:
 
 
 def format_p(p: float) -> str:
-    """Return a p value as a reader expects it."""
+    """Return a p value as text in the usual form."""
     if not np.isfinite(p):
         return "p unknown"
     # smaller values depend on the tails of the assumed law
@@ -197,7 +198,8 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
 def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     """Return partial eta squared from F (Cohen 1973).
 
-    It is the variation that the effect explains, divided by the variation of effect and error.
+    Partial eta squared is the variation that the effect explains, divided by the sum of this
+    variation and the variation of the error.
 
     The ends of the interval are L / (L + above + below + 1), where L is the noncentrality of F at
     each end (Steiger 2004).
@@ -237,11 +239,12 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
 
     The assumption is rejected if one of two tests rejects it at half of :data:`ALPHA`.
 
-    The tests are Shapiro and Wilk's (1965), p by Royston (1995), for up to 5,000 values, and
-    Anderson and Darling's (1952) with estimated mean and variance (Stephens 1986), for 8 or more.
-    In a large sample the slightest departure is rejected, so skewness and excess kurtosis are
-    reported too. If their sizes are below about 1 and 2, they hardly matter for a comparison of
-    means (West et al. 1995 warn from 2 and 7 on).
+    For up to 5,000 values, one test is Shapiro and Wilk's test (1965), with p computed by
+    Royston's method (1995). For 8 values or more, the other test is Anderson and Darling's test
+    (1952) with estimated mean and variance (Stephens 1986). In a large sample, even a slight
+    departure from normality is rejected. Skewness and excess kurtosis are therefore reported too.
+    An absolute skewness below about 1 and an absolute excess kurtosis below about 2 hardly matter
+    for a comparison of means (West et al. 1995 warn from 2 and 7 on).
 
     Raises
     ------
@@ -292,7 +295,7 @@ def symmetric_residuals(residuals: Array) -> Assumption:
 def mardia(residuals: ArrayLike) -> Assumption:
     """Test joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis.
 
-    Each of them is tested at half of :data:`ALPHA`.
+    Skewness and kurtosis are each tested at half of :data:`ALPHA`.
 
     Parameters
     ----------

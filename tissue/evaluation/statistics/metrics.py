@@ -1,6 +1,7 @@
 """Metrics of one trial.
 
-They are force error, latency, smoothness, distance from the target, and alignment of two paths.
+The metrics are force error, latency, smoothness, distance from the target, and alignment of two
+paths.
 """
 
 import numpy as np
@@ -30,11 +31,11 @@ SPARC_CUTOFF_HZ = 10.0
 Published values range from 5 to 20 Hz.
 """
 SPARC_AMPLITUDE = 0.05
-"""Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
+"""Share of the peak below which a spectrum counts as noise (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
 """Exponent of the power of two by which the spectrum is refined (Balasubramanian et al. 2015)."""
 POINTS = 800
-"""Samples of each path for the alignment. Distances are refined between them.
+"""Samples of each path for the alignment. Distances are refined between these samples.
 
 Memory and time of the alignment grow with the square of this number.
 """
@@ -145,9 +146,9 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
     """Return the mean size of the change of acceleration between ticks [m/s^2].
 
     Lower is smoother. This is the published "smoothness index" in the form of its printed formula:
-    mean |dv[i+1]/dt - dv[i]/dt|. It equals the jerk multiplied by the tick, so it can be compared
-    only between trials with the same tick. It grows with roughness, although its published table
-    reads as if higher were better.
+    mean |dv[i+1]/dt - dv[i]/dt|. It equals the jerk multiplied by the duration of a tick, so only
+    trials with the same tick can be compared. It grows with roughness, although the published
+    table presents higher values as better.
 
     Parameters
     ----------
@@ -277,9 +278,9 @@ def aligned_rows(path: Array, model: Array) -> Ints:
     """Return the row of the model that each row of a path corresponds to.
 
     The rows never decrease (Sakoe and Chiba 1978). The sum of distances over pairs is the smallest
-    among all monotonic alignments of both paths. Both start at their first points. The alignment
-    may end before the last point of the model, so that a correct but incomplete path has no
-    deviation.
+    among all monotonic alignments of both paths. In an alignment, both paths start at their first
+    points. The alignment may end before the last point of the model, so that a correct but
+    incomplete path has no deviation.
 
     Parameters
     ----------

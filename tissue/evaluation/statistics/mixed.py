@@ -35,7 +35,7 @@ ITERATIONS = 400
 Simulated studies of 45 people converge within 25 iterations.
 """
 LEAST = 1e-6
-"""Smallest residual share of the variance for which the likelihood is bounded."""
+"""Share of the residual in the total variance below which the likelihood has no maximum."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +85,12 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
     The interaction of users with methods is a separate term. Without this term, the test of the
-    methods would treat the trials of one user as independent (Barr et al. 2013). Trials that
-    several methods render are a separate term too. Terms that the table cannot separate, because a
-    cell holds one trial, are left out. Wald's statistic is compared with F with the degrees of
-    freedom of its stratum. With few users, chi squared would reject too often. In a complete
-    design, this test equals the exact test of :func:`tissue.evaluation.statistics.strata.strata`,
-    unless a variance is estimated as zero.
+    methods would treat the trials of one user as independent (Barr et al. 2013). A trial that
+    several methods render is a separate random term too. Terms that the table cannot separate,
+    because a cell holds one trial, are left out. Wald's statistic is compared with the F
+    distribution that has the degrees of freedom of the stratum. With few users, a comparison with
+    chi squared would reject too often. In a complete design, this test equals the exact test of
+    :func:`tissue.evaluation.statistics.strata.strata`, unless a variance is estimated as zero.
 
     Raises
     ------
@@ -187,7 +187,8 @@ def _convergence(
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
     """Return the degrees of freedom of the stratum of a term or coefficient.
 
-    They are the users' degrees of freedom multiplied by those of the factors within users.
+    The result is the number of degrees of freedom of users, multiplied by the degrees of freedom
+    of the factors within users.
     """
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
@@ -256,7 +257,7 @@ With 48 nodes, the intervals agree to four digits.
 
 
 SLOPE_SPREAD = 10.0
-"""Standard deviation of slopes and intercept in the prior, relative to the residual.
+"""Prior standard deviation of slopes and intercept, relative to the residual deviation.
 
 This prior is almost uninformative.
 """
@@ -322,7 +323,7 @@ def regression(
         Name of the response.
     slope_spread
         Standard deviation of slopes and intercept in the prior, divided by the residual standard
-        deviation. Both refer to standardised columns.
+        deviation. Both standard deviations refer to standardised columns.
 
     Raises
     ------
@@ -401,7 +402,7 @@ def _conjugate(
 ) -> tuple[Array, Array, Array]:
     """Return centre and width of every coefficient's t distribution, and the log evidence.
 
-    They are returned for each ratio of variances.
+    All three results are returned for each ratio of variances.
 
     With counts n, the inverse covariance of one user's rows is I - 11' k, k = ratio / (1 + n
     ratio). Only sums over users are therefore needed.

@@ -22,13 +22,13 @@ square of the spreads of both columns).
 POWER = 0.8
 """Power for which the number of people is planned (Cohen 1988, section 2.4)."""
 MOST_PEOPLE = 200
-"""Largest number of people per group that is considered. No registered effect needs as many."""
+"""Largest considered number of people per group. No registered effect needs so many people."""
 POPULATIONS = 20_000
 """Number of simulated studies for one value of the power.
 
-With 5 % divided by 54 tests, 19 of these studies exceed the critical value. The uncertainty of the
-critical value changes a power of 0.8 by 0.02 (standard deviation of 12 repetitions), and a planned
-number of 35 people by up to 2.
+At a level of 5 % divided by 54 tests, 19 of these studies exceed the critical value. The
+uncertainty of the critical value changes a power of 0.8 by 0.02 (standard deviation of 12
+repetitions), and a planned number of 35 people by up to 2.
 """
 
 
@@ -56,7 +56,7 @@ def planned_power(
 ) -> dict[str, float]:
     """Return the power of each deciding test of one metric on one task for an effect of interest.
 
-    One method, one group, or one method in one group differs by ``effect`` from all others. The
+    One method, one group, or one method in one group differs by ``effect`` from all others. All
     others are equal. The unit of the effect is the standard deviation of differences within people
     between two methods, or of people's means in a group. Values are normal with equal spreads.
 

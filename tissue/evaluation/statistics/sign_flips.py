@@ -1,7 +1,8 @@
 """Tests by sign flips. The decisions of a study follow from these tests.
 
-They compare all pairs of levels or groups by t statistics, each with its own standard error. Unlike
-F tests and shuffled labels, they are valid for methods and groups that differ in spread.
+The tests compare all pairs of levels or groups by t statistics, each with its own standard error.
+Unlike F tests and permutation tests, tests by sign flips are valid for methods and groups that
+differ in spread.
 """
 
 from dataclasses import dataclass
@@ -29,18 +30,18 @@ A whole study has 54 planned tests, and each decides at p = 0.0009. A p of this 
 error of 0.0002.
 """
 FLIPS_OF_RATES = 199
-"""Number of sign flips where thousands of data sets are tested.
+"""Number of sign flips of a test that is repeated on thousands of data sets.
 
 With 199 flips, a level of 5 % is exact.
 """
 BLOCK = 2_000_000
 """Number of values that are in memory at once, 16 MB."""
 SMALLEST = 1e-12
-"""Lower bound of a variance relative to the mean square. It is larger than the rounding of both."""
+"""Lower bound of a variance relative to the mean square, above the rounding error of both."""
 EQUAL = 1e-9
 """Relative difference below which two statistics count as equal.
 
-The rounding error is 1e-16 of the mean square. A small variance magnifies it.
+The rounding error is 1e-16 of the mean square. A small variance magnifies the rounding error.
 """
 
 
@@ -161,7 +162,10 @@ def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
 
 
 def _flipped(scores: Array, groups: Ints, *, between: bool) -> Array:
-    """Return the scores whose signs are flipped: residuals if groups are compared."""
+    """Return the values whose signs are flipped: the scores, or the residuals about group means.
+
+    Residuals are used if groups are compared.
+    """
     if between:
         return scores - group_means(scores, groups)[..., groups, :]
     return scores
@@ -173,7 +177,7 @@ def _signs(count: int, users: int, rng: np.random.Generator) -> Array:
 
 
 def flipped_p(measured: Array, flipped: Array) -> Array:
-    """Return the share of statistics that reach the measured ones (Edgington 1995).
+    """Return the share of flipped statistics that reach the measured statistic (Edgington 1995).
 
     Parameters
     ----------
@@ -261,7 +265,8 @@ def sign_test_p(
     scores
         Shape (data sets, users, scores).
     groups, between, rng, flips
-        As in :func:`sign_test`. A few hundred data sets use the same signs.
+        As in :func:`sign_test`. Signs are drawn once for a block of data sets, not for each data
+        set.
 
     Returns
     -------

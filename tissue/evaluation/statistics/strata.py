@@ -43,8 +43,8 @@ class Strata:
     degrees
         Degrees of freedom of numerator and denominator.
     epsilon, corrected_p
-        Greenhouse and Geisser's (1959) measure of sphericity, which is 1 if sphericity holds, and p
-        with the degrees of freedom scaled by it.
+        Greenhouse and Geisser's (1959) measure of sphericity, and p with the degrees of freedom
+        multiplied by this measure. The measure is 1 if sphericity holds.
     """
 
     F: Array
@@ -105,8 +105,8 @@ def effect_scores(
 def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
     """Compute the scores of every user on orthonormal contrasts of one effect within users.
 
-    Parameters and shapes are those of :func:`effect_scores`. Without chosen factors, the score is a
-    user's mean times the root of the number of levels.
+    Parameters and shapes are those of :func:`effect_scores`. Without chosen factors, the score is
+    a user's mean multiplied by the square root of the number of levels.
     """
     return effect_scores(
         values,

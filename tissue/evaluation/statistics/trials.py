@@ -44,8 +44,8 @@ class Cells:
     users
         Label of every user.
     factors
-        Names of the crossed factors within users and their levels, the last one changing fastest
-        along `levels`.
+        Names of the crossed factors within users, and their levels. Along the axis `levels`, the
+        last factor changes fastest.
     dropped
         Users that are left out because all their trials at one of the levels failed.
     """
@@ -79,7 +79,7 @@ class TrialTable:
     failure
         Empty, or the reason of a failed trial, whose metrics are NaN.
     metrics
-        Values by name with its unit, each of shape (rows,).
+        Values of each metric, shape (rows,). The name of a metric includes its unit.
 
     Raises
     ------
@@ -128,7 +128,7 @@ class TrialTable:
     def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
         """Return a table of rows that hold the keys and metrics by name.
 
-        A row may omit `failure`; a row with a failure may omit metrics.
+        A row may omit the key `failure`. A row with a failure may omit metrics.
         """
         listed = list(rows)
         names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))

@@ -38,7 +38,7 @@ __all__ = ["case_sections", "median_interval", "travel_by_people"]
 TEETH = ("carious", "sound")
 """Specimens of the drilling task.
 
-Their errors differ by more than the errors of different methods.
+The errors of the two specimens differ by more than the errors of different methods.
 """
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
@@ -51,7 +51,7 @@ def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Report tracking error in newtons at the reamer, distance from its path, and torque steps."""
+    """Report tracking error in newtons at the reamer, distance from the path, and torque steps."""
     force = CASES["reaming_rms_N"]
     rows = []
     for method in methods_of(table):
@@ -165,7 +165,10 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
-    """Report travel by group and method, noticed punctures, and capsule against parenchyma."""
+    """Report travel by group and method, noticed punctures, and discrimination.
+
+    The discrimination is that of the capsule and the parenchyma.
+    """
     rows = []
     groups = (each for each in GROUPS if each in table.group)
     for method, group in product(methods_of(table), groups):

@@ -1,6 +1,7 @@
 """Discrimination of two forces at the skin.
 
-It covers levels over trials, sensitivity d', right answers, and their changes.
+The module computes levels over trials, sensitivity d', right answers, and changes of d' and of
+right answers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -82,7 +83,10 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
-        """Return the statistics of trials; `person`, shape (n,), holds numbers below ``count``.
+        """Return the statistics of trials by person.
+
+        `person`, shape (n,), holds the index of the person of each trial, which is below
+        ``count``.
 
         Every person has at least one trial.
         """
@@ -113,7 +117,7 @@ class FeltPair:
     Attributes
     ----------
     less, more
-        Forces on the softer and the stiffer specimen, of the same people.
+        Forces on the softer specimen and forces on the stiffer specimen, for the same people.
     """
 
     less: Felt
@@ -191,14 +195,14 @@ def sides(needle: TrialTable) -> FeltPair | None:
 
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
-    """Return the right answers of simulated people by group [%]."""
+    """Return the share of right answers of simulated people by group [%]."""
     return {group: 100.0 * pair.felt_by(people_of(group, seed))[1].mean() for group in GROUPS}
 
 
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Return the pair of forces, each with its people; the same people are in both.
+    """Return the pair of forces. The same people feel both forces.
 
     The result is None if the forces have no scatter.
     """

@@ -17,13 +17,14 @@ COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "dri
 """Processor time of one method of a trial divided by the time of `probe_s`, by task.
 
 Measured by ``python tests/bench/bench_study.py --costs`` with one trial of six methods. On a busy
-machine, the probe varied from 0.25 to 0.48 s. Reaming takes 1.49 times as long as drilling, the
-ratio of their processor times in docs/performance.md.
+machine, the probe varied from 0.25 to 0.48 s. The value of reaming is 1.49 times the value of
+drilling. This is the ratio of their processor times in docs/performance.md.
 """
 REFERENCE_COST = 3.2
 """Time of a reference trial divided by the time of a usual trial of one method.
 
-The ratio is 3.7, 4.8 and 2.6 for T1, T2 and T3, and 3.2 for the sums of their times.
+The ratio is 3.7 for T1, 4.8 for T2 and 2.6 for T3. It is 3.2 for the sum of the times of these
+tasks.
 """
 PROBE_S = 0.5
 """Simulated time of the probe [s]."""

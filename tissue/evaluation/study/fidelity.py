@@ -55,16 +55,16 @@ RATIOS = {
 }
 """Columns on ratios of intensity."""
 UNRESOLVED = 0.05
-"""Share of rows, with an error below the smallest possible error, that makes the excess invalid.
+"""Share of unresolved rows above which the report marks the excess as not meaningful.
 
-Above this share, the report marks the excess as not meaningful.
+In an unresolved row, the force error is below the smallest possible error.
 """
 APART = 0.24
-"""Distance between the marks of two tasks on a line, in lines."""
+"""Distance between the marks of two tasks of one variant, relative to the line spacing."""
 
 
 def force_section(table: TrialTable) -> Section:
-    """Compare the normalised force error of every method on every task with the published one.
+    """Compare the normalised force error of every method and task with the published error.
 
     Parameters
     ----------
@@ -122,7 +122,8 @@ def force_section(table: TrialTable) -> Section:
 def _unresolved(table: TrialTable) -> list[str]:
     """Name the tasks in which the smallest possible error is not a bound.
 
-    This happens if the tool takes a different path.
+    The smallest possible error is not a bound if the tool takes a different path than under a
+    perfect force.
     """
     above = []
     for task in tasks_of(table):
@@ -171,7 +172,9 @@ def _points(
     metrics: Mapping[str, tuple[str, float]],
     size: tuple[float, float],
 ) -> bytes:
-    """Draw metrics with 95 % intervals over users, one panel for each name, label and factor.
+    """Draw metrics with 95 % intervals over users, one panel for each metric.
+
+    `metrics` holds the label and the factor of each metric by its name.
 
     Published force errors are drawn as diamonds.
     """
@@ -232,7 +235,7 @@ def latency_section(table: TrialTable) -> Section:
 
 
 def task_section(table: TrialTable) -> Section:
-    """Report time, position error and smoothness, the position error next to the published one.
+    """Report time, position error and smoothness, and the published position error.
 
     Failed trials are left out.
     """
@@ -369,7 +372,9 @@ def speed_section(folder: StudyFolder) -> Section:
 
 
 def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
-    """Return the ratio of mean force errors by task, over trials in which no method failed.
+    """Return the ratio of mean force errors by task.
+
+    Only trials in which no method failed are used.
 
     The ratio is NaN if there is no such trial.
     """

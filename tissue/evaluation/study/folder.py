@@ -177,7 +177,7 @@ class StudyFolder:
         return self._begun()[0]
 
     def registrations(self) -> list[Registration]:
-        """Return the registered plans, newest last. The errors are those of `plan`."""
+        """Return the registered plans, newest last. Raises the errors of `plan`."""
         return self._begun()[1]
 
     def _begun(self) -> tuple[Plan, list[Registration]]:
@@ -258,7 +258,8 @@ class StudyFolder:
     def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
         """Yield the existing trials in the plan's order.
 
-        These are the trials of the study itself, of one variant, or, with None, of all variants.
+        An empty `variant` selects the trials of the study itself, a name the trials of one
+        variant. None selects all trials.
         """
         for key in self.plan().all_trials():
             if variant in (None, key.variant) and (trial := self.read(key)) is not None:
@@ -321,19 +322,22 @@ def _write(path: Path, content: Mapping[str, object]) -> None:
 
 
 TRIALS_PER_WORKER = 3
-"""Trials submitted for each worker.
+"""Number of trials that are submitted in advance for each worker.
 
-No worker waits, and memory does not grow with the number of trials.
+With this number, no worker waits, and memory does not grow with the number of trials of a study.
 """
 LOSSES = 3
-"""Number of losses after which a running trial is run alone to check whether it ends its worker.
+"""Number of lost workers after which a trial is run alone.
 
-One or two losses may be due to other trials on the same worker, or to the machine.
+The count is that of workers that were lost while the trial ran. The run alone shows whether the
+trial itself ends its worker.
+
+One or two lost workers may be due to other trials, or to the machine.
 """
 BARREN = 20
-"""Number of consecutive losses after which a study gives up.
+"""Number of consecutive losses of workers, without a finished trial, after which a study stops.
 
-The pauses between them take 21 s in all.
+The pauses between the losses take 21 s in total.
 """
 PATIENCE_S = 30.0
 """Time that a scheduler may take to answer [s], because a cluster may still be starting."""
@@ -362,7 +366,7 @@ def run_study(
         Folder of the study. A folder with a part of the study is continued.
     workers
         Number of processes. Default: one per core. A scheduler has its own workers. With a
-        scheduler, the number limits the submitted trials.
+        scheduler, this number limits only the number of submitted trials.
     scheduler
         Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
         processes.
@@ -406,8 +410,8 @@ def run_study(
 def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
     """Return the completed share of a study's work.
 
-    Every report needs it: the remaining time is estimated from the growth of the reported share,
-    and a continued study does not begin at zero.
+    Every progress report contains this share, because the remaining time is estimated from its
+    growth. The share of a continued study does not begin at zero.
     """
     return 1.0 - cost(plan, missing) / cost(plan, plan.all_trials())
 
@@ -423,7 +427,10 @@ def _run_trials(
     connected = False
 
     def keep(trial: Trial) -> None:
-        """Write a trial that is still missing. A second copy is equal, so it is ignored."""
+        """Write a finished trial, and remove it from the waiting trials.
+
+        A second copy of a trial has the same content.
+        """
         folder.write(trial)
         waiting.pop(trial.key, None)
 

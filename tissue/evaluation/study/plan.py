@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Tested metrics. They are tested one by one and together."""
+"""Metrics that are tested, one by one and together."""
 DIRECTIONS = {
     "force_error": -1,
     "ratio_error": -1,
@@ -45,12 +45,14 @@ REFERENCE = "reference"
 """Variant in which the reference itself is compared with the finest model."""
 SENSITIVITY_TRIALS = 6
 REFERENCE_TRIALS = 2
-"""Number of trials of each task for each variant, and for the reference variant.
+"""Number of trials of each task in the reference variant.
+
+`SENSITIVITY_TRIALS` is the number in each other variant.
 
 Reference trials take longest, so there are few.
 """
 MIDDLE = "intermediate"
-"""Group of people in which the variants are run."""
+"""Group of the people with whom the variants are run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +66,8 @@ class Task:
     scene
         Name of the scene.
     changes
-        Changes of the scene, by dotted key. They leave out all that has no effect on the force, and
-        make the run short enough for thousands of trials.
+        Changes of the scene, by dotted key. The changes leave out all parts without effect on the
+        force, and make the run short enough for thousands of trials.
     specimens
         Specimens. Each person gets all of them in turn. The first two are compared in the
         discrimination.
@@ -99,7 +101,7 @@ class Task:
 def _scaled(
     nominal: Mapping[str, float], shares: Sequence[float]
 ) -> tuple[Mapping[str, object], ...]:
-    """Return the specimens with numbers scaled by shares."""
+    """Return one specimen for each share: the nominal numbers multiplied by the share."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
 
@@ -213,8 +215,8 @@ METHODS: dict[str, Mapping[str, object]] = {
 }
 """Built-in methods of computing the force at a contact.
 
-The last one is calibrated to the person of the trial. Every other registered predictor is a method
-too, named as the predictor; see `method_settings`.
+The last method is calibrated to the person of the trial. Every other registered predictor is a
+method too, with the name of the predictor; see `method_settings`.
 """
 PERSONAL = ("koopman-perception",)
 """Methods that scale the force for the person."""
@@ -251,7 +253,7 @@ class Variant:
     pace
         Factor on the speed of the hand.
     extreme
-        Index of the task's extreme that replaces the specimen.
+        Index into `Task.extremes` of the specimen that replaces the usual specimens.
     """
 
     parameter: str
@@ -277,7 +279,10 @@ VARIANTS = {
     "pace-slow": Variant("pace", "0.7 of the usual", {}, pace=0.7),
     "pace-fast": Variant("pace", "1.4 of the usual", {}, pace=1.4),
 }
-"""Variants of five parameters, each with a low and a high value, for intermediates."""
+"""Variants of five parameters, each with a low and a high value.
+
+The variants are run with people of the group in `MIDDLE`.
+"""
 
 
 @dataclass(frozen=True, order=True)
@@ -434,5 +439,5 @@ class Plan:
 
 
 def seeded(seed: int, *place: int) -> np.random.Generator:
-    """Return the generator of one place in the streams of a seed."""
+    """Return an independent random generator for a seed and the integers of a place."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=place))

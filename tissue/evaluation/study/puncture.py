@@ -20,10 +20,12 @@ the puncture by the drop of the force. **Excess travel** = largest z from the pu
 puncture.
 
 The excess travel has three parts. The first part is the release of the springs without any delay.
-It is dF / k_c for the tip, and dF / K_0 and more for the device because of its inertia, where dF is
-the drop of P. No hand can prevent this part. The second part is the motion of the aim until the
-stop, da/dt times the delay. The third part is the response of the aim to the sudden advance of the
-device. It occurs in the part of the delay beyond the reaction time."""  # noqa: E501 a table
+For the tip, it is dF / k_c, where dF is the drop of P. For the device, it is more than dF / K_0
+because of the inertia of the device. No hand can prevent this part. The second part is the motion
+of the aim until the stop, da/dt times the delay. The third part is the response of the aim to the
+sudden advance of the device. The third part occurs in the part of the delay beyond the reaction
+time.
+"""  # noqa: E501 a table
 
 from math import inf
 

@@ -1,7 +1,7 @@
 """Registration of a study's plan.
 
-It holds the text of the plan with tests and power, its hash, and the hash of the code that runs the
-study.
+The registration holds the text of the plan with tests and power, the hash of this text, and the
+hash of the code that runs the study.
 """
 
 import json

@@ -58,7 +58,7 @@ PICTURES = ("force", "discrimination", "case-needle", "tasks", "sensitivity", "p
 """Sections whose pictures begin the report, the most important first."""
 MOST_PICTURES = 3
 NAMED = 5
-"""Largest number of names in a row of the table."""
+"""Largest number of names that a row of the table lists."""
 Difference = tuple[str, str, str]
 """Kind, object and detail of a difference from the registered plan."""
 TISSUES = {
@@ -79,7 +79,7 @@ STUDY = (
     ("spread of the logarithm of pace, trials", WITHIN_SPREAD, "", "L", "assumed"),
     ("numbers given to forces in a calibration", NUMBERS, "", "L", "assumed"),
 )
-"""The study's own parameters."""
+"""Parameters of the study itself: name, value, range, confidence and source."""
 
 
 def write_report(
@@ -168,9 +168,9 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 def found_section(sections: Sequence[Section]) -> Section:
     """Return the first section.
 
-    It holds at most five sentences and three pictures of the other sections.
+    The first section holds at most five sentences and three pictures of the other sections.
 
-    The last sentence states how many figures agree with the published ones.
+    The last sentence states how many figures agree with the published figures.
     """
     named = {each.name: each for each in sections}
     headlines = [named[name].headline for name in HEADLINES if name in named]
@@ -183,7 +183,7 @@ def found_section(sections: Sequence[Section]) -> Section:
 
 
 def _agreement(sections: Sequence[Section]) -> str:
-    """Return how many figures were compared with published ones, and which of them disagree."""
+    """Return the number of figures with a published value, and the figures that disagree."""
     compared = 0
     apart = []
     for section in sections:
@@ -385,7 +385,7 @@ def _unordered(test: str) -> tuple[str, frozenset[str]]:
 
 
 def _named(names: Sequence[str], mark: str = ", ") -> str:
-    """Return the number of names, and the first of them."""
+    """Return the number of names and the first names, as text."""
     return f"{len(names)}: {mark.join(names[:NAMED])}{f'{mark}...' * (len(names) > NAMED)}"
 
 

@@ -68,7 +68,7 @@ No other such choices are known.
 
 @dataclass(frozen=True)
 class Figure:
-    """A published mean with its standard deviation, zero where none is given."""
+    """Published mean with its standard deviation, which is zero if none was published."""
 
     mean: float
     spread: float = 0.0
@@ -148,7 +148,7 @@ class Section:
 
     @property
     def rows(self) -> tuple[tuple[str, ...], ...]:
-        """Entries of the table, empty where a row has none."""
+        """Entries of the table, empty where a row has no entry."""
         header = self.header
         return tuple(tuple(row.get(name, "") for name in header) for row in self.table)
 
@@ -182,7 +182,7 @@ def _agreement(ours: Array, paper: Figure) -> str:
     """Return the agreement of two means.
 
     The text is "agrees" if the means differ by less than the standard deviation of their
-    difference. Otherwise it is their ratio.
+    difference. Otherwise the text is the ratio of the means.
     """
     reach = np.hypot(_deviation(ours), paper.spread or ROUNDED * paper.mean)
     if abs(ours.mean() - paper.mean) <= reach:
@@ -191,14 +191,14 @@ def _agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
-    """Return the published figure and the agreement with it; empty if there is no such figure."""
+    """Return columns with the published figure and the agreement; empty without a figure."""
     if paper is None:
         return {}
     return {f"paper {unit}": str(paper), "against paper": _agreement(ours, paper)}
 
 
 def published(task: str, figure: Figure | None) -> Figure | None:
-    """Return a published figure of a task, or None if the task differs from that of the paper."""
+    """Return a published figure of a task, or None if the paper's task differs from this task."""
     return None if TASKS[task].differs else figure
 
 
@@ -208,7 +208,7 @@ def tasks_of(table: TrialTable) -> list[str]:
 
 
 def methods_of(table: TrialTable) -> list[str]:
-    """Return the methods that have trials: those of `METHODS` in its order, then the others."""
+    """Return the methods that have trials: first the methods in `METHODS`, then other methods."""
     others = sorted(set(table.method.tolist()) - set(METHODS))
     return [*(each for each in METHODS if each in table.method), *others]
 
@@ -230,7 +230,7 @@ def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
 
 
 def interval_by_users(table: TrialTable, metric: str) -> Interval:
-    """Return the mean of users' means of a metric under one method, with its 95 % interval."""
+    """Return the mean of a metric over users' means, with its 95 % interval."""
     _, person = np.unique(table.people(), return_inverse=True)
     means = np.bincount(person, table.values(metric)) / np.bincount(person)
     return signed_interval(means)

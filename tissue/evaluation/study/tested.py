@@ -104,7 +104,7 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
     """Return a task's trials without methods that have the same metric as another method.
 
-    Two such methods have no spread that a test needs.
+    The differences between two such methods have no spread, so they cannot be tested.
     """
     kept: list[str] = []
     left_out = []

@@ -58,7 +58,10 @@ Row = dict[str, str | float]
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Spread of the logarithm of pace between people, and between trials of one person; assumed."""
+"""Spread of the logarithm of pace between trials of one person; assumed.
+
+`PACE_SPREAD` is the spread between people; assumed too.
+"""
 NUMBERS = 24
 """Number of forces that a person rated in the calibration, the default of a session."""
 PLAIN = Variant("", "", {})
@@ -71,9 +74,9 @@ class Trial:
     Attributes
     ----------
     key
-        Which.
+        Key of the trial.
     seed
-        Seed of its scenes.
+        Seed of the scenes of the trial.
     rows
         For each method its name and its metrics, or the sentence of its failure.
     took_s
@@ -103,7 +106,8 @@ class TrialScene:
     ----------
     scenes
         The scene under each method. The coupling stiffness is the smallest of the stiffnesses
-        chosen for the methods. It is stable with all methods, so that their forces can be compared.
+        chosen for the methods. This stiffness is stable with all methods, so their forces can be
+        compared.
     specimen
         Number of the specimen.
     person
@@ -122,8 +126,9 @@ class TrialScene:
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
     """Run a trial under every method of its plan.
 
-    A method that fails leaves a sentence, and the other methods are run. A single call gives the
-    same result as the study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
+    If a method fails, its row holds a sentence on the failure, and the other methods are still
+    run. A single call gives the same result as the study: ``run_trial(Plan(seed=0),
+    TrialKey.named("T1-novice-0007"))``.
     """
     started = perf_counter()
     rows: list[Row] = []
@@ -160,7 +165,7 @@ def trial_seed(plan: Plan, key: TrialKey) -> int:
 
 
 def error_sentence(error: Exception) -> str:
-    """Return the kind and words of an error on one line."""
+    """Return the type and the message of an error on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
@@ -227,8 +232,9 @@ def _all_specimens(task: str) -> list[Scene]:
 def _stiffness_N_m(scene: Scene) -> int:
     """Return the chosen stiffness of a scene, rounded down [N/m].
 
-    The search for the critical stiffness is cached. It does not depend on specimen, seed, pace and
-    person. The force map of the person only divides its result.
+    The search for the critical stiffness is cached. The critical stiffness does not depend on
+    specimen, seed, pace and person. For a person with a force map, the cached result is divided by
+    a factor of the map.
     """
     return floor(judged_loop(loop_settings(scene)).stiffness_N_m)
 
@@ -254,8 +260,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 def methods_of_trial(plan: Plan, key: TrialKey) -> tuple[str, ...]:
     """Return the methods of a trial.
 
-    Variants are run only with the methods of the headline, and the reference variant with one
-    method.
+    Variants are run only with the methods penalty and koopman. The reference variant is run with
+    one method.
     """
     if not key.variant:
         return plan.methods

@@ -25,7 +25,7 @@ ARRIVED_MM = 2.0
 A trembling hand does not stay exactly at the end.
 """
 LEAST_N = 1e-3
-"""Force below which nothing is felt, for the logarithm [N]."""
+"""Force below which nothing is felt [N]. It replaces smaller forces in a logarithm."""
 TOUCHES = 0.05
 """Share of a trial's largest force above which a contact is used.
 

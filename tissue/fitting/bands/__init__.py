@@ -1,1 +1,1 @@
-"""Bands of a run for the ranges of its constants, and the influence of each constant."""
+"""Uncertainty bands of a run from the ranges of its constants; influence of each constant."""

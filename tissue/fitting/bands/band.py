@@ -1,4 +1,4 @@
-"""Band of a run: its loads and figures if the constants vary in their ranges.
+"""Uncertainty band of a run: loads and figures if the constants vary in their ranges.
 
 The module also computes the influence of each constant, and reads and writes the files of a band.
 """
@@ -62,12 +62,12 @@ HOW_ASKED = "every sample was run, as requested"
 MOST_FAILED = 0.1
 """Largest share of samples that may fail.
 
-With more failed samples, the ends of a 90 % band would describe only the remaining samples.
+If more samples failed, the ends of a 90 % band would describe only the remaining samples.
 """
 SAME = 3e-3
 """Tolerance of loads as a share of the largest load.
 
-It covers the interpolation between nodes of chip thickness.
+The tolerance covers the interpolation between nodes of chip thickness.
 """
 SOBOL_ROWS = 512
 """Number of rows of each of the two samples from which the indices are computed.
@@ -79,7 +79,7 @@ In milling, 512 rows take 1 s. The largest difference of an index from its value
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Band of a run.
+    """Uncertainty band of a run.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Band:
         (samples, figures). NaN where a sample does not have the figure, such as an event that does
         not happen.
     numbers
-        Index into `files` of each sample, shape (samples,).
+        Index of each sample in `files`, shape (samples,).
     files
         File of materials of every sample, including failed samples. Empty for a band that was read.
     summary
@@ -176,7 +176,7 @@ def band_of(
     scene
         Simulated scene.
     asked
-        Samples, rounded up to a power of two.
+        Number of samples. It is rounded up to a power of two.
     seed
         Seed of the samples. Default: the scene's seed.
     workers
@@ -254,7 +254,10 @@ def _samples(
 
 
 def _about(ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...]) -> Summary:
-    """Return the constants, and Sobol indices by figure and group, without constant figures."""
+    """Return the constants, and the Sobol indices by figure and group.
+
+    Figures that do not vary are left out.
+    """
     constants = {
         name: {"value": prior.value, "low": prior.low, "high": prior.high}
         for name, prior in zip(ranges.names, ranges.priors, strict=True)
@@ -371,7 +374,7 @@ SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
 """Separator between the entries of a figure's name in the header of the samples.
 
-It is not a dot, because a layer's name or a sentence may hold a dot.
+The separator is not a dot, because a layer's name or a sentence may hold a dot.
 """
 
 

@@ -38,7 +38,7 @@ __all__ = [
 
 LEAST = 16
 MOST = 65536
-"""Smallest and largest number of samples of a band.
+"""Largest number of samples of a band. `LEAST` is the smallest number.
 
 With fewer than 16 samples, no sample lies outside the 90 % band.
 
@@ -56,7 +56,7 @@ class Ranges:
     names
         Names such as ``cutting.bone.radial_chip_N_mm2``.
     priors
-        Prior of each constant. No prior is fixed.
+        Prior of each constant. Every prior has a range.
     correlation
         Correlation of the standard normal numbers behind the constants, shape (p, p).
     """
@@ -138,7 +138,7 @@ def rounded(asked: int) -> int:
 def normals(count: int, width: int, *, seed: int) -> Array:
     """Return independent standard normal numbers, shape (count, width).
 
-    They follow a scrambled Sobol sequence. `count` is a power of two.
+    The numbers follow a scrambled Sobol sequence. `count` is a power of two.
 
     Raises
     ------
@@ -161,14 +161,16 @@ SOURCE = "a sample of a band"
 
 
 def sample_name(number: int, count: int) -> str:
-    """Name of the file of a sample, such as ``sample_017.toml`` of 256."""
+    """Return the name of the file of a sample, such as ``sample_017.toml`` of 256 samples."""
     return f"sample_{number:0{len(str(count - 1))}d}.toml"
 
 
 def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
-    """Return the constants with the values of a sample, shape (p,), in place.
+    """Return a copy of the constants with the values `x` of a sample.
 
-    The values are assigned by the names ``TABLE.MATERIAL.NAME``.
+    `x` has shape (p,).
+
+    The names have the form ``TABLE.MATERIAL.NAME``. Factors on densities are left out.
     """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {
@@ -204,7 +206,7 @@ def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
 DRAWS = 400
 """Number of bootstrap draws for the ends of 90 % intervals.
 
-The probability beyond an end is then known to 5 ± 1 %, one standard error.
+With this number, the probability of 5 % beyond each end has a standard error of 1 %.
 """
 
 
@@ -278,13 +280,13 @@ def sobol_indices(
 LEAST_EXPLAINED = 0.8
 """Cross-validated share of explained variance below which a surrogate gives no indices.
 
-Otherwise more than a fifth of the variance would be attributed to no constant, or to a wrong
-constant.
+If this share is smaller, more than a fifth of the variance is attributed to no constant, or to a
+wrong constant.
 """
 RIDGES = 10.0 ** np.arange(-6, 3)
 """Tried ridge parameters, relative to the unit variance of the polynomials.
 
-The smallest gives an interpolation, the largest almost a constant.
+The smallest parameter gives an interpolation, and the largest parameter almost a constant.
 """
 FOLDS = 8
 """Number of parts for cross-validation.
@@ -357,7 +359,7 @@ def _product(free: Array, term: tuple[int, ...]) -> Array:
 
 
 def _fitted(basis: Array, values: Array, ridge: float) -> Array:
-    """Return the coefficients of a ridge regression of values and basis without their means."""
+    """Return the coefficients of a ridge regression of centred values on a centred basis."""
     centred = basis - basis.mean(axis=0)
     kernel = centred @ centred.T
     kernel[np.diag_indices_from(kernel)] += ridge * len(basis)
@@ -367,7 +369,7 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 def _best(basis: Array, values: Array) -> tuple[float, float]:
     """Return the best ridge parameter and the share of the variance that the fit explains.
 
-    The best ridge parameter has the smallest error on runs that are not used in the fit.
+    The best ridge parameter has the smallest error on runs that are left out of the fit.
     """
     errors = np.zeros(len(RIDGES))
     for fold in range(FOLDS):

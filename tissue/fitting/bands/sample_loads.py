@@ -53,7 +53,7 @@ CHANNELS = (
     "torque_z_Nm",
     "torque_Nm",
 )
-"""Components and sizes of the loads on the tool in the world, as the model gives them."""
+"""Components and magnitudes of the model's loads on the tool, in the world frame."""
 DENSITY = "density.bone"
 BLOCK = 500_000
 """Number of loads that are in memory at once: 4 MB, about the size of a cache."""
@@ -170,8 +170,8 @@ def with_sizes(loads: Array) -> Array:
 def density_prior(law: str) -> Prior | None:
     """Return the prior of a density factor from the law in the notes of an image of densities.
 
-    The result is None if the image records no law. The uncertainty of the law is given for the
-    median density. It is applied as a relative uncertainty to every voxel.
+    The result is None if the image records no law. The law states its uncertainty for the median
+    density. The same relative uncertainty is applied to every voxel.
     """
     found = LAW.search(law)
     # a density that the scene states has no law and no band
@@ -184,7 +184,7 @@ def density_prior(law: str) -> Prior | None:
 Figure = tuple[str, ...]
 """Name of a figure: its position in ``summary.json``, entry by entry.
 
-For an event it is ``events``, a sentence, ``time_s``.
+The name of the time of an event consists of ``events``, the sentence of the event and ``time_s``.
 """
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 """Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
@@ -251,7 +251,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
 def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
     """Return the names of all figures and their values in each run, shape (runs, figures).
 
-    A value is NaN where a run does not have the figure.
+    The value of a figure that a run does not have is NaN.
     """
     names = tuple(dict.fromkeys(name for run in runs for name in run))
     return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
@@ -288,7 +288,7 @@ def _by_level(values: Array) -> dict[str, float]:
 
 
 REACH = 0.9
-"""Smallest share of the runs that a quantile over time may be computed from.
+"""Smallest share of the runs from which a quantile at a tick may be computed.
 
 The 5 and 95 % quantiles of fewer runs would describe only a part of them.
 """
@@ -297,7 +297,8 @@ The 5 and 95 % quantiles of fewer runs would describe only a part of them.
 def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
     """Compute the quantiles `LEVELS` of the loads at each tick.
 
-    A tick has quantiles if at least nine in ten runs reach it. They are computed from these runs.
+    A tick has quantiles if at least nine in ten runs reach it. The quantiles are computed from
+    these runs.
 
     Parameters
     ----------
@@ -337,10 +338,10 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 Outcome = tuple[Array, dict[Figure, float]] | str
 """Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
 PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s], equal to the value of a study."""
+"""Time that a scheduler may take to answer [s]; the value is the same for a study."""
 LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
-"""Number of consecutive losses without a finished sample after which the run stops.
+"""Number of consecutive losses of workers, without a finished sample, that end the run.
 
 A sample that ends its worker causes at most two losses: one together with other samples, and one
 alone.
@@ -359,7 +360,7 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Yield the number and the outcome of the run of each file of materials, as each run ends.
+    """Run each file of materials, and yield its number and outcome when its run ends.
 
     If a worker is lost, its samples are run again, one at a time. A sample that is lost again is
     counted as the cause of the loss.
@@ -411,7 +412,7 @@ def _in_pool(
 ) -> Iterator[tuple[int, Outcome | None]]:
     """Yield outcomes of samples on one pool until it is lost.
 
-    When a sample is submitted, its outcome None is yielded.
+    When a sample is submitted, None is yielded as its outcome.
     """
     # two samples for each process keep it busy; if the pool is lost, all submitted samples are run
     # again
@@ -468,7 +469,7 @@ def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
 
 
 def loads_of(run: Run) -> Array:
-    """Return forces and torques of the model on the tool with their sizes, shape (n, 8)."""
+    """Return the model's forces and torques on the tool with their magnitudes, shape (n, 8)."""
     trace = run.trace
     loads = [trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]
     return with_sizes(np.hstack(loads))
