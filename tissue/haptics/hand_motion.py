@@ -106,10 +106,11 @@ class HandMotion(Motion):
 
     Each tick has these steps:
 
-    1. Validate the device sample. 2. Move the tool towards the device. A tool that cuts is moved to
-    the balance of its inertia, its coupling and the tissue. Any other tool moves as far as the
-    response of the last tick allows. 3. Compute the tissue response. A free tool without inertia
-    that has entered the tissue is moved
+    1. Validate the device sample.
+    2. Move the tool towards the device. A tool that cuts is moved to the balance of its inertia,
+       its coupling and the tissue. Any other tool moves as far as the response of the last tick
+       allows.
+    3. Compute the tissue response. A free tool without inertia that has entered the tissue is moved
        back within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew

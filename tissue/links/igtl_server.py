@@ -35,7 +35,7 @@ STALLED_S = 10.0
 A client that hangs would otherwise use one of the `MOST_CLIENTS` connections until the run ends.
 """
 MOST_CLIENTS = 16
-"""Largest number of clients.
+"""Largest number of clients at a time.
 
 Each client has its own queue, so this number limits memory and sending time.
 """

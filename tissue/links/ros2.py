@@ -26,7 +26,7 @@ STATE_S = 1.0
 PAUSED_S = 0.5
 """Time without a tick after which the run counts as paused [s].
 
-This is 500 ticks, so late ticks do not count as a pause.
+This is the time of 500 ticks, so late ticks do not count as a pause.
 """
 LOOK_S = 1e-3
 """Interval between two checks for a new row [s]. It is one tick, so that a row is found soon."""

@@ -201,7 +201,7 @@ class SlicerContent:
     def status_message(self, read: Readings | None) -> bytes:
         """Return a status message with the simulated time and the number of missed deadlines.
 
-        None means that the first tick has not run yet.
+        The result is None before the first tick.
         """
         text = "begins"
         if read is not None:
@@ -443,7 +443,7 @@ class Publisher(RunPublisher):
             self._send(self._content.status_message(read), is_stream=True)
 
     def _send_events(self) -> None:
-        """Send new events. Only events that are still stored can be sent."""
+        """Send new events that are still stored."""
         count = int(self._arrays["events_count"][0])
         held = self._arrays["events"]
         for number in range(max(self._event, count - len(held)), count):

@@ -97,8 +97,8 @@ class PopulationFit:
         and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma of each
         observer.
     r_hat, ess
-        Split R-hat and effective sample size for each of `HYPER`, and under the name ``people`` the
-        worst value of the observers' parameters.
+        Split R-hat and effective sample size, keyed by the names in `HYPER`. The key ``people`` has
+        the worst value of the observers' parameters.
     divergences
         Number of divergent transitions.
     """

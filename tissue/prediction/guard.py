@@ -18,7 +18,7 @@ Triple = tuple[float, float, float]
 BLEND = 10
 """Number of ticks in which the force fades from one predictor to the other."""
 ABSURD = 1e6
-"""Largest plausible value of a device [m, m/s or N]."""
+"""Largest plausible component of a device's position, velocity or force [m, m/s, N]."""
 MEMORY = 0.98
 """Factor per tick of past prediction errors: about 50 ticks, the length of a first contact."""
 WORSE = 1.5
@@ -27,11 +27,14 @@ WORSE = 1.5
 Smaller differences are noise. The value is a prior, not a measurement.
 """
 LEAST_N = 3e-3
-"""Error that is always accepted [N]: below a tenth of the lowest device friction, 0.04 N."""
+"""Error that is always accepted [N].
+
+This error is below a tenth of the lowest device friction, which is 0.04 N.
+"""
 LONG_MEMORY = 0.999
 """Factor per tick of past errors in the comparison with the zero-order hold: about 1 s.
 
-In this time, the comparison sums the squared errors of the predictor minus those of the hold.
+The comparison sums the squared errors of the predictor, minus the squared errors of the hold.
 """
 MOST_DEBT = 20.0
 """Largest sum in the comparison with the zero-order hold, in units of `LEAST_N`^2.

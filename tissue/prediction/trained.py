@@ -164,7 +164,7 @@ def shipped_file(scene: str) -> Path:
 def is_trained(scene: str, file: str = "") -> bool:
     """Return True if a trained predictor exists for a scene.
 
-    It is the scene's own file, or a file that is part of the package.
+    The predictor is in the scene's own file, or in a file that is part of the package.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 

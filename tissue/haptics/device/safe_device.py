@@ -37,7 +37,7 @@ every kind of end the force is removed within 50 ms.
 STALL_S = 0.05
 """Longest time without a command before the force is removed [s].
 
-It equals the time in the network protocol after which a device removes its force by itself.
+In the network protocol, a device removes its force by itself after the same time.
 """
 GIVE_UP_S = 1.0
 """Longest duration of a read or a command before the device is treated as lost [s].
@@ -365,7 +365,7 @@ class SafeDevice:
 POLL_S = 0.01
 """Interval between two checks [s], a fifth of `STALL_S`.
 
-A check takes some microseconds from the ticks.
+A check delays the ticks by some microseconds.
 """
 
 
@@ -383,7 +383,8 @@ def run_held(work: Callable[[], None], held: SafeDevice) -> None:
     DeviceError
         If the device was given up.
     KeyboardInterrupt
-        After Ctrl-C, and as `Terminated` after such a signal.
+        After Ctrl-C. After a signal that asks the process to end, its subclass `Terminated` is
+        raised.
     """
 
     def hold() -> None:

@@ -143,10 +143,11 @@ PLAIN = {float, int, np.float64}
 HALF_TURN = 1e-3
 """Distance to 1 within which a quaternion component means a half-turn about its axis.
 
-It allows for a rotation of 5 degrees, because a device may start near its zero.
+The tolerance allows for a rotation of 5 degrees, because a device may start near its zero
+orientation.
 """
 UNIT = " (positions must be in metres)"
-"""Hint for a device that reports millimetres: its hand then seems too fast."""
+"""Hint for a device that reports millimetres; its speed then seems too high for a hand."""
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a "
     "device that gives w first starts with this orientation"
@@ -187,8 +188,8 @@ class SampleGuard:
     force_limit_N, torque_limit_Nm
         Largest magnitude of force and of torque. A torque limit of zero blocks all torque.
     oldest_s
-        Age above which a sample is treated as missing, and largest time by which its date may be in
-        the future [s].
+        Age above which a sample is treated as missing [s]. The time of a sample may be in the
+        future by the same amount.
 
     Attributes
     ----------
@@ -398,7 +399,7 @@ ROUNDING = 1e-9
 OLDEST = 2.5
 """Age at which a sample is treated as missing, relative to the time between two samples.
 
-Up to two missing samples are allowed, and half a period of jitter.
+The value allows for up to two missing samples and half a period of jitter.
 """
 
 

@@ -73,13 +73,13 @@ class Aiming(Protocol):
 class Aim:
     """Movement of the aim (the hand's target position) along a path that is known in advance.
 
-    A submovement that lasts ``submovement_s`` begins every ``correction_s``. Its target is the
-    position of the path half a correction interval before the submovement ends. With this target, a
-    steady movement neither leads nor lags the path. Overlapping submovements are added (Flash and
-    Henis, 1991), so that the acceleration of the aim is continuous. The muscles miss the target by
-    a random error in proportion to the distance (signal-dependent noise, Harris and Wolpert, 1998).
-    An error is seen and corrected after a reaction time. The first submovement begins a reaction
-    time after the start.
+    A submovement that lasts ``submovement_s`` begins every ``correction_s``. The target of the
+    submovement is the position of the path at a time half a correction interval before the
+    submovement ends. With this target, a steady movement neither leads nor lags the path.
+    Overlapping submovements are added (Flash and Henis, 1991), so that the acceleration of the aim
+    is continuous. The muscles miss the target by a random error that is proportional to the
+    distance (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected
+    after a reaction time. The first submovement begins a reaction time after the start.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ class HandParameters:
 
     @property
     def linear_hands(self) -> tuple[LinearHand, ...]:
-        """Linear parts of the hand in translation: one without, one with the reflex.
+        """Linear parts of the hand in translation, without and with the reflex.
 
         The reflex may stabilise a loop or make the loop unstable, depending on the frequency of its
         oscillation. The stability of a loop is therefore checked with each of the two parts.

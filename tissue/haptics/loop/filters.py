@@ -31,9 +31,9 @@ positions; see tests/bench/bench_velocity.py.
 OBSERVER_MEMORY = 0.93
 """Memory of the position observer, the filter of a device's position for a tool that cuts.
 
-Chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness of the loop
-(tests/tissue/haptics/test_velocity.py). An encoder step of 55 um changes the observed position by
-11 um, 1 - 0.93^3 of the step, in its own tick, and by less in each later tick.
+The value is chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness
+of the loop (tests/tissue/haptics/test_velocity.py). In the tick of an encoder step of 55 um, the
+observed position changes by 11 um (1 - 0.93^3 of the step). In each later tick, it changes by less.
 """
 
 
@@ -177,9 +177,9 @@ class SlewLimit:
 
 
 KNEE = 0.7
-"""Ratio of the force at which the compression begins to the limit.
+"""Ratio of the force at which the compression begins to the largest force.
 
-Chosen: compressed forces are in the upper 30 % of the range.
+The value is chosen. Compressed forces are in the upper 30 % of the range.
 """
 
 

@@ -60,8 +60,8 @@ class WallLoop:
     observes
         True if the position estimated by this filter replaces x. Requires `velocity_memory`.
     tick_s
-        Time between two forces at the device [s]. For a device that is slower than the loop, time
-        between its samples.
+        Time between two forces at the device [s]. For a device that is slower than the loop, it is
+        the time between two samples of the device.
     delay_s
         Delay from the sample to the force, in addition to the zero-order hold [s]; any real number
         of ticks.
@@ -377,8 +377,8 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     loop
         Loop with tick, low-pass, delay and amplifier.
     force_N
-        One force per tick before the low-pass [N], shape (n, 3). Before the first force, it is
-        zero.
+        One force per tick before the low-pass [N], shape (n, 3). Before the first tick, the force
+        is zero.
     """
     from scipy.signal import lfilter
 

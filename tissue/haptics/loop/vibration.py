@@ -33,7 +33,8 @@ ENVELOPE_S = 0.05
 """Averaging time of the force envelope that scales the vibration [s].
 
 A loop may oscillate at 10 Hz and above. Through the envelope, at most a third of the oscillation
-returns to the loop. It is moved to frequencies near 250 Hz, at which hand and device hardly move.
+returns to the loop. This part appears at frequencies near 250 Hz, at which hand and device hardly
+move.
 """
 MOST_PERIOD_TICKS = 200
 """Longest period used in the stability analysis of a loop [ticks].
@@ -52,9 +53,9 @@ class Vibration:
 
     A cutter with N edges that turns omega / 2 pi times per second causes a force ripple at f = N
     omega / 2 pi. If a ripple above R / 2 is sampled at the tick rate R, aliasing turns it into a
-    false slow force. Its frequency is the difference between f and the nearest multiple of R. Here
-    the model force is the average over a revolution, without ripple. The vibration is added at the
-    frequency f, or at the band limit if f is higher.
+    false slow force. The frequency of the false force is the difference between f and the nearest
+    multiple of R. Here the model force is the average over a revolution, without ripple. The
+    vibration is added at the frequency f, or at the band limit if f is higher.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ class HeldTool(ABC):
         return False
 
     def rest(self) -> None:
-        """Stop the tool. A tool without inertia needs nothing for this."""
+        """Stop the tool. A tool without inertia has no velocity that must be reset."""
         return
 
 
@@ -164,8 +164,8 @@ class PressingTool(HeldTool):
     the force F and the stiffness K of the last tick: x' = x + (k + K)^-1 (k (x_device - x) + F).
     For a tissue without a known K, an isotropic stiffness is estimated from the change of force
     along the last motions of the tip. A larger estimate is used at once, and a smaller estimate
-    gradually. If the tissue had to pull instead of push in the balance, the balance is not used.
-    The tip is then at the device, as without contact.
+    gradually. If the balance would require the tissue to pull, the balance is not used. The tip is
+    then at the device, as without contact.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:

@@ -75,9 +75,9 @@ class ProbingTool(HeldTool):
 class ProbedBone(FreeSpace):
     """Rigid and unchanged voxels under a tool that does not cut.
 
-    The measures are the number of contacts with force, and 1 if the god-object did not settle
-    within its steps, otherwise 0. ``engaged_m2`` is the area per shell point times the number of
-    contacts. It is assigned to the layer at the centre of pressure.
+    The first measure is the number of contacts with force. The second measure is 1 if the
+    god-object did not settle within its steps, and otherwise 0. ``engaged_m2`` is the area per
+    shell point times the number of contacts. It is assigned to the layer at the centre of pressure.
 
     Parameters
     ----------

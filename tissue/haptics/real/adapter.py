@@ -39,7 +39,7 @@ ADAPTERS = {
     "network": ("network", "NetworkAdapter"),
     "recorded": ("adapter", "RecordedAdapter"),
 }
-"""Module in this package, and class, that open a real device, by the name of the device."""
+"""Module of this package and class that open a real device, keyed by the name of the device."""
 
 
 class HardwareSample(NamedTuple):

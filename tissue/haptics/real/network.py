@@ -30,7 +30,10 @@ __all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
 USUAL = "udp://127.0.0.1:24930"
 """Default address on which the program listens for a device."""
 MOST_READS = 256
-"""Largest number of packets per poll: those of a quarter of a second, read in about 2 ms."""
+"""Largest number of packets read per poll.
+
+These are the packets of a quarter of a second. Reading them takes about 2 ms.
+"""
 LONGEST_PACKET = 1024
 """Number of bytes read of a datagram.
 
@@ -395,7 +398,7 @@ class NetworkAdapter(HardwareAdapter):
 
     @property
     def round_trip_s(self) -> float:
-        """Time from a wrench to the first packet of the device that confirms it [s]; nan before."""
+        """Time from a wrench to the first packet that confirms it [s]; nan before this packet."""
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:

@@ -60,7 +60,7 @@ class Kind(IntEnum):
     HEARTBEAT = 4
     """Sign that the sender is active, although it has nothing else to send."""
     BYE = 5
-    """End of the sender."""
+    """Sign that the sender ends the session."""
     REFUSED = 6
     """Refusal of the device, with a sentence."""
 
@@ -301,7 +301,7 @@ class NetworkSession:
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
-        """Record the round trip if a packet is the first that confirms one of our wrenches."""
+        """Record the round trip if a packet is the first that confirms a sent wrench."""
         # Send times of older packets have been overwritten.
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo

@@ -29,7 +29,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
     Returns
     -------
-    A sentence for each picture that could not be drawn.
+    One sentence for each picture that could not be drawn.
     """
     import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
 
@@ -81,7 +81,10 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
 @contextmanager
 def _background() -> Iterator[ThreadPoolExecutor]:
-    """Provide a thread that renders in 3D; an exception in the block does not wait for it."""
+    """Provide a thread that renders in 3D.
+
+    An exception in the block ends the drawing process, and so does not wait for the thread.
+    """
     with ThreadPoolExecutor(1) as thread:
         try:
             yield thread

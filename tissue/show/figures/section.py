@@ -84,7 +84,9 @@ class Section:
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
-    """Return the plane through the deepest point so far, along tool axis and direction of motion.
+    """Return the plane through the deepest point so far.
+
+    The plane contains the tool axis and the main direction of motion.
 
     Returns
     -------
@@ -105,7 +107,9 @@ def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
 
 
 def section_of(run: Run, row: int) -> Section:
-    """Return the section through the deepest point so far, along tool axis and direction of motion.
+    """Return the section through the deepest point so far.
+
+    The section contains the tool axis and the main direction of motion.
 
     Parameters
     ----------
@@ -155,7 +159,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Return the row of the trace and the fields for the section.
 
-    The time is the last one under load; without load, that of the last cut.
+    The time is the last time under load. Without load, it is the time of the last cut.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)

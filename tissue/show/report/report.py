@@ -70,7 +70,7 @@ def write_report(
     progress
         Function that is called with a description of the current work.
     assessment
-        Lines and picture (PNG) of an assessment of the run, which gets a section of its own.
+        Lines and picture (PNG) of an assessment of the run. The assessment is a separate section.
 
     Returns
     -------

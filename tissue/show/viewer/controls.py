@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 MOST = 9
-"""Number of layers that have a key (the digits from 1 on)."""
+"""Largest number of layers that have a key. The keys are the digits from 1 on."""
 
 
 class LayerKeys:
@@ -281,7 +281,7 @@ class NameList:
         ][1:]
 
     def mark(self, name: str | None) -> None:
-        """Show which name is chosen."""
+        """Highlight the chosen name."""
         from pyvista import Color
 
         for (each, words), actor in zip(self._names, self._words, strict=True):

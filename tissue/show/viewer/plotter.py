@@ -25,8 +25,8 @@ __all__ = [
 Plotter: TypeAlias = Any
 """Type of a `pyvista.Plotter`.
 
-It is not the class itself, because PyVista declares methods that forward to a renderer without
-arguments.
+The alias is not the class itself: PyVista declares methods that forward to a renderer, but without
+their arguments.
 """
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""
@@ -198,7 +198,8 @@ def aim(
 
     If no points are given, everything that is drawn fills the area.
 
-    A scale bar needs a parallel projection, because it has the same scale everywhere.
+    A scale bar needs a parallel projection, because only this projection has the same scale
+    everywhere.
     """
     import pyvista
 

@@ -160,7 +160,10 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """Return the bone of a run over time, or None; for an incomplete run in coarse voxels."""
+    """Return the bone of a run over time, or None.
+
+    The bone of an incomplete run has coarse voxels.
+    """
     if saved.complete:
         file = saved.path / "bone.vti"
         if not file.is_file():
