@@ -224,7 +224,7 @@ class HandMotion(Motion):
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Set another device only before the first tick, because guard and measures change too.
+        Set another device only before the first tick, because guard and measures are then replaced.
         """
         return self.held.device
 

@@ -28,7 +28,7 @@ OVERLARGE = 1 << 34
 No image has 16 GiB. Such a size means that the bytes are not a header.
 """
 PIECE = 1 << 16
-"""Number of bytes read from a client at a time, the size of the largest body that is read."""
+"""Number of bytes read from a client in one call, equal to the size of the largest body."""
 STALLED_S = 10.0
 """Longest time in which a client may accept no data from its send queue [s].
 

@@ -273,9 +273,9 @@ class SlicerTarget:
 
         The pose consists of the tip in the scene [mm] and the rotation relative to the first
         orientation (x, y, z, w). The result is None for a transform with another name and for an
-        ignored transform. A transform is ignored if it is not a rigid motion, if the scene does not
-        allow clients to move the tool, or if another client that sent a target earlier is still
-        connected.
+        ignored transform. A transform is ignored if it is not a rigid motion, or if the scene does
+        not allow clients to move the tool. It is also ignored while another client that sent a
+        target earlier is still connected.
         """
         if received.header.name != TARGET:
             return None

@@ -280,8 +280,8 @@ class AdaptiveThreshold:
     def edge_mass(self) -> tuple[Array, Array]:
         """Return the posterior mass in the two outermost cells at each bound of the Weber fraction.
 
-        The first array belongs to the lower bound, the second array to the upper bound, each of
-        shape (observers,).
+        The first array belongs to the lower bound, and the second array to the upper bound. Each
+        array has shape (observers,).
         """
         # Two of the default cells cover 12 % of the Weber fraction.
         masses = self.weber_masses()

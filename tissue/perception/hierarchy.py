@@ -93,9 +93,9 @@ class PopulationFit:
     Attributes
     ----------
     draws
-        Draws as a dictionary by name. The shape is (chains, draws) for the population (`HYPER`),
-        and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma of each
-        observer.
+        Draws, keyed by the name of the parameter. The shape is (chains, draws) for the population
+        (`HYPER`), and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma
+        of each observer.
     r_hat, ess
         Split R-hat and effective sample size, keyed by the names in `HYPER`. The key ``people`` has
         the worst value of the observers' parameters.

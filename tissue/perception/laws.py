@@ -297,7 +297,7 @@ class ForceMap:
     Parameters
     ----------
     reference, observer
-        Observer whose intensity is the reference, and observer who feels the command.
+        Observer that defines the reference intensity, and observer that feels the command.
     lowest_N, knee_N
         Upper end of the straight line [N], above 0, and the strongest force that the device plays
         uncompressed [N], above ``lowest_N``.

@@ -188,7 +188,7 @@ class Observer:
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return joint draws of all parameters, as arrays of shape (count,) by name."""
+        """Return joint draws of all parameters, as arrays of shape (count,), keyed by parameter."""
         values, vectors = np.linalg.eigh(self.covariance)
         # A matrix square root is used instead of Cholesky's factor, because the covariance may be
         # singular. Rounding may make eigenvalues of zero negative.
@@ -340,7 +340,10 @@ class Population:
     sigma_shape: float
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the parameters of `count` random people, as arrays of shape (count,) by name."""
+        """Return the parameters of `count` random people, keyed by parameter.
+
+        The arrays have shape (count,).
+        """
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {

@@ -41,8 +41,8 @@ RIDGE = 1e-6
 """Ridge penalty, relative to the mean square of each coordinate.
 
 The penalty keeps the weights small if the positions at neighbouring delays differ by less than an
-encoder step. A penalty of 1e-3 was worse in all scenes. In palpation the ratio of the excess error
-to that of the zero-order hold was larger by 0.02.
+encoder step. A penalty of 1e-3 was worse in all scenes. In palpation, the ratio of the excess error
+to the excess error of the zero-order hold was larger by 0.02.
 """
 KEPT_LEADS = 16
 """Number of prediction horizons whose maps are kept; a loop uses its horizon and one tick."""

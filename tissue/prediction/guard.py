@@ -59,12 +59,12 @@ class Guarded:
 
     The force is the force of the fallback plus a share of the difference between the two forces.
     The predictor loses trust in three cases. First, it reports that it is not trusted. Second, the
-    recent errors of its predictions are larger than those of the fallback. Third, over a longer
-    time its errors are larger than those of a zero-order hold; this includes predicted contacts
-    that did not happen. Then the share falls from 1 to 0 in `BLEND` ticks. It increases at the same
-    rate after a period of trust. The difference is limited. If it is not finite, the last
-    difference is used. A change between the predictors therefore changes the force by at most this
-    limit.
+    recent errors of its predictions are larger than the errors of the fallback. Third, over a
+    longer time its errors are larger than the errors of a zero-order hold. Predicted contacts that
+    did not happen count as such errors. In each case the share falls from 1 to 0 in `BLEND` ticks.
+    It increases at the same rate after a period of trust. The difference is limited. If it is not
+    finite, the last difference is used. A change between the predictors therefore changes the force
+    by at most this limit.
 
     Parameters
     ----------

@@ -30,10 +30,10 @@ With values from 50 on, the ratios are similar: 0.40 to 0.68. With a value of 0.
 LAW_SHARE = 0.8
 """Weight of a cutting tool's law in the mean of law and predicted stretch.
 
-The errors of law and stretch are partly independent. The ratios of the excess error to that of the
-zero-order hold, 4 ms ahead, are for weights of 0.5, 0.8 and 1: 0.63, 0.60 and 0.58 in caries; 0.65,
-0.63 and 0.61 in glenoid; 0.40, 0.41 and 0.48 in milling; 0.37, 0.34 and 0.33 in molar; 0.49, 0.51
-and 0.53 in pedicle.
+The errors of law and stretch are partly independent. The excess error 4 ms ahead, divided by the
+excess error of the zero-order hold, was computed with weights of 0.5, 0.8 and 1. The ratios are
+0.63, 0.60 and 0.58 in caries; 0.65, 0.63 and 0.61 in glenoid; 0.40, 0.41 and 0.48 in milling; 0.37,
+0.34 and 0.33 in molar; 0.49, 0.51 and 0.53 in pedicle.
 """
 JUMP_M = 5e-4
 """Change of a force in a tick, divided by the coupling's stiffness, that is a jump [m].

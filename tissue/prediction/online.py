@@ -11,7 +11,7 @@ __all__ = ["AdaptivePath"]
 MEMORY = 1000.0
 """Number of ticks after which the weight of a tick in the fit is 1/e."""
 PRIOR = 0.3
-"""Weight of the initial operator in the fit, relative to a run with the power in training.
+"""Weight of the initial operator in the fit, relative to a run with the power of the training data.
 
 This weight makes the fit solvable at rest. The fit then returns to the initial operator.
 """
@@ -55,7 +55,7 @@ class AdaptivePath(DelayPath):
         self._good = 0
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update the window, and add the oldest kept tick, whose targets are now known, to the fit.
+        """Update the window, and add its oldest tick to the fit, because its targets are now known.
 
         The targets are displacements to later positions that the coupling uses.
         """

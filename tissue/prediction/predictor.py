@@ -34,7 +34,7 @@ class Predictor(Protocol):
     residual_N: float
     """Magnitude of the last one-tick error [N]: predicted force minus measured force."""
     is_primary: bool
-    """True if the last predicted force is that of the predictor and not of its fallback."""
+    """True if the last predicted force came from the predictor and not from its fallback."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].

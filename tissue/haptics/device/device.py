@@ -40,7 +40,7 @@ class Sample(NamedTuple):
 class DeviceError(InputError):
     """Error of a device that violates the interface.
 
-    The message is one sentence. It has the call, the observed behaviour and the remedy.
+    The message is one sentence. It names the call, the observed behaviour and the remedy.
     """
 
 
@@ -232,7 +232,7 @@ class DeviceParameters:
 def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
     """Return the parameters of a device by its name in `DEVICES`.
 
-    Constants of the scene replace those of the built-in sources.
+    Constants of the scene replace the constants of the built-in sources.
 
     Raises
     ------

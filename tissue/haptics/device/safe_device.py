@@ -31,8 +31,8 @@ __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice", "run_held"]
 RAMP_S = 0.03
 """Time in which the last force is ramped to zero if the loop still runs [s].
 
-After a sudden loss of force the hand would jump. The ramp is shorter than `STALL_S`, so that at
-every kind of end the force is removed within 50 ms.
+After a sudden loss of force the hand would jump. The ramp is shorter than `STALL_S`, so that the
+force is always removed within 50 ms, however the loop ends.
 """
 STALL_S = 0.05
 """Longest time without a command before the force is removed [s].

@@ -54,10 +54,10 @@ Place = tuple[float, float, float, float, float]
 class Roughness:
     """Detector of noise in a sequence of samples, based on the acceleration.
 
-    The detector measures the deviation of the middle one of three samples from the straight line
-    between the other two. For time steps T and an acceleration a, the deviation is at most a T^2 /
-    2. A sample is rough if its deviation is larger than the limit allows. The signal becomes noise
-    when more than half of its last samples (exponential mean over 8 samples) are rough. It is valid
+    The detector measures the deviation of a sample from the straight line between the previous and
+    the next sample. For time steps T and an acceleration a, the deviation is at most a T^2 / 2. A
+    sample is rough if its deviation is larger than the limit allows. The signal becomes noise when
+    more than half of its last samples (exponential mean over 8 samples) are rough. It is valid
     again when fewer than a twentieth are rough. A jump, a lost sample, an encoder step or a blow
     makes at most two samples rough. White noise is detected if its standard deviation per axis is
     larger than about a quarter of the limit times (1 ms)^2.
@@ -426,7 +426,7 @@ class NewSamples:
         self._last = Sample(nan, (nan, nan, nan))
 
     def is_new(self, sample: Sample, time_s: float) -> bool:
-        """Return True if the sample of the tick at a time [s] is a new one."""
+        """Return True if the sample of the tick at ``time_s`` is a new sample."""
         if self._ticks <= 1:
             return True
         last = self._last

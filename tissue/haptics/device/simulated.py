@@ -160,8 +160,8 @@ class SimulatedDevice(ComputedDevice):
         Start position [m].
     substeps
         Integration steps of the plant per tick; they affect only friction. For a simulated hand on
-        a virtual wall, the encoder positions with 5 steps differ by single encoder steps (RMS 4.5
-        um) from those with 100 steps.
+        a virtual wall, the encoder positions were computed with 5 and with 100 steps. They differ
+        by single encoder steps (RMS 4.5 um).
 
     Attributes
     ----------

@@ -121,7 +121,7 @@ class Aim:
         return (x, y, z), (u, v, w)
 
     def _begin(self, time_s: float) -> None:
-        """Begin the next submovement, and remove those that have ended and were corrected."""
+        """Begin the next submovement; remove submovements that have ended and were corrected."""
         self._next += self._interval
         memory = time_s - max(self._duration, self._reaction)
         while self._moves and self._moves[0][0] <= memory:
@@ -256,7 +256,7 @@ class HandParameters:
 def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
     """Return the parameters of a simulated hand by its name in `HANDS`.
 
-    Constants of the scene replace those of the built-in sources.
+    Constants of the scene replace the constants of the built-in sources.
 
     Raises
     ------

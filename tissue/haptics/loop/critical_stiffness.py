@@ -95,7 +95,7 @@ class Verdict:
 class LinearHand(NamedTuple):
     """Linear part of a hand, for the stability analysis of a loop.
 
-    The entries are those of `WallLoop`. Without a hand the values are (0, 0, 0).
+    The entries have the same meaning as in `WallLoop`. Without a hand the values are (0, 0, 0).
     """
 
     hand_stiffness_N_m: float
@@ -265,9 +265,9 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
 def pade_bound_N_m(loop: WallLoop) -> float:
     """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
 
-    Hold and delay are combined into one delay t = t_d + T / 2, which is approximated as (1 - t s /
-    2) / (1 + t s / 2). The bound is computed from Routh's criterion for the third-order polynomial.
-    The hand's stiffness is ignored.
+    Hold and delay are combined into one delay t = t_d + T / 2. This delay is approximated as (1 - t
+    s / 2) / (1 + t s / 2). The bound is computed from Routh's criterion for the third-order
+    polynomial. The hand's stiffness is ignored.
     """
     delay = loop.delay_s + 0.5 * loop.tick_s * loop.model_ticks
     mass = loop.mass_kg + loop.hand_mass_kg

@@ -71,8 +71,8 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
 
     The state s has three entries after a position x: position, change of the position per tick, and
     change of this change per tick. The filter of Morrison (1969) fits a parabola to all previous
-    samples. The weight of a sample is `memory` to the power of its age. It is an alpha-beta-gamma
-    filter whose three poles equal the memory. It has no delay for a constant acceleration.
+    samples. The weight of a sample is `memory` to the power of its age. This alpha-beta-gamma
+    filter has three poles equal to the memory. It has no delay for a constant acceleration.
     """
     fresh = 1.0 - memory
     # Gains of the fading-memory polynomial filter of second order (Morrison, 1969).

@@ -96,11 +96,11 @@ class PlayedVibration:
     Amplitude and direction follow the force averaged with a time constant tau of 0.05 s: F_v =
     share E cos(2 pi f t) with E' = (F - E) / tau. Within a period, the vibration therefore hardly
     depends on the state of the loop. A change of the force at the frequency g returns through the
-    vibration with a factor of at most share / sqrt(1 + (2 pi g tau)^2), at the frequencies f - g
-    and f + g. The stability analysis (`tissue.haptics.loop.sampled_loop`) includes the vibration
-    without its limits, which only reduce it. The amplitude is limited so that the sum stays within
-    the largest force of the device. The vibration uses at most half of the slew rate, because a
-    loop at its slew limit oscillates.
+    vibration at the frequencies f - g and f + g. Its amplitude is then multiplied by at most share
+    / sqrt(1 + (2 pi g tau)^2). The stability analysis (`tissue.haptics.loop.sampled_loop`) includes
+    the vibration without its limits, which only reduce it. The amplitude is limited so that the sum
+    stays within the largest force of the device. The vibration uses at most half of the slew rate,
+    because a loop at its slew limit oscillates.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class ProbingTool(HeldTool):
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
         """Place the tool at its first pose, and set the field that it may touch.
 
-        At this pose, the axes of the shell are those of the world.
+        At this pose, the axes of the shell are parallel to the axes of the world.
 
         Raises
         ------

@@ -169,8 +169,8 @@ class RecordedAdapter(HardwareAdapter):
 
     After the last pose the force fades. The poses are played at their recorded positions, so that
     the tool of a run starts at the first pose. The poses move the device, whereas ``motion.kind =
-    "replay"`` moves the tool itself. Coupling, prediction and commanded force are those for a hand
-    with this motion.
+    "replay"`` moves the tool itself. Coupling, prediction and commanded force are computed as for a
+    hand with this motion.
 
     Parameters
     ----------

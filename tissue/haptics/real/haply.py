@@ -5,8 +5,8 @@ adapter is not for clinical use. It was tested with a stand-in that uses the doc
 and not with the device.
 
 A thread sends the newest force and receives the newest state. The service answers every frame with
-one state. It plays a force only as long as the force is sent again and again. The thread sends a
-frame only after the answer to the previous frame, so at most one answer is pending. An answer
+one state. The service plays a force only as long as the force is sent repeatedly. The thread sends
+a frame only after the answer to the previous frame, so at most one answer is pending. An answer
 contains the state under the previously sent force. A sample is therefore not older than one
 exchange of a frame and its answer. Answers do not identify the frame to which they belong. If an
 answer is late, zero force is sent. The thread then sends nothing more until all pending answers

@@ -286,7 +286,7 @@ def _part(whole: object, name: str) -> dict[str, Any]:
 
 
 def _numbers(table: object, names: str) -> Any:
-    """Return finite numbers of a table by name; empty if any is missing or invalid."""
+    """Return the named numbers of a table; empty if a number is missing, not finite or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
     # bool is a subclass of int.
     numbers = tuple(

@@ -155,7 +155,7 @@ A device sends at least five packets a second, so after this time two packets in
 missing.
 """
 KEPT = 1024
-"""Number of wrenches whose send time is stored for round trips, about a second at 1 kHz.
+"""Number of wrenches whose send time is stored to measure round trips, about a second at 1 kHz.
 
 It is a power of two, so that the storage places stay consecutive when the sequence numbers restart.
 """

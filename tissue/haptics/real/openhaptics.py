@@ -201,7 +201,7 @@ class OpenHapticsAdapter(HardwareAdapter):
             )
 
     def _read(self, transform: Any, buttons: int, now: float) -> HardwareSample:
-        """Return a sample whose velocities are computed over the last calls."""
+        """Return a sample with velocities computed from the poses of the last calls."""
         x, y, z = (1e-3 * transform[3][axis] for axis in range(3))
         rows = [[transform[axis][row] for axis in range(3)] for row in range(3)]
         sample = HardwareSample((x, y, z), quaternion=of_matrix(rows), buttons=buttons)

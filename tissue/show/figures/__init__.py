@@ -18,11 +18,12 @@ __all__ = ["draw_pictures"]
 def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     """Draw the pictures of a run as png, svg or pdf.
 
-    ``force_torque`` is drawn for every run. These pictures depend on the run:
+    ``force_torque`` is drawn for every run. The other pictures depend on the run:
 
     - ``bone_before_after`` and ``removed_depth`` for a tissue of voxels,
-    - ``section`` and ``force_depth`` for a tissue of several layers that reports more than volumes,
-      such as a tooth,
+    - ``section`` and ``force_depth`` for a rotating tool in a tissue of several layers that reports
+      more than volumes, such as a tooth,
+    - ``section`` also for a scene with structures to keep clear of,
     - ``press`` and ``held`` for a run with fields,
     - ``played`` for a run with a device,
     - pictures that the registry of anatomies adds, such as ``insertion``.

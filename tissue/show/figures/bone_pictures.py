@@ -284,8 +284,9 @@ The margin is relative to the longer side of the cut.
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
-    """Return the extent of the map along both axes [mm]: the whole region, or the surroundings of a
-    small cut.
+    """Return the shown extent of the map along both axes [mm].
+
+    The extent is the whole region, or the surroundings of a small cut.
     """
     u0, u1, v0, v1 = depth.extent_mm
     cut = np.argwhere(depth.depth_mm > 0.0)

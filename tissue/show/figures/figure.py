@@ -156,7 +156,7 @@ def save(chart: "Figure", path: Path) -> None:
 
 
 def is_vector(path: Path) -> bool:
-    """Return whether the format of a file keeps lines and text as vectors."""
+    """Return True if the format of a file stores lines and text as vectors."""
     return path.suffix in (".svg", ".pdf")
 
 

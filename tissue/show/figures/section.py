@@ -312,7 +312,7 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
 
 
 Window = tuple[float, float, float, float]
-"""Lowest and highest coordinate along the two axes of a section, (u0, u1, v0, v1) [mm]."""
+"""Lowest and highest coordinate along the axes u and v of a section, (u0, u1, v0, v1) [mm]."""
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """Colours of structures after Okabe and Ito (2008)."""
 AROUND_MM = 3.0

@@ -227,7 +227,7 @@ def _pictures(saved: SavedRun) -> str:
 
 
 LARGEST_PREFIX = "greatest_"
-"""Prefix of the name of a figure that is the largest value of a column or a field."""
+"""Prefix of the names of summary numbers that are the largest value of a column or a field."""
 
 
 def _band_text(band: Summary) -> str:

@@ -182,9 +182,9 @@ def _html(
 def _cleaner(saved: SavedRun) -> Clean:
     """Return a function that replaces paths of files in a text by file names.
 
-    A report is given to other people, and the name of a folder may be that of a patient. Texts are
-    cleaned before they are put into the page, not afterwards. The finished page contains markup and
-    encoded arrays, in which a short folder name may occur by chance.
+    A report is given to other people, and the name of a folder may be the name of a patient. Texts
+    are cleaned before they are put into the page, not afterwards. The finished page contains markup
+    and encoded arrays, in which a short folder name may occur by chance.
     """
     folders = folders_of(saved.scene) if saved.scene is not None else []
 

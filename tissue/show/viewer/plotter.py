@@ -68,7 +68,7 @@ def add_text(
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
-    """Write names in their colours at the right, one below the other."""
+    """Write names in a column at the right, each name in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
         # one line below the other, to the right of the scene
         add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)

@@ -127,7 +127,7 @@ class BoneOverTime:
                 self.deepest_mm = float(cut.point_data["removed_depth_mm"].max())
 
     def at(self, tick: int) -> bool:
-        """Set the bone to its state at the end of a tick; return whether it may have changed."""
+        """Set the bone to its state at the end of a tick; return True if it may have changed."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
         self._tick = tick

@@ -93,8 +93,9 @@ class Pace:
         self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
-        """Count a message that came at a time [s]; return the time to wait before the next message
-        [s].
+        """Count a message that arrived at ``time_s``, and return the waiting time [s].
+
+        The next message must not be read before this waiting time has passed.
         """
         self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
         self._time_s = time_s

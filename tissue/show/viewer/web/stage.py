@@ -58,7 +58,7 @@ class Stage:
         return int(self._plotter.window_size[1])
 
     def take(self, do: str, values: Values) -> bool:
-        """Change size or view if a message requests this; return whether it does."""
+        """Change size or view if a message requests this; return True if the message did."""
         changes: dict[str, Callable[..., None]] = {
             "size": self.resize,
             "turn": self.turn,
