@@ -15,7 +15,7 @@ from kernels.cache_check import remove_damaged
 def _start() -> None:
     """Start Warp, and suppress its start message and its warning about a missing GPU.
 
-    Each run reports the device that it uses, so this information is not lost.
+    Warp's messages are not needed, because each run reports the device that it uses.
     """
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()

@@ -1,7 +1,7 @@
 """Types of the arrays that kernels and their structures take.
 
-The name states the type of the elements, and the suffix states the number of dimensions if there is
-more than one. For example, `Doubles2D` is a matrix of numbers in double precision.
+A type's name states the type of the array's elements. Its suffix states the number of dimensions,
+if the array has more than one. For example, `Doubles2D` is a matrix of numbers in double precision.
 """
 
 import warp as wp
@@ -43,14 +43,14 @@ Int32s2D = wp.array2d(dtype=wp.int32)
 Int32s3D = wp.array3d(dtype=wp.int32)
 Int64s = wp.array(dtype=wp.int64)
 Int64s2D = wp.array2d(dtype=wp.int64)
-"""Integers with 32 and with 64 bits."""
+"""Signed integers with 32 bits and with 64 bits."""
 
 Bytes = wp.array(dtype=wp.uint8)
 Shorts = wp.array(dtype=wp.uint16)
 Shorts2D = wp.array2d(dtype=wp.uint16)
 Words2D = wp.array2d(dtype=wp.uint32)
 Bits = wp.array(dtype=wp.uint64)
-"""Integers without a sign, with 8, 16, 32 and 64 bits. Each bit of `Bits` is a flag."""
+"""Unsigned integers with 8, 16, 32 and 64 bits. Each bit of an element of `Bits` is a flag."""
 
 Vectors = wp.array(dtype=wp.vec3d)
 Vectors2D = wp.array2d(dtype=wp.vec3d)
@@ -58,4 +58,4 @@ Matrices = wp.array(dtype=wp.mat33d)
 Matrices2D = wp.array2d(dtype=wp.mat33d)
 SingleVectors = wp.array(dtype=wp.vec3f)
 SingleMatrices = wp.array(dtype=wp.mat33f)
-"""Vectors of 3 and matrices of 3 x 3 numbers, in double and in single precision."""
+"""Vectors of 3 numbers and matrices of 3 x 3 numbers, in double and in single precision."""

@@ -1,11 +1,12 @@
 """Uncut bone at a point, computed to second order in the voxel size.
 
-Each voxel has two static numbers: the signed distance of its centre to the original surface, and
-the distance to the nearest change of layer. The two numbers are interpolated between voxel centres.
-A point lies in bone if the interpolated surface distance is negative. To find its layer, the second
-distance is interpolated once per layer, with a negative sign in the voxels of other layers. The
-layer with the largest result is chosen. Far from the surface, and far from every change of layer,
-the value of the nearest voxel is used. Lengths are in voxels.
+Each voxel has two numbers that do not change: the signed distance from its centre to the original
+surface, and the distance from its centre to the nearest boundary between layers. The two numbers
+are interpolated between voxel centres. A point lies in bone if the interpolated surface distance is
+negative. To find the layer of the point, the second distance is interpolated once per layer, with a
+negative sign in the voxels of other layers. The layer with the largest result is chosen. Far from
+the surface and from every boundary between layers, the value of the nearest voxel is used. Lengths
+are in voxels.
 """
 
 import warp as wp
@@ -23,8 +24,9 @@ The stored distance is limited to two voxels. The value 128 is the surface itsel
 BEYOND = 128 + 32
 """Lower limit of the stored surface distance where no brick (block of voxels) is stored.
 
-The limit is half a voxel outside the bone, as next to a grid whose outermost voxels are full. Next
-to a voxel that is farther from the bone, the distance of that voxel plus one voxel is used.
+This limit is half a voxel outside the bone, which is the distance next to a grid whose outermost
+voxels are full. Next to a voxel whose distance is d, the value is d plus one voxel, if this is
+larger.
 """
 CORNERS = wp.constant(8)
 # stored surface distance of 1.78 voxels inside: all corners of a cell lie inside the bone
@@ -122,10 +124,10 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
 def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
     """Return layer and density at a point whose eight voxels lie in several layers.
 
-    ``stored`` holds the distances of each voxel to the nearest change of layer (upper byte) and to
-    the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer (lower byte)
-    of each voxel, or -1 where no brick is stored. The bits are read without a call of `layer_of`,
-    because 64 calls would take too long.
+    ``stored`` holds the distances of each voxel to the nearest boundary between layers (upper byte)
+    and to the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer
+    (lower byte) of each voxel, or -1 where no brick is stored. This function reads the bits itself,
+    because 64 calls of `layer_of` would take too long.
     """
     found = nearest
     far = corner8f()

@@ -1,13 +1,13 @@
 """Storage of voxels in bricks, shared functions of the kernels that use bricks, and point sampling.
 
 A voxel grid is divided into bricks of 8 x 8 x 8 voxels. Only bricks that hold material are stored.
-``brick_of`` maps a brick's grid position to its row in the stored arrays, -1 where nothing is
-stored. A row consists of 64 consecutive blocks of 2 x 2 x 2 voxels. Voxels that are close together
-are therefore also close together in memory. Lengths are in voxels: a point at ``x`` metres lies at
-``(x - origin) / spacing``.
+``brick_of`` maps a brick's grid position to the brick's row in the stored arrays, or to -1 if the
+brick is not stored. A row consists of 64 consecutive blocks of 2 x 2 x 2 voxels. Voxels that are
+close together are therefore also close together in memory. Lengths are in voxels: a point at ``x``
+metres lies at ``(x - origin) / spacing``.
 
-The original material of a voxel is stored in one word: density [kg/m3] in the upper 16 bits, layer
-in the lower.
+The original material of a voxel is stored in one word. The upper 16 bits hold the density [kg/m3],
+and the lower 16 bits hold the layer.
 """
 
 import warp as wp
@@ -130,7 +130,8 @@ def cell_of(point: wp.vec3):
 class Corners:
     """Storage locations of the eight voxels of a cell.
 
-    Bit 2 of a corner's number is its x, bit 1 its y, bit 0 its z.
+    Corners are numbered from 0 to 7. Bit 2 of the number is the corner's x, bit 1 is y, and bit 0
+    is z.
     """
 
     row: corner8i  # row of the corner's brick, -1 if no brick is stored
@@ -231,8 +232,7 @@ def cube_behind_plane(plane: Plane, distance: float):
 
     The plane lies ``distance`` behind the cube's centre.
 
-    Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228, analytic relation for a plane and a
-    cube.
+    The analytic relation is from Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228.
     """
     whole = 0.5 - distance * plane.scale
     # Compute the volume on the smaller side of the plane. The cases below differ in the number of

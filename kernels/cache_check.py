@@ -1,8 +1,8 @@
 """Check of Warp's on-disk cache of compiled kernels.
 
-Warp loads the files in its cache without a check. An entry that a full disk or a crash damaged
-would break every later process. Entries are verified when `kernels` is imported. A damaged entry is
-removed, and Warp compiles it again.
+Warp loads the files in its cache without a check. A full disk or a crash can damage an entry, and
+every later process would then fail. Entries are verified when `kernels` is imported. A damaged
+entry is removed, and Warp compiles it again.
 """
 
 import json

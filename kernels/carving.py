@@ -1,25 +1,25 @@
 """Carving of the voxels that a moving surface of revolution sweeps.
 
-For every voxel, the smallest distance so far between its centre and the tool is stored. The
-remaining volume of a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the part of the
-voxel behind the tool's surface. A minimum is idempotent and commutes, so overlapping cuts give the
+Each voxel stores the smallest distance that its centre has had to the tool. The remaining volume of
+a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the part of the voxel behind the
+tool's surface. The minimum does not depend on the order of the cuts, so overlapping cuts leave the
 same bone in any order. The minimum is exact where an old and a new surface are parallel. Where the
 two surfaces cross at a right angle, the remaining volume is on average a twelfth of a voxel too
 large. All lengths are in voxels.
 
-For every voxel, the smallest distance to older cuts is also stored. Older cuts are all cuts except
-the most recent ones. When the tool comes within reach of a block, all cuts in the block become
-older cuts. Behind a moving tool, a cut becomes an older cut after another 0.25 to 0.5 mm of travel.
-In front of a moving tool, older cuts are updated only after a change of direction. Older cuts
-therefore never reach the front of a moving tool. The most recent cuts are computed from the tool's
-last poses, see `kernels.recent_cuts`.
+Each voxel also stores its smallest distance to older cuts. Older cuts are all cuts except the most
+recent ones. When the tool comes within reach of a block, all cuts in the block become older cuts.
+Behind a moving tool, a cut becomes an older cut after another 0.25 to 0.5 mm of travel. In front of
+a moving tool, older cuts are updated only after a change of direction. Older cuts therefore never
+reach the front of a moving tool. The most recent cuts are computed from the tool's last poses, see
+`kernels.recent_cuts`.
 
 Each brick (block of 8 x 8 x 8 voxels) belongs to one of ``PHASES`` groups. A kernel launch visits
 only some of the groups, so that the carving of a slow tool is spread over several ticks. The pose
 of the last visit is stored for every group. Inside a brick, blocks of 2 x 2 x 2 voxels that are
-empty or that the surface cannot reach are skipped. Each worker processes whole columns of bricks
-and counts the removed volume in its own row. There are no atomic operations, and the results are
-the same integers on any number of threads.
+empty or that the surface cannot reach are skipped. Each worker processes whole columns of bricks,
+and adds the removed volume to a row of an array that only this worker writes. There are no atomic
+operations, and the results are the same integers on any number of threads.
 """
 
 import warp as wp
@@ -312,7 +312,10 @@ def clear_block(
 
 @wp.func
 def booked_by(removed: Int64s2D, worker: int):
-    """Return the stored steps that a worker has removed in this launch, over all layers."""
+    """Return the volume that a worker has removed in this kernel launch from all layers.
+
+    The unit is the stored step, see `kernels.bricks.FULL`.
+    """
     total = wp.int64(0)
     for m in range(removed.shape[1]):
         total += removed[worker, m]
@@ -321,11 +324,11 @@ def booked_by(removed: Int64s2D, worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the difference between the `bend` of the tool and that of the surface that it sweeps.
+    """Compute the `bend` of the tool minus the `bend` of the surface that the tool sweeps.
 
-    The swept surface is straight along the path of the tool. It touches the tool where the tool's
-    normal is perpendicular to the path. There, the difference is the curvature along ``step``.
-    Elsewhere it is 0. Perpendicular means within one voxel.
+    The swept surface is straight along the path of the tool. Where the tool's normal is
+    perpendicular to the path, to within one voxel, this surface touches the tool. There, the
+    difference is a sixth of the tool's curvature along ``step``. Elsewhere, the difference is 0.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
@@ -360,7 +363,10 @@ def carve_block(
     swept_out: Shorts2D,
     removed_out: Int64s2D,
 ):
-    """Carve eight voxels around ``near``, the tool surface nearest to the middle of their block."""
+    """Carve the eight voxels of a block.
+
+    ``near`` is the point of the tool's surface nearest to the middle of the block.
+    """
     plane = plane_of(near.slope)
     for v in range(8):
         offset = corner_offset(v)
@@ -412,7 +418,7 @@ def distance_at(near: Nearest, offset: wp.vec3):
 
 @wp.func
 def swept_steps(distance: float):
-    """Convert a distance to the swept volume [voxel] to the integer that is stored."""
+    """Encode the distance [voxel] of a voxel centre from the swept volume as a stored integer."""
     # 4096 steps per voxel, with 32768 for zero, up to 8 voxels. 65535 is reserved for voxels that
     # the tool has never been near.
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

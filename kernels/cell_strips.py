@@ -9,13 +9,15 @@ With the modes, the gradient at the cube with the signs (r, s, t) is::
 
 This takes 8 additions for all four (s, t). The forces follow from the transposed additions. One
 point per cube does not resolve all modes. Stiffness against the unresolved modes is added, as in
-:mod:`kernels.particle_stiffness`. A cell needs 17 numbers and about 500 operations, and its packed
-stiffness would need 324 numbers. The product is therefore limited by arithmetic and not by memory.
+:mod:`kernels.particle_stiffness`. A cell needs 17 numbers and about 500 operations. Its packed
+stiffness would need 324 numbers. The product is therefore limited by arithmetic and not by memory
+bandwidth.
 
 A strip consists of eight cells in a row along z, and a pencil consists of strips. Vectors have the
-layout of `LaneVector`: at each corner edge of a strip, the eight lower nodes of its cells are eight
-consecutive numbers, and so are the eight upper nodes. Strips of pencils of one colour share no
-node, and each thread processes one pencil. The result has the same bits on any number of threads.
+layout of `LaneVector`. Along each of the four edges of a strip, the values at the lower nodes of
+the eight cells are consecutive in memory, and so are the values at the upper nodes. Each thread
+processes one pencil. Pencils of one colour do not share nodes. The result has the same bits on any
+number of threads.
 """
 
 from functools import cache
@@ -44,9 +46,9 @@ OPTIONS = {
 }
 """Module options of Warp: Warp's default flags, except the recursion depth.
 
-With the default depth of 4, the kernel takes 2.5 times as long. ``native`` is safe in a cache that
-machines share, because the name of every compiled file contains the instruction sets of the
-processor.
+With Warp's default depth of 4, the kernel takes 2.5 times as long. The flag ``native`` is safe even
+if several machines share a cache, because the name of every compiled file contains the instruction
+sets of the processor.
 """
 
 
@@ -130,9 +132,9 @@ def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
 
 @cache
 def strip_products(scalar: Any) -> Any:
-    """Return a kernel that adds the product to a force, in single or double precision.
+    """Return a kernel that adds the product of stiffness and vector to a force.
 
-    The scalar type is `wp.float32` or `wp.float64`.
+    ``scalar`` is `wp.float32` or `wp.float64`.
     """
     V = lanes_of(scalar)
     Strips = wp.array(dtype=V)
@@ -153,7 +155,7 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def take(stress: Strips, at: int, across: int, first: int, second: int):
-        """Sum a stress along an axis and compute the modes of the sum.
+        """Sum a stress along an axis, and compute the modes of the sum.
 
         `across`, `first` and `second` are the steps in ``stress`` along that axis and the other
         two.
@@ -230,8 +232,8 @@ def strip_products(scalar: Any) -> Any:
     def set_unseen(w: V, mode_out: Strips):
         """Convert the unresolved modes to the forces on these modes.
 
-        Strains that are linear in one of x, y and z come first, then strains that are linear in
-        two.
+        Modes whose strains are linear in one of x, y and z are converted first. Modes whose strains
+        are linear in two of these coordinates follow.
         """
         in_x = mode_out[4] + mode_out[9]
         in_y = mode_out[0] + mode_out[10]

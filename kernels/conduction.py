@@ -1,14 +1,14 @@
 """Explicit time step of heat conduction on a rectilinear grid of partly filled cells.
 
-The method is finite volumes. Between two cells with filled fractions f and g, the share a of the
-face conducts heat::
+The method is finite volumes. Two neighbouring cells have the filled fractions f and g. The part a
+of the area of their common face conducts heat::
 
     C f dT/dt = sum over faces of G a (T_neighbour - T) + P,    a = min(max(f, g), 2 min(f, g))
 
-The share is 1 between a full and a half full cell, because a cut surface parallel to the face
-leaves the face open. The share tends to zero with the smaller filled fraction, so that a thin
-remainder does not shorten the stable time step. An empty cell does not store or conduct heat, so
-the surface of the remaining body is insulated.
+The part a is 1 between a full and a half full cell, because a cut parallel to the face leaves the
+whole face open. It tends to zero with the smaller filled fraction, so that an almost empty cell
+does not shorten the stable time step. An empty cell does not store or conduct heat, so the surface
+of the remaining body is insulated.
 """
 
 import warp as wp
@@ -20,7 +20,7 @@ __all__ = ["OPEN", "conduct"]
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)
-"""Share of a face that conducts, per filled fraction of the emptier cell.
+"""Conducting part of a face, divided by the filled fraction of the emptier cell.
 
 The stable time step is shorter by this factor.
 """
@@ -28,7 +28,7 @@ The stable time step is shorter by this factor.
 
 @wp.func
 def open_share(filled: float, other: float):
-    """Compute the share of the face between two cells that conducts."""
+    """Compute the part of the face between two cells that conducts heat."""
     return wp.min(wp.max(filled, other), OPEN * wp.min(filled, other))
 
 

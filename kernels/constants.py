@@ -1,7 +1,7 @@
-"""Small numbers in double precision, because Warp does not convert literals of Python.
+"""Constants in double precision, because Warp does not convert Python's number literals.
 
-A variable that changes in a loop starts with ``wp.float64(...)`` instead, because Warp does not
-allow a loop to change a constant.
+A variable that changes in a loop must be initialised with ``wp.float64(...)`` instead of a
+constant. Warp does not allow a loop to change a constant.
 """
 
 import warp as wp

@@ -43,9 +43,9 @@ __all__ = ["find_near", "join_touching", "start_over"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SLACK = wp.constant(wp.float64(1.25))
-"""Largest growth of a triangle, relative to its size at rest, that the contact search allows for.
+"""Largest size of a triangle in the contact search, relative to its size at rest.
 
-Contact with parts of a triangle that has grown more may be missed.
+If a triangle is stretched more, contact with a part of it may be missed.
 """
 
 
@@ -66,7 +66,7 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Find the nearby or working triangles, the nodes of these triangles, and the nodes' positions.
+    """Find the triangles that are nearby or working, their nodes, and the positions of these nodes.
 
     A triangle is nearby if its rest position is within reach of the tool. A triangle is working if
     its contact points are solved in the sweeps.
@@ -105,10 +105,10 @@ def find_near(
 
 @wp.func
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
-    """Add a triangle to the working ones and return the number of points without compliance.
+    """Add a triangle to the working triangles, and return the number of points without compliance.
 
-    The nodes of a working triangle may carry load. Its contact points store their compliance and
-    the place at which friction holds them.
+    The nodes of a working triangle may carry load. Each of its contact points stores a compliance
+    and the place at which friction holds the point.
     """
     missing = int(0)
     lists.working[lists.count[WORKING]] = triangle
@@ -155,11 +155,11 @@ def join_touching(
     pose: Pose,
     missing: int,
 ):
-    """Add nearby triangles that the tool penetrates to the working ones.
+    """Add nearby triangles that the tool penetrates to the working triangles.
 
     Return the number of added triangles and the number of points without compliance.
 
-    A triangle is only touched from the side of its outward normal.
+    The tool touches a triangle only from the side of its outward normal.
     """
     joined = int(0)
     lost = int(missing)
@@ -202,7 +202,7 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild the work lists and loads from the forces that contact points carry.
+    """Rebuild the work lists and the nodal loads from the forces at the contact points.
 
     Return the number of points without compliance.
     """

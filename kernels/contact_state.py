@@ -8,21 +8,21 @@ Distance to the tool: signed distance and its gradient.
 
 A tool's tip is its lowest point and its z axis runs from the tip to the shank. The surface of a
 sphere passes through the tip. A cylinder has a flat lower face through the tip, with a rounded
-edge, and no upper end. A shell is a set of planes. Each plane represents the tool's surface around
-one point.
+edge, and no upper end. A shell is a set of planes, each of which represents the tool's surface
+around one point.
 
 Force of one point: contact force at a point of a compliant body by the laws of Signorini and
 Coulomb. The force keeps the point out of the tool.
 
 W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
-not negative, the force does not pull, and the gap or the force is zero. The tangential force is at
-most ``mu`` times the normal force. If it is equal to this bound, it acts against the slip. Sticking
-is a linear system. Slipping is ``s = -l f_t`` with ``l >= 0``. Elimination of the normal force
-gives ``(S + l I) f_t = -r``, where S is the tangential Schur complement. The l with
-``|f_t| = mu f_n`` is found by Newton's method inside a bracket. Newton's method is applied to the
-reciprocals of the forces, because they are nearly linear in l (More and Sorensen 1983). Jourdan,
-Alart and Jean (1998), Comput. Methods Appl. Mech. Eng. 155:31, describe the sweeps that call this
-function.
+the distance between point and tool. The gap is not negative, the force does not pull, and the gap
+or the force is zero. The tangential force is at most ``mu`` times the normal force. If it is equal
+to this bound, it acts against the slip. Sticking is a linear system. Slipping is ``s = -l f_t``
+with ``l >= 0``. Elimination of the normal force gives ``(S + l I) f_t = -r``, where S is the
+tangential Schur complement. Newton's method inside a bracket finds the l with ``|f_t| = mu f_n``.
+The method is applied to the reciprocals of the forces, because these reciprocals are nearly linear
+in l (More and Sorensen 1983). The solver computes this force for one contact point after another,
+in sweeps (Jourdan, Alart and Jean 1998, Comput. Methods Appl. Mech. Eng. 155:31).
 """
 
 import warp as wp
@@ -82,9 +82,9 @@ class Pose:
 
 @wp.func
 def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
-    """Compute the distance [m], negative inside, and its gradient.
+    """Compute the distance [m] from the tool, negative inside, and its gradient.
 
-    ``size[0]`` is the radius and ``size[1]`` the radius of a cylinder's edge [m].
+    ``size[0]`` is the radius of the tool, and ``size[1]`` is the radius of a cylinder's edge [m].
     """
     axis = wp.vec3d(pose.turn[0, 2], pose.turn[1, 2], pose.turn[2, 2])
     arm = point - pose.tip
@@ -130,9 +130,9 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
 )
 """Indices into the results, and number of entries.
 
-In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
-contacts, contact area [m2], penetration at the deepest point [m], largest displacement [m], number
-of entries.
+The entries are: force on the tool [N], torque on the tool [N m], state at the end of the solve,
+number of sweeps, number of contacts, contact area [m2], penetration at the deepest point [m], and
+largest displacement [m]. The last name is the number of entries.
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 """End states of a solve."""
@@ -186,7 +186,7 @@ class Lists:
 
 @wp.func
 def pose_of(pose: Doubles2D):
-    """Convert rows to a pose: tip, rotation, last tip, last rotation."""
+    """Convert rows to a pose. The rows are tip, rotation, last tip and last rotation."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
     now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
@@ -199,7 +199,7 @@ def pose_of(pose: Doubles2D):
 
 @wp.func
 def block(body: Body, a: int, b: int):
-    """Return the compliance between two nodes [m/N]."""
+    """Return the compliance block [m/N] of two nodes, shape (3, 3)."""
     compliance = body.compliance
     i = 3 * a
     j = 3 * b
@@ -231,14 +231,14 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
 # steps.
 NEWTON_STEPS = 60
 EXACT = wp.constant(wp.float64(1e-13))
-"""Relative distance to the friction cone at which the slipping force counts as solved."""
+"""Relative distance of the slipping force from the friction cone at which the iteration ends."""
 TINY = wp.constant(wp.float64(1e-12))
 """Diagonal term added to a singular compliance, relative to its trace."""
 
 
 @wp.func
 def safe_inverse(compliance: wp.mat33d):
-    """Invert a compliance, also if the point cannot move in one direction."""
+    """Invert a compliance, even if the point cannot move in one direction."""
     size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -256,7 +256,8 @@ def slipping_force(
 ):
     """Compute the force on the edge of the friction cone.
 
-    With zero force, the gap is ``apart`` < 0 and the tangential slip is ``drift``.
+    ``apart`` < 0 is the gap, and ``drift`` the tangential slip, that the point would have without
+    force.
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
     # Use an axis more than 45 degrees from the normal, to avoid cancellation in the cross product.

@@ -58,10 +58,10 @@ def cores_without(core: int | None, allowed: set[int]) -> set[int]:
 
 
 class CoreThreads(ThreadPoolExecutor):
-    """Threads that share the work of another thread, on other cores than that thread's core.
+    """Threads that take over work of a calling thread, on other cores than the caller's core.
 
-    An operating system often starts a waiting thread on the core of the thread that wakes it. The
-    woken thread would then wait until the other thread has finished.
+    An operating system often starts a woken thread on the core of the caller. The woken thread
+    would then wait until the caller has finished its own work.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Exclude a core for these threads, if there is another core."""
+        """Keep these threads off a core, if another core is allowed."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

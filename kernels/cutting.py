@@ -11,15 +11,16 @@ coefficients (Altintas 2012, Manufacturing Automation, ch. 2) and a size effect.
 Every K is scaled by (density / reference density) ** exponent of the layer. Below the minimum chip
 thickness h_min the force is proportional to h, so the force is a Lipschitz function of the
 velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance along their
-normal do not cut.
+outward normal do not cut.
 
 The share is the part of the element's width that lies below the surface of the bone, see
-`kernels.engagement`. In a tick, the share is evaluated at the middle of the element's motion. It
-falls from 1 to 0 over the element's width, or over its motion through the surface if this is
+`kernels.engagement`. In a tick, the share is evaluated at the middle of the element's motion. As a
+function of the distance from the surface, the share falls from 1 to 0. The length of this
+transition is the element's width, or the element's motion through the surface if the motion is
 longer. An element that reaches the bone within the tick therefore cuts for the rest of the tick.
 
-The kernel computes the force at a given velocity and its derivatives by the velocity (the tangent).
-It processes eight elements at once.
+The kernel computes the force at a given velocity, and the derivatives of the force by the velocity
+(the tangent). It processes eight elements at once.
 """
 
 import warp as wp
@@ -81,7 +82,7 @@ def cutting_forces(
     # [chunk, AREA + layers + 36], tool frame, see VALUE; not written for chunks without bone
     sums_out: Doubles2D,
 ):
-    """Sum the forces on one chunk of elements, and their derivatives by the unknowns.
+    """Sum the forces on one chunk of elements, and the derivatives of the forces by the unknowns.
 
     The unknowns are the speed (1), the velocity of the tip (3), or the velocity of the tip and the
     angular velocity (6). If the speed is the unknown, the given velocities are the velocities at
@@ -230,8 +231,8 @@ def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, c
     The elements start at ``distance`` from the surface and move towards it at the speeds
     ``passing``. The share is 0 for elements for which ``cuts`` is 0.
 
-    Returns the share, a flag that is 1 where the share is between 0 and 1, and the derivative of
-    the share by the speed.
+    Return the share, a flag that is 1 if the share is between 0 and 1, and the derivative of the
+    share by the speed.
     """
     one = lanes8(1.0)
     shift = tick * passing
@@ -255,12 +256,11 @@ def chip_law(
     chip_per_speed: float,
     advance: lanes8,
 ):
-    """Compute effective chip thickness and share of the edge force of eight elements.
+    """Compute the effective chip thickness and the share of the edge force of eight elements.
 
-    The advance is in m/s. The products are formed such that a linear law gives exactly 0 at zero
-    velocity.
+    ``advance`` is the speed along the normal [m/s]. At zero velocity, a linear law gives exactly 0.
 
-    Returns the chip thickness and its derivative by the advance, and the share and its derivative.
+    Return the chip thickness, the share, and their derivatives by the advance.
     """
     one = lanes8(1.0)
     thickness = chip_per_speed * advance
@@ -391,8 +391,9 @@ def add_derivatives(
 ):
     """Add the derivatives of force and torque by the velocities to the sums of a chunk.
 
-    The loads are multiplied by the derivatives of an advance by the velocity of the tip (x, y, z)
-    and by the angular velocity. With three unknowns, only the force has derivatives.
+    The loads are multiplied by the derivatives of the advance of each element. These are the
+    derivatives by the velocity of the tip (x, y, z) and by the angular velocity. With three
+    unknowns, only the force has derivatives.
     """
     add_forces(elements, eight, loads, x, chunk, place, sums_out)
     add_forces(elements, eight, loads, y, chunk, place + 6, sums_out)

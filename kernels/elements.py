@@ -32,8 +32,8 @@ Chunks are summed in order, so the result does not depend on the number of threa
 LANES = 8
 """Number of elements whose positions and advances are computed at once.
 
-This saves a tenth of the force kernel's time, together with sums that are computed outside of
-branches, see docs/performance.md.
+Computing eight at once, and computing sums outside of branches, saves a tenth of the force kernel's
+time, see docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 Lanes2D = wp.array2d(dtype=lanes8)
@@ -44,7 +44,7 @@ LEAST_ADVANCE = wp.constant(1.0e-5)
 
 @wp.struct
 class Elements:
-    """Point shell of a cutter in its own frame: origin at the tip, z along the axis."""
+    """Cutting elements in the cutter's frame, with the origin at the tip and z along the axis."""
 
     point: SingleVectors  # [m]
     lanes: Lanes2D  # [eight elements, 6]: x, y, z of points, then of normals
@@ -71,7 +71,8 @@ class Elements:
 class Travel:
     """Pose of the tool and its motion at speed 1.
 
-    The motion is given along the tool's axes. The axes are given in the grid [voxel/m].
+    The components of the motion are along the tool's axes. The axes are vectors in the grid
+    [voxel/m].
     """
 
     tip: wp.vec3  # [voxel]
@@ -87,7 +88,7 @@ class Travel:
 
 @wp.func
 def travel_of(motion: Doubles2D, spacing: float):
-    """Convert the rows of ``motion`` to single precision and derive the limits."""
+    """Convert the rows of ``motion`` to single precision, and set the least advance that cuts."""
     travel = Travel()
     travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
     travel.ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing

@@ -1,9 +1,10 @@
 """Bone in front of each cutting element of a rotating cutter.
 
 A cutting element is a small piece of the cutter's surface. Its engaged share is the part of its
-width that lies below the surface of the bone. This is the original surface or, if a cut lies
-deeper, the surface of the cut. The distance and direction of the surface, and the width of the
-element, are stored. `kernels.cutting` can then evaluate the share at any velocity.
+width that lies below the surface of the bone. The surface of the bone is the original surface or,
+if a cut lies deeper, the surface of the cut. The kernel stores the distance and direction of the
+surface, and the width of the element. `kernels.cutting` can then evaluate the share at any
+velocity.
 
 Older cuts are read from the voxels, see `kernels.older_cuts`. The most recent cuts are computed
 from the tool's last poses, see `kernels.recent_cuts`.
@@ -88,7 +89,7 @@ NEAR = wp.constant(0.2)
 
 @wp.struct
 class Coefficients:
-    """Cutting coefficients of each layer at its reference density: tangential, radial, axial."""
+    """Tangential, radial and axial cutting coefficients of each layer at its reference density."""
 
     chip: SingleVectors  # [Pa]
     edge: SingleVectors  # [N/m]

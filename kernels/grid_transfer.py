@@ -1,23 +1,25 @@
 """Transfer between a fine and a coarse grid with twice the edge length, and Gauss-Seidel smoothing.
 
-Cell stiffness and residuals are transferred to the coarse grid, and corrections to the fine grid.
+Cell stiffness and residuals are transferred to the coarse grid. Corrections are transferred to the
+fine grid.
 
-A coarse cell's trilinear functions are trilinear on each of its eight children. Its stiffness is
-therefore exactly ``K = sum P_c^T M K_c M P_c``, where K_c is the stiffness of a child, P_c the
-interpolation to the child, and M the mask of the components that may move. The coarse operator is
-the Galerkin projection of the fine operator. A change of one fine cell changes one coarse cell.
+A coarse cell's trilinear functions are trilinear on each of its eight children (fine cells). The
+stiffness of the coarse cell is therefore exactly ``K = sum P_c^T M K_c M P_c``. Here, K_c is the
+stiffness of a child, P_c the interpolation to the child, and M the mask of the components that may
+move. The coarse operator is the Galerkin projection of the fine operator. A change of one fine cell
+changes one coarse cell.
 
 Node blocks: the stiffness of a grid, assembled row by row.
 
 The kernels assemble rows of 3 x 3 blocks, multiply them by a vector, and run Gauss-Seidel sweeps
 over eight colours.
 
-A row holds one block for each of a node's up to 27 neighbours: first the neighbours of lower
-colour, then the node itself, then the neighbours of higher colour. This order splits K into L + D +
-U. The first sweep starts at zero, solves ``(L + D) v = f``, and has the residual
-``f - K v = -U v``. The solution and the residual together read K once. Sums have a fixed order. A
-sweep changes only nodes of one colour, and these nodes are never neighbours. The result has the
-same bits on any number of threads.
+A row holds one block for the node itself and one for each of its neighbours, up to 27 blocks in
+all. The order is: neighbours of lower colour, the node itself, neighbours of higher colour. This
+order splits K into L + D + U. The first sweep starts at zero, solves ``(L + D) v = f``, and has the
+residual ``f - K v = -U v``. The solution and the residual together read K once. Sums have a fixed
+order. Nodes that are changed at the same time have the same colour and are never neighbours. The
+result therefore has the same bits on any number of threads.
 """
 
 import warp as wp
@@ -54,7 +56,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def share(child: int, a: int, parent: int):
-    """Return the weight of a parent cell's corner in corner a of its child."""
+    """Return the interpolation weight of a parent cell's corner at corner a of its child."""
     weight = wp.float64(1.0)
     for axis in range(3):
         at = ((child >> axis) & 1) + ((a >> axis) & 1)  # in half edges of the parent: 0, 1, 2
@@ -216,7 +218,7 @@ def invert_diagonal(
     # out
     inverse_out: SingleMatrices,  # [node] [m/N]
 ):
-    """Invert each node's own block; the inverse is zero where a node carries no load.
+    """Invert each node's diagonal block. The inverse is zero at a node that carries no load.
 
     A small multiple of the trace keeps half-empty blocks regular.
     """

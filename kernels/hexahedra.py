@@ -3,11 +3,11 @@
 The module contains shape functions, the packed cell stiffness, and its product with a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell has the position ``(i, j, k)`` in units of the edge length. A
-cell's stiffness, 24 x 24 and symmetric, is stored as ``BLOCKS`` blocks (a, b) of 3 x 3 with a <= b,
-row after row. The other blocks are the transposes of these blocks, so the matrix is symmetric to
-the last bit. The product for a set of cells needs no assembled matrix. Each cell writes its own
-corner forces, then every node gathers the forces of its up to eight cells in fixed order. There are
-no atomic operations, and the result has the same bits on any number of threads.
+cell's stiffness is a symmetric matrix of 24 x 24. Its ``BLOCKS`` blocks (a, b) of 3 x 3 with a <= b
+are stored row after row. The other blocks are their transposes, so the matrix is symmetric to the
+last bit. The product for a set of cells needs no assembled matrix. First, each cell writes its own
+corner forces. Then every node sums the forces from its cells, at most eight, in fixed order. There
+are no atomic operations, and the result has the same bits on any number of threads.
 """
 
 import warp as wp
@@ -29,7 +29,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 BLOCKS = 36
-"""Number of stored blocks, of the 8 x 8 blocks of a cell."""
+"""Number of stored blocks of a cell's stiffness, which has 8 x 8 blocks."""
 CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 
 

@@ -1,7 +1,8 @@
-"""Data layout of `kernels.cell_strips`: cell weights in strips, and vectors in lanes.
+"""Data layout for `kernels.cell_strips`: weights of cells in strips, and vectors in lanes.
 
-A strip consists of eight cells in a row, and each cell has one lane. The kernels compute weights
-and diagonals, run a smoothing step, and convert vectors between nodes and lanes.
+A strip consists of eight cells in a row. A lane is the position of one cell in its strip. The
+kernels compute weights and diagonals, run a smoothing step, and convert vectors between nodes and
+lanes.
 """
 
 from typing import Any
@@ -134,7 +135,7 @@ def node_diagonals(
     # [component, slot] [m/N], 1 / (bound D); 0 if held or empty
     inverse_out: Singles2D,
 ):
-    """Compute the diagonal of the nodes' stiffness and its inverse."""
+    """Compute the diagonal of the stiffness at each node, and the inverse of this diagonal."""
     node = nodes[wp.tid() + offset]
     total = wp.vec3d()
     for a in range(8):

@@ -3,18 +3,18 @@
 On a CPU, a Warp kernel launch runs on one core but releases the interpreter lock, so two halves of
 a launch can run in two threads. The hand-over to a thread costs about 50 us. A launch is therefore
 split only if its last runs took longer than ``SPLIT_ABOVE_S`` and if splitting is measured to save
-time, see `SplitChoice`. A single slow run that another process interrupted does not count. If other
-processes use the core of a thread and the thread has not begun its part, the calling thread runs
-this part itself. To wait for the thread would cost milliseconds. Kernels are written so that the
-split does not change a bit of the result.
+time, see `SplitChoice`. A single slow run does not count, because another process may have
+interrupted it. If a thread has not begun its part, because other processes use its core, the
+calling thread runs this part itself. Waiting for the thread would cost milliseconds. Kernels are
+written so that splitting does not change any bit of the result.
 
 Choice of splitting: a launch is split if the gain measured on this machine is large enough.
 
-Two processors may share one core, or other processes may keep a core busy. Half of the work then
-takes as long as the whole work, and splitting only costs time. The gain is the ratio of the time
-without splitting to the time with splitting. A short calibration before the first launch measures
-the gain. The gain is measured again while the launches run, first often and later more and more
-rarely.
+Two logical processors may share one core, or other processes may keep a core busy. Half of the work
+then takes as long as the whole work, and splitting only adds time. The gain is the ratio of the
+time without splitting to the time with splitting. A short calibration before the first launch
+measures the gain. The gain is measured again while the launches run, at first often and later less
+and less often.
 """
 
 import ctypes
@@ -53,36 +53,36 @@ LEAST_GAIN = 1.1
 Calibrations measure 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
-"""Flags of the runs of a trial, true for the runs that are split.
+"""Flags of the runs of a trial; true for the runs that are split.
 
-Split runs are as often late as early in the trial. They have no period that could coincide with a
-period of the work.
+Split runs are as frequent in the first half of the trial as in the second half. Their order is not
+periodic, so it cannot coincide with a period of the work.
 """
 MOST_RATIO = 4.0
-"""Limit for the time of a run in a trial, relative to the median.
+"""Largest time of a run in a trial, relative to the median.
 
-Longer times are set to the limit.
+Longer times are set to this limit.
 
 A single interruption therefore does not change the outcome of the trial.
 """
 KEPT = 4
-"""Number of trials that are used. In older trials the load of the machine was different."""
+"""Number of last trials that are used. The load of the machine may have been different before."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
-"""Number of large runs before the first trial, and the largest number between trials.
+"""Number of large runs before the first trial, and largest number of large runs between trials.
 
 The number doubles with each trial that confirms the choice.
 """
 SAMPLES = 8
-"""Number of pairs of a whole and a split run in the calibration."""
+"""Number of pairs of runs in the calibration. Each pair has one whole run and one split run."""
 CALIBRATION_S = 1.5e-4
 """Time of one part of the calibration's work [s].
 
 A launch that is just large enough to be split has two such parts.
 """
 SAMPLE_BYTES = 1 << 16
-"""Number of bytes that the calibration hashes first, which takes tens of us.
+"""Number of bytes that the calibration hashes first. Hashing them takes tens of us.
 
-The number of bytes that take the time of a part is computed from this time.
+From the measured time, the calibration computes how many bytes take `CALIBRATION_S`.
 """
 
 
@@ -142,7 +142,7 @@ class SplitChoice:
 def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
     """Run the first part in this thread, and the other parts in the threads of a pool.
 
-    A part that no thread has begun is run in this thread.
+    If no thread of the pool has begun a part, this thread runs the part.
 
     Returns
     -------
@@ -162,16 +162,16 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
 
 
 def calibrate(pool: CoreThreads, parts: int) -> float:
-    """Measure the gain for work that only needs processor time.
+    """Measure the gain of splitting, for work that only needs processor time.
 
     The measurement takes a few milliseconds.
 
     Parameters
     ----------
     pool
-        Threads that take all parts but one.
+        Threads that run all parts except one.
     parts
-        Parts to split into.
+        Number of parts.
     """
     # Use the shortest of three times, because an interruption can only lengthen a time.
     one_s = min(_hash_time(bytes(SAMPLE_BYTES)) for _ in range(3))
@@ -200,7 +200,10 @@ def _hash_time(work: bytes) -> float:
 
 
 SPLIT_ABOVE_S = 2.5e-4
-"""Time above which a launch may be split [s]. The hand-over of 50 us is a fifth of this time."""
+"""Time above which a launch may be split [s].
+
+The hand-over to a thread takes 50 us, a fifth of this time.
+"""
 GROWTH = 2.0
 """Factor by which a launch is assumed to grow from one run to the next."""
 FIRST_S = 1e-5
@@ -212,7 +215,7 @@ With `GROWTH`, a launch is split in its sixth run at the earliest.
 
 @dataclass
 class LaunchCounts:
-    """Counts of this process's launches that were large enough to be split, and that were split."""
+    """Numbers of launches in this process: large enough to be split, and actually split."""
 
     large: int = 0
     split: int = 0
@@ -222,19 +225,19 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Return a copy of the counts of this process."""
+    """Return a copy of the launch counts of this process."""
     return LaunchCounts(_counts.large, _counts.split)
 
 
 @cache
 def _pool(threads: int) -> CoreThreads:
-    """Return the threads shared by all launches with this number of parts."""
+    """Return the threads that all launches with this number of parts share."""
     return CoreThreads(threads)
 
 
 @cache
 def _gain(threads: int) -> float:
-    """Return the gain on this machine, measured once for all launches.
+    """Return the gain of splitting on this machine, measured once for all launches.
 
     Every launch starts from this gain.
     """
@@ -251,9 +254,9 @@ def recorded(
 ) -> Callable[[], object]:
     """Record a launch and return a function that runs it.
 
-    On a CPU the function calls the compiled kernel with arguments that are packed once. A call
-    takes 0.6 us for six arguments. Warp's own `Launch.launch` packs the arguments in every call,
-    which takes 5 us.
+    On a CPU the function calls the compiled kernel with arguments that are packed once. For six
+    arguments, a call takes 0.6 us. Warp's own `Launch.launch` packs the arguments in every call and
+    takes 5 us.
     """
     command: wp.Launch = wp.launch(
         kernel,
@@ -274,7 +277,7 @@ def recorded(
     arguments = ctypes.byref(packed)
 
     def launch() -> None:
-        """Run the kernel. The recorded command holds references to its arrays."""
+        """Run the kernel. The recorded command keeps its arrays alive."""
         assert command is not None
         run(size, arguments)
 
@@ -297,13 +300,13 @@ class SplitLaunch:
     Parameters
     ----------
     kernel
-        A kernel whose thread index starts at the integer input at ``offset_index``.
+        Kernel that adds an integer input, the index of the first thread, to its thread index.
     dim
         Number of threads of the whole launch. If there are several dimensions, the first is split.
     inputs, outputs
         Arguments of the kernel. NumPy arrays among the inputs are copied to the device.
     offset_index
-        Position in ``inputs`` of the first thread's index. Default: after the inputs.
+        Position of the first thread's index among the kernel's inputs. Default: after ``inputs``.
     device
         Warp device name; default: the device of the first output. On a GPU the launch is never
         split.

@@ -1,11 +1,11 @@
 """Compliance between the nodes near a tool, copied into consecutive memory.
 
 Each node near the tool has a slot. Nodes that may carry load have the first slots. These nodes also
-have a row for each of their three components. A row holds the displacements of all slots for a unit
-force, slot by slot. The effect of a force change on all displacements is thus read from consecutive
-memory, in packs of numbers. In the full compliance matrix, the three lines of each block lie far
-apart. In each tick, only the entries of nodes that are newly near the tool or newly loaded are
-copied.
+have a row for each of their three components. A row holds the displacements of all slots due to a
+unit force, slot by slot. The displacements due to a change of force are therefore read from
+consecutive memory, in packs of numbers. In the full compliance matrix, the three lines of each
+block would lie far apart. In each tick, only the entries of nodes that are newly near the tool or
+newly loaded are copied.
 """
 
 import numpy as np
@@ -38,8 +38,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 LANES = 16
 """Numbers in a pack.
 
-A block of nine numbers takes 0.7 ns with a pack of 16, 1.0 ns with 8 and 0.8 ns with 32. It takes
-3.9 ns if it is read from the full compliance.
+Reading a block of nine numbers takes 0.7 ns with packs of 16 numbers, 1.0 ns with packs of 8, and
+0.8 ns with packs of 32. Reading the block from the full compliance takes 3.9 ns.
 """
 Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 
@@ -47,13 +47,13 @@ Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 SLOTS, LOADED, STALE = 0, 1, 2
 """Indices into the counts of `Patch`.
 
-In order: number of slots, number of loaded slots, and 1 if rows must be copied again.
+The counts are: number of slots, number of loaded slots, and 1 if rows must be copied again.
 """
 
 
 @wp.struct
 class Patch:
-    """Nodes near the tool, s at most."""
+    """Nodes near the tool, at most s, and the compliance between them."""
 
     count: Int32s  # [3], see SLOTS
     node: Int32s  # [slot]
@@ -74,7 +74,7 @@ def moved_at(patch: Patch, slot: int):
 
 @wp.func
 def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
-    """Displace the nodes of the first slots by a change of force on a loaded node."""
+    """Update the displacements of the first slots after a change of force on a loaded node."""
     row = 3 * slot
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = (
@@ -113,7 +113,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """Copy all rows again, after the compliance was scaled or because blocks were missing."""
+    """Copy all rows again, because the compliance was scaled or blocks were missing."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -220,7 +220,7 @@ def new_patch(nodes: int, device: str) -> Patch:
 
 
 def gather_all_again(patch: Patch) -> None:
-    """Request that all rows are copied again in the next tick, after the compliance was scaled."""
+    """Request a new copy of all rows in the next tick, because the compliance was scaled."""
     count = patch.count.numpy()
     count[STALE] = 1
     patch.count.assign(count)

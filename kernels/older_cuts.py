@@ -7,7 +7,7 @@ difference between this distance and the distance to the present tool is interpo
 centres. The difference is 0 where the surfaces of the older cut and of the tool coincide, for any
 curvature. It is negative where the older cut lies deeper. A swept volume is straight along the path
 of the tool, but the tool is curved. Along the path, the difference therefore has the curvature of
-the tool, and linear interpolation underestimates it. Lengths are in voxels.
+the tool, and linear interpolation underestimates the difference. Lengths are in voxels.
 """
 
 import warp as wp
@@ -33,8 +33,8 @@ SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the tool are stored for a chunk of elements.
 
 Four blocks along each axis are enough, because neighbouring elements use the same blocks. Each
-entry holds the indices, distance, bend and slope of a block. One more entry is 1 if entries have
-been stored.
+entry holds the indices, distance, bend and slope of a block. An additional entry is 1 if other
+entries have been stored.
 """
 NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
 
@@ -180,10 +180,10 @@ def tool_distances(
 def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
     """Compute the error of linear interpolation for a surface with the tool's curvature.
 
-    The interpolation is between voxel centres and lies below the surface. The surface curves along
-    one direction in the tangent plane, perpendicular to ``outward``. This direction is not known,
-    so the result is the mean over all directions. The error of the result is not larger than the
-    result.
+    Values that are interpolated between voxel centres lie below the surface. The surface curves
+    along one direction in the tangent plane, perpendicular to ``outward``. This direction is not
+    known, so the result is the mean over all directions. The error of the result is not larger than
+    the result.
     """
     if bend >= EDGE:
         return float(0.0)

@@ -1,22 +1,22 @@
 """Stiffness of grid cells, summed over their material particles, and stress at the particles.
 
-A material particle is an integration point with a volume. Its weight w is the volume that is left
-of it, lambda and mu are its Lame constants, and g_a is the gradient of corner a's shape function at
-the particle. ``w B^T D B`` has the blocks::
+A material particle is an integration point with a volume. Its weight w is its remaining volume, and
+lambda and mu are its Lame constants. The gradient of corner a's shape function at the particle is
+g_a. ``w B^T D B`` has the blocks::
 
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
 In a cell that is cut or holds few particles, some modes are unresolved: they deform the cell
-without energy. A single particle gives the stiffness a rank of 6 instead of 18. A fraction s of an
-energy is therefore added. This is the energy of a full cell with the mean shear modulus in the
-modes that vary inside a cell (``inner``). ``inner`` is zero for every linear field, so the patch
-test is still exact::
+without energy. A single particle gives the stiffness a rank of 6 instead of 18. A fraction s of a
+stabilising energy is therefore added. The stabilising energy is the energy of a full cell with the
+mean shear modulus, in the modes whose gradient varies inside a cell (``inner``). ``inner`` is zero
+for every linear field, so the patch test is still exact::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
-The bracket is the share of a full cell's second moment that the particles lack. It is 0 for Gauss
-points and 1 for a single particle in the middle. The method is hourglass control (Flanagan and
-Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by this share.
+The outer bracket is the part of a full cell's second moment that the particles lack. Its value is 0
+for Gauss points and 1 for a single particle in the middle. The method is hourglass control
+(Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by this part.
 
 Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S``, where S is the
 3 x 3 stiffness of a spring.

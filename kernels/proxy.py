@@ -2,11 +2,11 @@
 
 The proxy is rigid. From its last pose, it moves in steps towards the pose of the device and so
 reduces the energy of the springs to the device (a descent). The length of a step is at most the
-distance that is certainly free. Near an obstacle, the length is at most half a voxel. In every
-step, the contact forces at the active contacts are solved. A step that ends too deep in an obstacle
-is undone and halved. The proxy therefore stays on its side of an obstacle, even if the device
-passes through the obstacle at any speed (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and
-Khatib 1997, SIGGRAPH).
+distance that is certainly free of obstacles. Near an obstacle, the length is at most half a voxel.
+In every step, the forces at the active contacts are solved. A step that ends too deep in an
+obstacle is undone and halved. The proxy therefore stays on its side of an obstacle, even if the
+device passes through the obstacle at any speed (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov
+and Khatib 1997, SIGGRAPH).
 """
 
 import warp as wp
@@ -48,15 +48,16 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
 """Indices into the state, and number of entries.
 
-In order: position xyz [m], quaternion xyzw, path length [m]; number of entries.
+The entries are: position xyz [m], quaternion xyzw, and path length [m]. The last name is the number
+of entries.
 """
 CONVERGED, PRESSING, STEPS, SOLVES, FORCE, MOMENT, CENTRE, REPORT = 0, 1, 2, 3, 4, 7, 10, 13
 """Indices into the report, and number of entries.
 
-In order: 1 if converged; number of pressing contacts; number of steps; number of solves; force
-divided by stiffness [m]; moment divided by stiffness [m2]; centre of pressure relative to the
-tool's origin, in world axes [m]; number of entries. Force, moment and centre have three entries
-each.
+The entries are: 1 if converged; number of pressing contacts; number of steps; number of solves;
+force divided by stiffness [m]; moment divided by stiffness [m2]; and centre of pressure relative to
+the tool's origin, in world axes [m]. Force, moment and centre have three entries each. The last
+name is the number of entries.
 """
 HALVINGS = 8
 """Number of times that a step is halved before the proxy stops in this tick.
@@ -126,7 +127,7 @@ def advance_proxy(
     state_out: Doubles,
     report_out: Doubles,
 ):
-    """Move the proxy toward the goal. It ends at the last free pose that was found."""
+    """Move the proxy toward the goal, up to the last free pose that is found."""
     goal_position = position_in(goal)
     goal_rotation = rotation_in(goal)
     descent = begin_descent(state_out, settings.tolerance)

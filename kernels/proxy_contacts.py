@@ -1,11 +1,11 @@
-"""Search for shell points of a tool that may touch obstacles, and for the planes that bound them.
+"""Search for shell points of a tool that may touch obstacles, and for planes that bound the points.
 
-A contact constrains a shell point to stay above a plane. A point that is far from all obstacles
-sleeps: it is not checked until the shell has travelled the distance to the nearest obstacle. Near
-voxels, up to two earlier planes of a point are kept in addition to the present plane. With only one
-plane, a point in an inner corner would alternate between the faces (Zilles and Salisbury 1995). A
-kept plane is dropped as soon as it would exclude space that is free according to the present
-distance.
+Shell points represent the tool's surface. A contact constrains a shell point to stay above a plane.
+A point that is far from all obstacles sleeps: the point is not checked until the shell has
+travelled the distance to the nearest obstacle. Near voxels, up to two earlier planes of a point are
+kept in addition to the present plane. With only one plane, a point in an inner corner would
+alternate between the faces (Zilles and Salisbury 1995). A kept plane is dropped as soon as it would
+exclude space that is free according to the present distance.
 """
 
 import warp as wp
@@ -22,19 +22,19 @@ VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
 FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
-"""Number of steps ahead at which a point is checked again.
+"""Largest number of steps by which a sleeping point is checked early.
 
 This limits the number of points that are checked on a long path.
 """
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""Smallest slope assumed for a level, see `kernels.voxmap.voxel_level`.
+"""Smallest slope by which a level is divided, see `kernels.voxmap.voxel_level`.
 
-With this limit, the assumed distance of a point is never more than one voxel.
+The quotient is the assumed distance of a point. With this limit, it is never more than one voxel.
 """
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 """Cosine of the angle up to which two planes count as equal.
 
-The angle is 1.4e-4 rad, which is more than rounding errors.
+The angle is 1.4e-4 rad, which is larger than rounding errors.
 """
 SLACK = wp.constant(wp.float64(1.0e-3))
 """Depth of free space that a kept plane may exclude, relative to the voxel size."""
@@ -124,7 +124,7 @@ def collect_voxels(
     step: wp.float64,
     found: int,
 ):
-    """Find the planes of one point near voxels.
+    """Find the planes that bound one shell point near voxels.
 
     Return the number of candidates, the level of the point, and the distance that is certainly free
     [m].

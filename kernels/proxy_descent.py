@@ -1,7 +1,7 @@
 """Steps of a proxy toward its device.
 
 The proxy reduces the energy of the springs between proxy and device (a descent). A step is a motion
-that the contacts allow. It may be shortened, or undone.
+that the contacts allow. A step may be shortened or undone.
 
 A trial pose is the last free pose, displaced by the motion of a step.
 
@@ -32,12 +32,12 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SMALL = wp.constant(wp.float64(1.0e-8))
-"""Angle [rad], or sine, below which a ratio of sines is replaced by its limit."""
+"""Angle [rad], or its sine, below which a ratio of sines is replaced by the limit of this ratio."""
 
 
 @wp.func
 def turned_by(turn: wp.vec3d, rotation: wp.quatd):
-    """Return a rotation followed by a rotation about the vector ``turn`` [rad]."""
+    """Return a rotation, followed by a rotation about the vector ``turn`` by its length [rad]."""
     angle = wp.length(turn)
     share = HALF
     if angle > SMALL:
@@ -67,7 +67,10 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 
 @wp.func
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
-    """Return the largest path length [m] of a point within ``reach`` [m] of the tool's origin."""
+    """Return the largest path length [m] of points of the tool during a motion.
+
+    The points lie within ``reach`` [m] of the tool's origin.
+    """
     return wp.length(shift) + reach * wp.length(turn)
 
 
@@ -79,7 +82,9 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Return the largest path length [m] of a point within ``reach`` [m] to the goal pose.
+    """Return the largest path length [m] of points of the tool on a motion to the goal pose.
+
+    The points lie within ``reach`` [m] of the tool's origin.
 
     A ``reach`` of 0 ignores rotations.
     """
@@ -92,12 +97,13 @@ def pose_distance(
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
 """End states of a step."""
 STALLS = 2
-"""Number of steps in a row that hardly lower the springs' energy before the proxy may rest.
+"""Number of consecutive stalls after which the proxy may rest.
 
-Near voxels, the proxy may oscillate across creases of the surface.
+A stall is a step that hardly decreases the springs' energy. Near voxels, the proxy may oscillate
+across creases of the surface.
 """
 LITTLE = wp.constant(wp.float64(1.0e-4))
-"""Smallest relative decrease of the springs' energy in a step near voxels that is not a stall."""
+"""Relative decrease of the springs' energy below which a step near voxels counts as a stall."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
 """Penetration of a point, relative to the step length, above which the step is undone."""
 
@@ -162,7 +168,7 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 @wp.func
 def contact_sums(contacts: Contacts, members: int):
-    """Sum the contacts of the set.
+    """Sum the forces of the contacts in the active set.
 
     Return the number of pressing members, the sums of normal forces [m] and moments [m2], and the
     centre of pressure [m].
@@ -202,7 +208,10 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Return a descent whose trial pose is accepted as free, with this smallest gap [m]."""
+    """Return a descent whose trial pose is accepted as free.
+
+    ``gap`` is the smallest gap [m] at this pose.
+    """
     descent = before
     descent.halvings = 0
     descent.position = before.trial_position
@@ -219,7 +228,7 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Return a descent with the motion to the pose of zero spring force.
+    """Return a descent whose motion leads to the pose of zero spring force.
 
     The number of stalls is increased by one if the springs' energy has hardly decreased.
 
@@ -243,7 +252,7 @@ def aim_at(
 def react(
     contacts: Contacts, count: int, settings: DescentSettings, descent: Descent, last: Reaction
 ):
-    """Compute contact forces on a motion.
+    """Compute the contact forces that act on the tool during a motion.
 
     Return the forces, divided by the stiffness, and the number of solves.
     """
@@ -280,10 +289,11 @@ def constrain_motion(
     settings: DescentSettings,
     gap: wp.float64,
 ):
-    """Return a descent with a motion that the contacts allow, their reaction, and a solved flag.
+    """Return a descent with an allowed motion, the reaction of the contacts, and a flag.
 
-    The flag is 1 if the contacts were solved. With friction, the tool first moves up to the first
-    contact, because friction starts there. In this case no contact is solved.
+    The contacts allow the motion. The flag is 1 if the contacts were solved. With friction, the
+    tool first moves up to the first contact, because friction starts there. In this case no contact
+    is solved.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -303,7 +313,7 @@ def constrain_motion(
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
     """Return a descent and its trial pose.
 
-    The motion of ``size`` is shortened to the ``clear`` path length [m].
+    The motion has the length ``size`` [m] and is shortened to the free path length ``clear`` [m].
     """
     descent = before
     descent.near = settings.tolerance

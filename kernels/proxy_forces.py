@@ -1,15 +1,15 @@
 """Normal and friction forces that keep a rigid tool above planes, by an active-set method.
 
-The tool is held by a spring of stiffness k and, where it may turn, by a rotational spring of
-stiffness k l^2. Forces f_i, here divided by k, move it from the pose of zero spring force:
-``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This is Gauss's principle of
-least constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis.
-Comput. Graph. 13:458), so the spring forces equal the contact forces.
+The tool is held by a spring of stiffness k. If it may turn, it is also held by a rotational spring
+of stiffness k l^2, with a length l. Forces f_i, here divided by k, move it from the pose of zero
+spring force: ``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This follows from
+Gauss's principle of least constraint with the stiffness as metric (Ortega, Redon and Coquillart
+2007, IEEE Trans. Vis. Comput. Graph. 13:458). The spring forces therefore equal the contact forces.
 
 The normal forces are the Lagrange multipliers of this quadratic problem. In each iteration, the
 most violated plane joins the active set, and the linear system of the set is solved. A plane whose
-force would pull leaves the set (Lawson and Hanson 1974). Gauss-Seidel sweeps over the contacts
-would need (l / distance)^2 sweeps for two contacts close together.
+force would pull leaves the set (Lawson and Hanson 1974). A Gauss-Seidel method is not used, because
+it would need about (l / d)^2 sweeps for two contacts at a small distance d.
 
 Friction: the friction of all contacts of a rigid tool is computed as one force.
 
@@ -35,9 +35,12 @@ MEMBERS = 8
 Six planes fix a rigid body, and one more plane may join before another plane leaves.
 """
 ROUNDS = 64
-"""Largest number of planes that join, several times `MEMBERS` in case planes alternate."""
+"""Largest number of times that a plane joins the set.
+
+The number is several times `MEMBERS`, because planes may alternate.
+"""
 TINY = wp.constant(wp.float64(1.0e-13))
-"""Relative increase of the set's matrix that makes dependent planes solvable."""
+"""Relative increase of the diagonal of the set's matrix, so that dependent planes can be solved."""
 
 
 @wp.func
@@ -67,7 +70,9 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 def solve_set(
     contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
 ):
-    """Solve for the forces of the set that cancel a shift and a turn, and store them in a column.
+    """Solve for the forces of the set that cancel a shift and a turn.
+
+    The forces are stored in a column.
 
     If ``gaps`` is 1, the forces also close the gaps.
     """
@@ -91,7 +96,7 @@ def solve_set(
 
 @wp.func
 def drop_member(contacts: Contacts, members: int, place: int):
-    """Remove a plane from the set and return the remaining number."""
+    """Remove a plane from the set, and return the number of remaining planes."""
     c = contacts.member[place]
     contacts.press[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
@@ -103,7 +108,9 @@ def drop_member(contacts: Contacts, members: int, place: int):
 def shrink_set(
     contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Solve for the forces of the set that close its gaps, and remove planes that pull one by one.
+    """Solve for the forces of the set that close its gaps.
+
+    Planes whose force would pull are removed one by one.
 
     Return the size of the set and the number of solves.
     """
@@ -196,14 +203,14 @@ def normal_forces(
 FRICTION_ROUNDS = 4
 """Number of rounds in which friction and normal forces are solved in turn."""
 STEPS = 50
-"""Largest number of iterations between the friction force and its bound.
+"""Largest number of iterations in which the friction force and its bound are adapted to each other.
 
 The bound depends on the normal forces, and the normal forces depend on friction.
 """
 NEWTON_STEPS = 30
-"""Largest number of Newton steps. From below, they converge quadratically without a bracket."""
+"""Largest number of Newton steps. They start below the solution and converge quadratically."""
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance assigned to a point that the planes hold, relative to about 1 for a free point.
+"""Compliance assigned to a point that the planes hold. A free point has a compliance of about 1.
 
 The friction of a held point is not determined.
 """
@@ -268,7 +275,7 @@ def friction_force(
     turn: wp.vec3d,
     last: wp.vec3d,
 ):
-    """Compute the friction force of the set, and its point of action from the tool's origin.
+    """Compute the friction force of the set, and its point of action relative to the tool's origin.
 
     The normal forces depend linearly on the friction force.
     """
@@ -339,9 +346,10 @@ def resolve(
     last_arm: wp.vec3d,
     near: wp.float64,  # change at which the friction force counts as found [m]
 ):
-    """Return the size of the set, the number of solves, the friction force [m] and its arm.
+    """Compute the normal and friction forces of all contacts.
 
-    The normal forces are written to ``press``.
+    Return the size of the set, the number of solves, the friction force [m] and the arm of this
+    force. The normal forces are written to ``press``.
     """
     members = int(0)
     for c in range(count):

@@ -1,13 +1,13 @@
 """Most recent cuts, computed from the tool's last poses.
 
 The poses are exact up to rounding errors, so the surface of these cuts is more accurate than the
-surface stored in the voxels. At a pose displaced by d, the tool has cut the bone up to this
-distance::
+surface stored in the voxels. An earlier pose is displaced by d from the present pose. In front of a
+cutting element with the normal n and the mean curvature k, the tool has cut the bone at the earlier
+pose up to the distance::
 
     d . n - k / 2 |d - (d . n) n|**2
 
-in front of a cutting element with the normal n and the mean curvature k. Rotations are included to
-second order.
+Rotations are included to second order.
 """
 
 import warp as wp
@@ -45,8 +45,8 @@ def poses_in_front(
 ):
     """Return the range of last poses that may have cut farther than the present pose.
 
-    A pose is included if, at this pose, an element of the chunk lay farther along its normal than
-    at the present pose. For a tool that advances, there are no such poses.
+    At an included pose, an element of the chunk lay farther along its normal than it does at the
+    present pose. For a tool that advances, the range is empty.
     """
     poses = Poses()
     poses.last = recent.shape[0]
@@ -84,8 +84,8 @@ def recently_cut(
 ):
     """Compute how far the tool has cut in front of eight elements at its last poses [m].
 
-    The result is 0 for elements where the present pose has cut farthest. As soon as the result is
-    more than ``enough`` for all eight elements, the remaining poses are skipped.
+    The result is 0 for an element if the present pose has cut farthest. When the result is more
+    than ``enough`` for all eight elements, the remaining poses are skipped.
     """
     gap = lanes8()
     if poses.first >= poses.last:

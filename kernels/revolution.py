@@ -15,8 +15,8 @@ EDGE_BEND = 8.0
 The bend is a sixth of the sum of the principal curvatures. Near an edge, no single plane
 approximates the surface in a block of voxels.
 
-No smooth tool has this value: a ball with a radius of one voxel, smaller than any tool, has a bend
-of 1/3.
+No smooth tool has this value. Even a ball with a radius of one voxel, which is smaller than any
+tool, has a bend of 1/3.
 """
 
 
@@ -52,15 +52,15 @@ class Nearest:
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """Return the nearest tool surface to a point.
+    """Return the point of the tool's surface nearest to a given point.
 
-    The point lies at an ``offset`` [voxel] from the tip of a tool along ``axis``.
+    The given point lies at an ``offset`` [voxel] from the tip of a tool along ``axis``.
 
     The values are interpolated bilinearly in the table.
 
     In a block of 2 x 2 x 2 voxels, the distances at the voxel centres are larger than the distances
     to the tangent plane, by (k1 + k2) / 8 on average. The mean distance over a voxel is larger than
-    the distance at its centre by (k1 + k2) / 24. ``bend`` is the sum of the two terms.
+    the distance at the voxel's centre by (k1 + k2) / 24. ``bend`` is the sum of the two terms.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis

@@ -18,13 +18,13 @@ TWICE = wp.constant(wp.float64(2.0))
 GRAZING = wp.constant(wp.float64(0.1))
 """Smallest cosine between a point's normal and a triangle's inward normal that allows contact.
 
-At 84 degrees, the distance along the normal to the triangle's plane is ten times the distance of
-the plane.
+The cosine belongs to an angle of 84 degrees. At this angle, the distance along the normal to the
+triangle's plane is ten times the perpendicular distance.
 """
 EDGE = wp.constant(wp.float64(-1e-9))
 """Smallest barycentric weight of a point that belongs to a triangle.
 
-A slightly negative value assigns a point on an edge to the triangles on the two sides of the edge.
+The value is slightly negative, so a point on an edge belongs to the triangles on the two sides.
 """
 
 
@@ -88,7 +88,7 @@ def project_shell(
 
 @wp.kernel
 def link_points(triangle: Int32s, lists: Lists, points_out: Points):
-    """Link the points of each nearby triangle. A point without a triangle carries no force."""
+    """Link each shell point to its triangle. A point without a triangle carries no force."""
     for k in range(lists.count[NEARBY]):
         points_out.first[lists.near[k]] = -1
     for i in range(triangle.shape[0]):

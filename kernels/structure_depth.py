@@ -29,7 +29,8 @@ DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
 CELLS = wp.constant(128)
 """Number of rows of the stack of cells.
 
-Each halving adds one row. 30 halvings reduce the two sides of a cell from 30 mm to a micrometre.
+Each halving of a cell adds one row. 30 halvings reduce the two sides of a cell from 30 mm to about
+a micrometre.
 """
 CELL_COLUMNS = wp.constant(6)
 MOST_QUERIES = wp.constant(20000)
@@ -42,15 +43,15 @@ FAR_M = wp.constant(wp.float64(1.0e3))
 NEAR_M = wp.constant(wp.float64(1.0e-6))
 """Distance from the surface below which the direction to it has large rounding errors [m]."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
-"""Distance of the outer point of a bound from the surface, relative to the size of the cell.
+"""Distance from the surface to the outer point that is used for a bound, in cell sizes.
 
-If the space outside the structure is that large, a bound lies below the distance by about a 32nd of
-the size of the cell.
+If the space outside the structure is large enough, the bound is below the true distance by about a
+32nd of the cell size.
 """
 HULL = wp.constant(8)
 """Number of corners of the hull around a cell, see `hull_corner`."""
 WIDE_RAD = wp.constant(wp.float64(1.0))
-"""Half angle [rad] of a cell above which only the size of the cell is used for a bound.
+"""Half angle [rad] of a cell above which a bound is computed only from the size of the cell.
 
 At this angle, the hull corners on the tangents have 1.85 times the radius of the cell.
 """
@@ -85,7 +86,7 @@ def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
-    """Find the distance from the surface, the nearest point of the surface and its triangle."""
+    """Find the point of the surface nearest to `point`, its triangle and its distance."""
     at = wp.vec3(point)
     query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
     foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))
@@ -218,9 +219,9 @@ def over_balls(
     # start and end as fractions of the segment, angle, half angle, bound, signed distance
     cells: Doubles2D,
 ):
-    """Compute a lower bound [m] of the smallest distance of balls in the structure, at most `best`.
+    """Compute a lower bound of the smallest distance [m] of the tool's balls in the structure.
 
-    Only balls of the tool whose centre lies in the structure are included.
+    The result is at most `best`. Only balls whose centre lies in the structure are included.
     """
     smallest = best
     lowest = best

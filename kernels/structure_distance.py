@@ -5,7 +5,8 @@ over halves of triangles, finds the point of the surface with the smallest dista
 The error is at most `TOLERANCE_M`. If tool and structure overlap, `kernels.structure_depth`
 computes the penetration depth.
 
-Clearance: the distance of a tool's surface from another body, interpolated in a grid of distances.
+Clearance: the distance between a tool's surface and another body is interpolated in a grid of
+distances.
 """
 
 import warp as wp
@@ -28,7 +29,7 @@ MOST_EVALUATIONS = wp.constant(20000)
 The limit bounds the time of a tick.
 """
 LEAF = wp.constant(4)
-"""Number of triangles in a leaf, the same as in `meshes.surfaces.box_tree`."""
+"""Number of triangles in a leaf of the tree. It must agree with `meshes.surfaces.box_tree`."""
 
 
 @wp.struct
@@ -52,7 +53,7 @@ def smallest_in_triangle(
     stack: Vectors2D,
     bound: Doubles,
 ):
-    """Find the smallest distance of the points of a triangle, but at most `best`.
+    """Find the smallest distance between the tool and a triangle, but at most `best`.
 
     Return the distance, the number of evaluations so far, and the smallest bound of the parts that
     were not searched.
@@ -118,7 +119,7 @@ def in_tool(motion: Doubles2D, point: wp.vec3d):
 
 @wp.func
 def node_bound(outline: Outline, tree: Tree, motion: Doubles2D, node: int):
-    """Compute a lower bound of the distance of the points in a node's box."""
+    """Compute a lower bound of the distance between the tool and the points in a node's box."""
     half = tree.half[node]
     # 1e9 m stands for no bound, so that an empty node is never searched.
     bound = wp.float64(1.0e9)
@@ -236,7 +237,7 @@ def distance_to_structure(
 
 @wp.func
 def clipped(distance: Singles3D, i: int, j: int, k: int):
-    """Return the distance [m] at a voxel.
+    """Return the stored distance [m] at voxel (i, j, k).
 
     Outside the grid, the nearest voxel of the grid is used.
     """
@@ -259,7 +260,7 @@ def clearance(
     # out
     least_out: Singles,  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Compute the smallest distance of the surface elements in each chunk.
+    """Compute the smallest distance between the other body and the surface elements of each chunk.
 
     Distances are interpolated trilinearly between voxel centres.
     """

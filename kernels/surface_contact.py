@@ -7,9 +7,9 @@ triangle. For one triangle after another, the forces at its contact points are s
 (``kernels.contact_state``). The tool's distance and normal are evaluated at the present position of
 the point, so no outer loop over normals is needed. The changed force F_a of each node of the
 triangle is then added to the displacements of all loaded nodes, ``u_b += W_ba dF_a``
-(``kernels.near_compliance``). Only working triangles, which touch the tool or carry force, are
-solved. When their points no longer move, all other nearby triangles are checked again, and
-triangles that the tool would penetrate are added.
+(``kernels.near_compliance``). Only working triangles are solved. They touch the tool or carry
+force. When their points no longer move, all other nearby triangles are checked. Triangles that the
+tool would penetrate become working triangles.
 """
 
 import warp as wp
@@ -113,7 +113,7 @@ def turn_of(
 
 @wp.func
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
-    """Recompute nodal forces and displacements.
+    """Recompute the nodal forces and displacements from the contact forces.
 
     Rounding errors would accumulate if only changes were added.
     """
@@ -144,7 +144,7 @@ def report(
     state: int,
     results_out: Doubles,
 ):
-    """Sum the force and torque on the tool.
+    """Write the results: the force and torque on the tool, and the end state.
 
     If a penetration remains that no force can remove, the end state is changed to IMMOVABLE.
     """
@@ -208,7 +208,10 @@ def solve_contact(
     patch_out: Patch,
     results_out: Doubles,
 ):
-    """Sweep over working triangles until their points rest and no other triangle is penetrated."""
+    """Solve the working triangles in sweeps.
+
+    The sweeps end when the contact points rest and the tool penetrates no other triangle.
+    """
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)
     missing = start_over(body_out, points_out, lists_out, patch_out, pose)

@@ -1,9 +1,9 @@
 """Energy, force and tangent stiffness of tetrahedra of any order, for laws of principal stretches.
 
 The laws are defined in ``tissue.materials.hyperelasticity``, with moduli relative to a cell's shear
-modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
-(``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``,
-``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
+modulus mu. At a quadrature point, the deformation gradient is ``F = U diag(l) V^T``
+(``kernels.tet_nonlinear``). The stretches at constant volume are ``b_i = l_i J^(-1/3)``, and
+``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``. The energy density is:
 
     psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
         + sum_e (s_e / (2 b_e)) (exp(b_e x) - 1)) + (kappa / 4) (J^2 - 1 - 2 ln J)
@@ -40,7 +40,7 @@ __all__ = ["stretch_force", "stretch_stiffness"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SWEEPS = wp.constant(12)
-"""Largest number of sweeps over the three pairs; Jacobi's method needs about five."""
+"""Largest number of Jacobi sweeps over the three pairs of axes. About five are needed."""
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 LEAST = wp.constant(wp.float64(1.0e-3))
 """Smallest eigenvalue of the definite tangent, relative to the shear modulus."""
@@ -56,7 +56,7 @@ def removed(
     u: wp.vec3d,
     v: wp.vec3d,
 ):
-    """Eliminate an off-diagonal entry by a rotation of two axes.
+    """Eliminate an off-diagonal entry of a symmetric matrix by a rotation of two axes.
 
     Return the two diagonal entries, the other entries of the two rows, and the two axes.
     """
@@ -82,8 +82,8 @@ def removed(
 def stretches_of(f: wp.mat33d):
     """Compute the stretches and the frame V of a gradient with det F > 0.
 
-    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5). The rotations are written out,
-    because products of matrices take three times as long.
+    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5). The code computes each entry
+    separately, because matrix products take three times as long.
     """
     c = wp.transpose(f) * f
     xx = c[0, 0]
@@ -240,9 +240,9 @@ def definite(matrix: wp.mat33d, smallest: wp.float64):
 def pair_moduli(
     stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d, is_definite: int, smallest: wp.float64
 ):
-    """Compute the moduli that couple a shear ij with itself and with its transpose.
+    """Compute the moduli that couple a shear ij with itself and with the shear ji.
 
-    The matrices are symmetric and their diagonals are unused.
+    The two results are symmetric matrices whose diagonals are not used.
     """
     along = wp.mat33d()
     across = wp.mat33d()
@@ -288,7 +288,7 @@ def stretch_stiffness(
     # out
     block_out: Matrices2D,  # [cell, pair] [N/m]
 ):
-    """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
+    """Compute the upper triangle of the blocks of each cell's tangent stiffness."""
     cell = wp.tid() + offset
     for pair in range(pair_first.shape[0]):
         block_out[cell, pair] = wp.mat33d()

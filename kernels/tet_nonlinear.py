@@ -11,8 +11,8 @@ corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the 
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
 The neo-Hookean law of this module differs from the neo-Hookean law in ``kernels.tet_hyperelastic``,
-which separates the change of volume. At small strain, the two laws have the moduli of the linear
-law.
+which separates the change of volume. At small strain, each of the two laws has the moduli of the
+linear law.
 
 The corotational law is the linear law in the rotated frame. Its tangent includes the derivative of
 the rotation: ``(tr S I - S) w = axial(R^T dF - dF^T R)`` with ``R^T dR = [w]x``. The neo-Hookean
@@ -53,7 +53,7 @@ LINEAR = wp.constant(0)
 COROTATIONAL = wp.constant(1)
 NEO_HOOKEAN = wp.constant(2)
 POLAR_STEPS = wp.constant(30)
-"""Largest number of Newton steps; scaled steps converge in about ten."""
+"""Largest number of Newton steps. Scaled steps converge after about ten."""
 IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 
@@ -186,7 +186,7 @@ def tet_stiffness(
     # out
     block_out: Matrices2D,  # [cell, pair] [N/m]
 ):
-    """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
+    """Compute the upper triangle of the blocks of each cell's tangent stiffness."""
     cell = wp.tid() + offset
     lam = lame[cell, 0]
     mu = lame[cell, 1]

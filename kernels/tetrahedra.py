@@ -20,8 +20,8 @@ Stress: strain and stress in linear or quadratic tetrahedra, averaged over group
 
 At a point with the barycentric coordinates l, the displacement gradient is
 ``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, the strain is its symmetric part, and the stress is D
-times the strain. A group is the centre of a cell, or a node as a point of each adjacent cell.
-Points are weighted by the volume of their cells.
+times the strain. A group is the centre of one cell, or the points at one node, one point for each
+adjacent cell. Points are weighted by the volume of their cells.
 """
 
 import warp as wp
@@ -78,7 +78,7 @@ def gradient_product(
     pair_weight: Doubles2D,
     gradient: Vectors2D,
 ):
-    """Compute S of a pair, divided by the cell's volume.
+    """Compute the matrix S of a pair of nodes, divided by the cell's volume.
 
     S is transposed if the pair is reversed.
     """
@@ -235,7 +235,7 @@ def group_stress(
     von_mises_out: Doubles,  # [group] [Pa]
     principal_out: Vectors,  # [group] [Pa], largest first
 ):
-    """Compute the mean strain and stress of each group. They are zero if the group is empty."""
+    """Compute the mean strain and stress of each group. An empty group gets zeros."""
     group = wp.tid() + offset
     strain = wp.mat33d()
     voigt = wp.vector(length=6, dtype=wp.float64)

@@ -4,9 +4,9 @@ No distance to the surface of the voxels is stored. The distance is computed on 
 remaining fractions of the eight voxels around the point. With the trilinear fraction F and the
 spacing h, the level ``(SURFACE - F) h`` is zero on the surface and has a slope of about one in the
 outward direction. Carving therefore does not have to update distances. ``SURFACE`` is less than one
-half, because a plate that is one voxel thick may fill two layers of voxels by half. Shell points
-are moved inward to compensate for the difference to one half. Away from bone, ``clearance`` holds a
-lower bound of the distance to the initial bone. Removal can only increase this distance.
+half, because a plate that is one voxel thick may half fill two layers of voxels. Shell points are
+moved inward to compensate for this smaller value. Away from bone, ``clearance`` holds a lower bound
+of the distance to the initial bone. Removal can only increase this distance.
 """
 
 import warp as wp
@@ -38,7 +38,7 @@ SURFACE = 0.25
 """Trilinear fraction on the surface that the tool touches."""
 LEVEL = wp.constant(wp.float64(SURFACE))
 STEP = wp.constant(wp.float64(1.0 / 65535.0))
-"""Fraction of one stored step, see `kernels.bricks.FULL`."""
+"""Filled fraction that one stored step represents, see `kernels.bricks.FULL`."""
 CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
 
 
@@ -63,7 +63,7 @@ class Field:
 def box_distance(half: wp.vec3d, local: wp.vec3d):
     """Compute the distance to a box around the origin, and the gradient of the distance.
 
-    Inside the box, the magnitude is the distance to the nearest face.
+    Inside the box, the distance is negative, and its magnitude is the distance to the nearest face.
     """
     outside = wp.vec3d()
     toward = wp.vec3d()

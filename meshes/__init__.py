@@ -1,9 +1,9 @@
 """Geometry: signed distances, anatomy, voxels, surfaces and images, without physics and Warp.
 
-Shapes are in `meshes.shapes.sdf`. This package provides everything else that a scene needs. Lengths
-are in metres unless a name states another unit. Modules that read files or search surfaces import
-pyvista, trimesh and scikit-image when their functions are called. The names below are imported when
-they are first used.
+This package provides the geometry that a scene needs. Basic shapes are in `meshes.shapes.sdf`.
+Lengths are in metres unless a name states another unit. Modules that read files or search surfaces
+import pyvista, trimesh and scikit-image when their functions are called. The names below are
+imported when they are first used.
 """
 
 from importlib import import_module
@@ -81,7 +81,7 @@ _HOMES = {
     "surface_anatomy": "meshes.surfaces.glenoid",
     "voxelise": "meshes.voxels.voxelise",
 }
-"""Module that defines each name."""
+"""Dictionary from each public name to the module that defines this name."""
 
 
 def __getattr__(name: str) -> Any:

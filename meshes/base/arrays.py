@@ -63,7 +63,7 @@ def directed_edges(triangles: Ints) -> Ints:
 
 
 def windings(triangles: Ints) -> Ints:
-    """Return 1 or -1 for the two windings of a triangle, shape (m,).
+    """Return the winding of each triangle, 1 or -1, shape (m,).
 
     The value is 0 if a triangle uses a point twice.
     """
@@ -72,7 +72,7 @@ def windings(triangles: Ints) -> Ints:
 
 
 def cross_products(points: Array, triangles: Ints) -> Array:
-    """Compute normals of triangles with a length of twice the area, shape (m, 3)."""
+    """Compute a normal of each triangle whose length is twice the area, shape (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 

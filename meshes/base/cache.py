@@ -1,6 +1,6 @@
 """On-disk cache for expensive arrays, and in-memory store of recent results.
 
-Entries of the cache and of the store are identified by all inputs of the computation.
+An entry is identified by all inputs of its computation.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ __all__ = ["Arrays", "Kept", "cache_folder", "cached_arrays", "read_entry", "wri
 
 _SEAL = "tissue cache entry"
 _DIGEST_BYTES = 16
-"""Size of a checksum. With 128 bits, the chance that two of 1e9 entries agree is 2e-21."""
+"""Size of a checksum [byte]. The chance that two of 1e9 entries have the same checksum is 2e-21."""
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -47,7 +47,7 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Parameters
     ----------
     kind
-        Kind of the arrays, one word, with which the file name starts. Change the word when the
+        Kind of the arrays, one word. The file name starts with this word. Change the word when the
         meaning of the arrays changes.
     key
         All inputs of the computation. Arrays are identified by their bytes, other values by their
@@ -58,8 +58,9 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Notes
     -----
     A file contains the arrays, their types and shapes, a checksum, and the version of the code (the
-    version of tissue and of the module of ``make``). If a file does not match or cannot be read,
-    its arrays are computed again. If the folder cannot be written, nothing is stored.
+    version of tissue and of the module of ``make``). If the checksum or the version of a file does
+    not match, or the file cannot be read, its arrays are computed again. If the folder cannot be
+    written, nothing is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in key:
@@ -116,7 +117,7 @@ def _head(text: str) -> str:
 
 
 def _read(path: Path, code: str) -> Arrays | None:
-    """Return the arrays of a complete file that was written by the same code, else None."""
+    """Return the arrays of a complete file that the same code wrote, or None."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}

@@ -43,12 +43,12 @@ class _Present:
     """Type of `PRESENT`."""
 
     def __reduce__(self) -> str:
-        """Pickle the name, because an error from another process must hold this very object."""
+        """Pickle only the name, so that an error from another process holds `PRESENT` itself."""
         return "PRESENT"
 
 
 PRESENT = _Present()
-"""Value for an argument that must not be present, such as a flag. The message does not print it."""
+"""Value for an error about an argument that must not be present. It is not printed."""
 
 
 class InputError(ValueError):
@@ -61,9 +61,9 @@ class InputError(ValueError):
     Parameters
     ----------
     argument
-        Name of the argument, or the whole message if no requirement is given.
+        Name of the argument. If no requirement is given, this is the whole message.
     requirement
-        Requirement on the argument. The text follows "must" in the message.
+        Requirement on the argument, which follows the word "must" in the message.
     value
         Value that was given.
     remedy
@@ -166,7 +166,7 @@ def require_length(
 ) -> float:
     """Return `value_m` as a float if it lies in the closed interval [lowest_m, highest_m].
 
-    The error message has lengths in millimetres, because some callers have arguments in
+    The error message states lengths in millimetres, because some callers have arguments in
     millimetres.
 
     Parameters
@@ -322,7 +322,7 @@ def _as_number(name: str, value: object, remedy: str) -> float:
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Replace the name of an argument in an `InputError` by the caller's name, such as a scene key.
+    """Replace argument names in an `InputError` by the caller's names, such as scene keys.
 
     `names` maps the name in the called function to the caller's name.
 

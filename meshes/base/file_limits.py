@@ -28,9 +28,9 @@ __all__ = [
 
 _GB = 1e9
 _FREE_SHARE = 0.5
-"""Share of the free memory for a file's content.
+"""Share of the free memory that a file's content may use.
 
-The rest is for results computed from the content.
+The remaining memory is for results that are computed from the content.
 """
 _limit_GB: ContextVar[float | None] = ContextVar("max_memory_GB", default=None)
 _LONGEST_HEADER = 1 << 16
@@ -43,7 +43,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @contextmanager
 def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
-    """Set the memory that the content of a file may use [GB]. None does not change the limit."""
+    """Set the memory limit for the content of a file [GB]. None does not change the limit."""
     if max_memory_GB is None:
         yield
         return
@@ -135,8 +135,8 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
     InputError
         If the arrays would exceed the memory limit.
     ValueError
-        If the header of an array does not match the size of its archive entry, or the array
-        contains Python objects.
+        If the size in the header of an array does not match the size of its archive entry, or an
+        array contains Python objects.
     """
     import numpy as np
 
@@ -161,9 +161,7 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
 
 
 def _npy_bytes(first: bytes) -> int:
-    """Return the size [byte] of an array file that its header states; `first` begins with the
-    header.
-    """
+    """Return the size [byte] that the header of an array file states, given its first bytes."""
     import numpy as np
 
     stream = BytesIO(first)

@@ -50,24 +50,27 @@ LEAST_SCORE = 0.62
 A key of a scene that is written without one of its letters has a similarity of at least 0.68.
 """
 TIE = 0.07
-"""Difference of similarity within which names are suggested together.
+"""Largest difference of similarity between the best name and other suggested names.
 
-A further word in a name lowers the similarity by more, 0.085. Thus `radius_mm` means `diameter_mm`
-and not `peg_diameter_mm`.
+An additional word in a name lowers the similarity by 0.085, which is more than this difference. For
+`radius_mm`, `diameter_mm` is therefore suggested and `peg_diameter_mm` is not.
 """
 MOST = 3
 """Largest number of suggestions."""
 MISSPELT = 0.85
-"""Factor of the share of common letters, so that a misspelt word is not closer than a synonym."""
+"""Factor for the share of common letters.
+
+With this factor, a misspelt word is not more similar than a synonym.
+"""
 OTHER_UNIT = 0.9
-"""Factor of the similarity to a name with another unit than the given one."""
+"""Factor for the similarity if the two names have different units."""
 
 
 def closest(word: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a word most likely means, best first, at most `MOST`.
 
-    Names are compared word by word, without their units: by spelling, and by meaning for the words
-    in `SAME_MEANING`.
+    Names are compared word by word, without their units. Words are compared by spelling. Words in
+    `SAME_MEANING` are also compared by meaning.
     """
     scores = {name: _score(word, name) for name in known}
     best = max(scores.values(), default=0.0)

@@ -75,12 +75,12 @@ def kill_with_parent() -> None:
 Facts = dict[str, Any]
 """Values that JSON can represent, by name."""
 Answer = tuple[Facts, "dict[str, NDArray[np.number]]"]
-"""Result of a parser: facts, and arrays by name."""
+"""Result of a parser: values by name, and arrays by name."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S = 60.0
 _BYTES_A_SECOND = 1_000_000
-"""Time limit of a parser [s], and number of file bytes that add one second to the limit.
+"""Base time limit of a parser [s], and number of file bytes that add one second to the limit.
 
 On a busy machine, VTK files are read at 2 to 5 MB per second.
 """
@@ -98,11 +98,11 @@ This memory does not count towards the memory limit of files.
 _LOOK_EVERY_S = 0.05
 """Interval at which the time and memory of a parser are checked [s].
 
-In this interval, a process can allocate about 0.1 GB, which is little compared with the smallest
-limit of 2 GiB.
+In this interval, a process can allocate about 0.1 GB. This is little compared with the smallest
+memory limit, 2 GiB.
 """
 _LAST_S = 2.0
-"""Time limit for a parser to exit after its pipe is closed [s]. Its exit code is then known."""
+"""Time limit for a parser to exit after its pipe is closed [s], so that its exit code is known."""
 
 
 def parse_isolated(

@@ -16,7 +16,7 @@ __all__ = ["Placement"]
 _ORTHONORMAL = 1e-6
 """Largest deviation of R R^T from the identity.
 
-The error of a point 1 m away is then about 1 um.
+With this deviation, the position error of a point at a distance of 1 m is about 1 um.
 """
 
 

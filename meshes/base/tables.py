@@ -24,7 +24,8 @@ _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
 """Number of lines at the end of a file from which the format of a data line is detected.
 
-Lines at the start may be text of the instrument. The last line may be incomplete.
+The first lines are not used, because they may be a text from the instrument. The last line may be
+incomplete.
 """
 _SPACES = "'’\u00a0\u202f"
 """Thousands separators in addition to point, comma and space."""
@@ -54,7 +55,8 @@ class TextTable:
     what
         Description of the file in error messages.
     names
-        Header of each column, or the number of the column, from 1 on, if there is no header line.
+        Header of each column. If there is no header line, the names are the column numbers,
+        starting at 1.
     rows
         Cells of each row.
     lines
@@ -218,7 +220,7 @@ def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
     Raises
     ------
     InputError
-        If the file does not contain a table, or a row has a different number of cells.
+        If the file does not contain a table, or the rows have different numbers of cells.
     """
     lines = decoded_text(path, what).splitlines()
     while lines and not lines[-1].strip():
@@ -324,7 +326,7 @@ def _is_data(row: list[str]) -> bool:
 def _require_decimal_points(
     above: list[list[str]], rows: list[list[str]], delimiter: str, path: Path, what: str
 ) -> None:
-    """Raise an error for decimal commas in a table whose separator is the comma.
+    """Raise an error if a table that is separated by commas also has decimal commas.
 
     In such a table, rows have more cells than the header, and no cell has a decimal point.
     """

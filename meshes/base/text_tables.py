@@ -51,7 +51,7 @@ def read_text(path: Path) -> str:
 
 
 def read_toml(text: str) -> dict[str, Any]:
-    """Read a table in TOML.
+    """Convert TOML text to a table.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def read_toml(text: str) -> dict[str, Any]:
 
 
 def read_json(text: str | bytes) -> Any:
-    """Read a value in JSON.
+    """Convert JSON text to a value.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def read_json(text: str | bytes) -> Any:
 def _whole_number(text: str) -> int | float:
     """Convert text to an integer, or to infinity if the integer is too large for a float.
 
-    This agrees with the result for 1e400 in JSON.
+    The number 1e400 in JSON is also converted to infinity.
     """
     if len(text) > LONGEST_NUMBER:
         return -math.inf if text.startswith("-") else math.inf

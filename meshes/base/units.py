@@ -48,7 +48,7 @@ _SPELLINGS = {
     "N-mm": "Nmm",
     "°": "deg",
 }
-"""Other spellings of units."""
+"""Dictionary from other spellings of a unit to its spelling in `UNITS`."""
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _AT_END = re.compile(r"(?:_|\s*[/,]\s*|\s+in\s+)(mm_min|mm_s|[A-Za-zµμ]+(?:/[a-z]+)?)\s*$")
 """Units in headers: "Load (N)", "Load [N]", "load_N", "t/ms", "t, s" and "Load in N"."""
@@ -63,7 +63,7 @@ def plain_unit(text: str) -> str:
 def _parts(header: str, quantity: str) -> tuple[str, str]:
     """Return the name and the unit in a header.
 
-    The unit is empty if it is not a unit of the quantity.
+    The unit is empty if the header does not state a unit of the quantity.
     """
     for pattern in (_IN_BRACKETS, _AT_END):
         found = pattern.search(header)

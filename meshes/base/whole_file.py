@@ -28,7 +28,7 @@ __all__ = [
 
 
 class Owner(Protocol):
-    """Folder that is informed of its files before they are written."""
+    """Folder whose `claim` method is called before a file in the folder is written."""
 
     def depth(self, path: Path) -> int:
         """Return the number of parts of the folder's path.
@@ -38,7 +38,7 @@ class Owner(Protocol):
         ...
 
     def claim(self, path: Path) -> None:
-        """Raise an error for a file that must not be replaced, or record the file."""
+        """Record a file of this folder, or raise an error if the file must not be replaced."""
         ...
 
 
@@ -55,7 +55,7 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary file name, which the block writes, in the folder of a file.
+    """Yield the name of a temporary file, which a ``with`` block writes, in the folder of a file.
 
     The temporary name has the same suffix. When the block ends, the temporary file replaces the
     file in one step. If the block fails, the temporary file is deleted. Other processes therefore
@@ -105,8 +105,8 @@ def require_version(
     what
         Description of the file for the user.
     held
-        Version data of the file: the format version under ``key``, and the version of tissue that
-        wrote the file under ``tissue``.
+        Version data of the file. The entry ``key`` is the format version. The entry ``tissue`` is
+        the version of tissue that wrote the file.
     newest
         Newest format version that can be read.
     where
@@ -117,8 +117,8 @@ def require_version(
     Raises
     ------
     InputError
-        If the version is missing or newer. The message contains the two versions and the version of
-        tissue that wrote the file.
+        If the format version is missing, or newer than `newest`. The message contains the two
+        format versions and the version of tissue that wrote the file.
     """
     stated = held.get(key)
     # Python would count True as version 1.

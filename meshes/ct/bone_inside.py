@@ -31,20 +31,20 @@ __all__ = [
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
 LAW = "density_law"
-"""Header key of a density image for the source and the uncertainty of its densities."""
+"""Key in the header of a density image for the source and uncertainty of the densities."""
 CORTICAL_ABOVE_KG_M3 = 1000.0
 """Apparent density above which bone is cortical.
 
-The value is an ash density of 0.6 g/cm3, at which Keyak (1998) changes from trabecular to cortical
-bone, divided by 0.598, the ratio of ash to apparent density (Schileo 2008).
+Keyak (1998) changes from trabecular to cortical bone at an ash density of 0.6 g/cm3. The value is
+this density divided by the ratio of ash to apparent density, 0.598 (Schileo 2008).
 """
 _CORTICAL_KG_M3 = 1800.0
 _TRABECULAR_KG_M3 = 350.0
-"""Apparent densities of a bone whose core is given, those of `meshes.surfaces.glenoid`."""
+"""Apparent densities of a bone whose core is given, as in `meshes.surfaces.glenoid`."""
 _LEAST_KG_M3 = 50.0
 """Lowest density of bone, as in `DensityLaw`.
 
-Interpolation next to voxels without bone would give less.
+Interpolation next to voxels without bone would give lower densities.
 """
 _PLATE_M = 5e-3
 """Largest depth of a subchondral plate.
@@ -52,21 +52,22 @@ _PLATE_M = 5e-3
 The thickness is 1.2 to 2.9 mm on the glenoid (Frich), and larger where a joint is loaded.
 """
 _LEAST_COVERED = 0.99
-"""Share of the surface points at which the image must contain a density."""
+"""Smallest share of the surface points at which the image must contain a density."""
 _TO_EDGE = 0.501
 """Distance [voxel] from the centre of the last voxel to the edge of the image, with a tolerance.
 
 A bone may be cut off at this edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Distance by which a core may extend out of the bone.
+"""Largest distance by which a core may extend beyond the surface of the bone.
 
 The surfaces of core and bone are smoothed separately.
 """
 _LEAST_TOUCHING = 0.2
-"""Share of a core's points that must lie in the bone or on its surface.
+"""Smallest share of a core's points that must lie in the bone or on its surface.
 
-A hollow cortex may be open, for example the cortex of a jaw at its teeth.
+The share is small, because a hollow cortex may be open, for example the cortex of a jaw at the
+teeth.
 """
 
 
@@ -165,7 +166,7 @@ def cored_anatomy(
     Parameters
     ----------
     surface
-        Surface around the whole bone, or around the cortical bone only. The latter is hollow at the
+        Surface around the whole bone, or around only the cortical bone, which is hollow at the
         core.
     core
         Surface around the trabecular bone, in the same frame.

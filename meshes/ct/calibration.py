@@ -1,11 +1,12 @@
 """Density calibration without a phantom, from the air, fat, muscle and cortex of the same CT.
 
 The method follows Michalski et al. 2020 (Med Eng Phys 78:55). The effective energy is the energy at
-which the attenuation of the reference tissues fits their Hounsfield units best. There are three
-differences from the paper. Linear attenuation is fitted, because Hounsfield units are linear in the
-attenuation. All unknowns have priors and are estimated together, so the uncertainty of the density
-includes their uncertainty. The apparent density follows from a mixture of dense bone (ICRU 44) and
-marrow, because published relations from K2HPO4 to ash density differ by 30 %.
+which the attenuation of the reference tissues best fits their Hounsfield units. There are three
+differences from the paper. First, the linear attenuation is fitted, because Hounsfield units are
+linear in this attenuation. Second, all unknowns have priors and are estimated together, so the
+uncertainty of the density includes the uncertainty of the unknowns. Third, the apparent density is
+computed from a mixture of dense bone (ICRU 44) and marrow, because published relations between
+K2HPO4 and ash density differ by 30 %.
 """
 
 import math
@@ -98,9 +99,10 @@ def _curves() -> dict[str, Any]:
 _SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
 """Relative standard deviation of a tissue's attenuation between patients.
 
-For fat and muscle, it is half of the difference between adipose tissues 1 and 3 and between muscles
-1 and 3 of Woodard and White 1986 (Br J Radiol 59:1209), including the fat in muscle. For cortex, it
-follows from 3 to 12 % of pores and a density of 1.85 to 2.0 g/cm3 in the densest bone.
+For fat, the value is half of the difference between adipose tissues 1 and 3 of Woodard and White
+1986 (Br J Radiol 59:1209). For muscle, it is half of the difference between their muscles 1 and 3,
+including the fat in muscle. For cortex, the value follows from a porosity of 3 to 12 % and a
+density of 1.85 to 2.0 g/cm3 in the densest bone.
 """
 # prior of the effective energy: it is about 50 to 85 keV for clinical tubes with 80 to 140 kV
 _ENERGY_KEV = 72.0
@@ -108,7 +110,8 @@ _ENERGY_SD_KEV = 15.0
 _LIMITS_KEV = (38.0, 140.0)
 """Limits of the fitted energy.
 
-No photon of a 140 kV tube has more than 140 keV. The effective energy at 80 kV is about 50 keV.
+A photon of a 140 kV tube has at most 140 keV. The effective energy of an 80 kV tube is about 50
+keV.
 """
 _WATER_SD_HU = 4.0  # acceptance test of a scanner: water 0 +- 4 HU (IEC 61223-3-5)
 _SCALE_SD = 0.01  # scale error; values of 0.003 to 0.03 change the energy by less than 0.1 keV
@@ -117,8 +120,8 @@ _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
 """Relative standard deviation of the apparent density that is computed from mineral.
 
-From the calcium of ICRU 44, the ratio of ash to dense bone is 0.57. The ratio of Schileo 2008 is
-0.598. The value is about half of the relative difference.
+The ratio of ash to dense bone is 0.57 if it is computed from the calcium content in ICRU 44, and
+0.598 in Schileo 2008. The standard deviation is about half of the relative difference.
 """
 # mean squared misfit, in squared standard deviations, above which the values are not Hounsfield
 # units
@@ -131,12 +134,12 @@ _CHANCE = 0.1  # a misfit with less than this probability widens the band
 _SLAB_VOXELS = 4e6  # voxels filtered at once: five arrays of 16 MB
 _MOST_VOXELS = 4e7  # of a larger image, only every n-th slab is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range of a tissue's most frequent value for effective energies of 40 to 120 keV.
+"""Range of the most frequent Hounsfield value of a tissue, for effective energies of 40 to 120 keV.
 
 The values of ICRU 44 (fat -99 to -57 HU, muscle 45 to 40 HU) are extended by 35 HU on each side.
 """
 _BINS_HU = (-1100, 200)
-"""Range of the histogram, which contains all ranges of `_MODES_HU`, in bins of 1 HU."""
+"""Range of the histogram [HU], in bins of 1 HU. It contains all ranges of `_MODES_HU`."""
 _SMOOTHING_HU = 4.0  # standard deviation of the smoothing; single bins have random maxima
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest maximum in the tissue's range
 _PROMINENCE = 0.02  # prominence of a maximum, relative to the same highest maximum
@@ -218,9 +221,9 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
 
     The result includes the uncertainty of the law.
 
-    The unknowns are the energy, the scanner's errors of the water value and of the scale, the fat
-    in marrow, and each tissue's deviation from ICRU 44. They are expressed as standard normal
-    numbers. The covariance is computed from the linearised problem.
+    The unknowns are the energy, the errors of the scanner's water value and scale, the fat content
+    of marrow, and the deviation of each tissue from ICRU 44. Each unknown is expressed as a
+    standard normal variable. The covariance is computed from the linearised problem.
 
     Raises
     ------
@@ -244,7 +247,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     errors = np.array([regions[tissue].error_HU for tissue in tissues])
 
     def misfit(unknown: Array) -> Array:
-        """Return the errors of the fit and the unknowns, all in standard deviations."""
+        """Return the residuals of the fit and the unknowns, all in standard deviations."""
         energy = _energy(unknown)
         fitted = [
             _read((1.0 + _SPREAD[tissue] * deviation) * linear_attenuation(tissue, energy), unknown)
@@ -293,7 +296,7 @@ def _energy(unknown: Array) -> float:
 
 
 def _read(attenuation_1_m: float, unknown: Array) -> float:
-    """Compute the Hounsfield units that the scanner shows for a linear attenuation [1/m]."""
+    """Compute the Hounsfield units that the scanner would show for a linear attenuation [1/m]."""
     true = hounsfield(attenuation_1_m, _energy(unknown))
     return (1.0 + _SCALE_SD * float(unknown[1])) * true + _WATER_SD_HU * float(unknown[2])
 
@@ -315,9 +318,9 @@ def _density_line(unknown: Array) -> Array:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    Only homogeneous voxels are used, whose neighbourhood varies by no more than noise. The values
-    of air, fat and muscle are the most frequent values in the ranges of these tissues. Cortex is
-    the densest tenth of the voxels that are surrounded by bone and not near metal.
+    Only homogeneous voxels are used. The values in their neighbourhood vary only by noise. The
+    values of air, fat and muscle are the most frequent values in the ranges of these tissues.
+    Cortex is the densest tenth of the voxels that are surrounded by bone and not near metal.
     """
     from scipy.ndimage import uniform_filter
 
@@ -368,7 +371,8 @@ def find_regions(image: Image) -> dict[str, Region]:
 def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
     """Filter a slab of an image with a kernel of 3 x 3 x 3 voxels.
 
-    Returns the values, their mean, standard deviation and minimum, and the spread of the mean.
+    Return the values. Also return the mean, standard deviation and minimum around each voxel, and
+    the range of the means.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
@@ -423,7 +427,11 @@ def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) ->
 
 
 def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
-    """Compute the median of the densest tenth, with half of the spread as its error."""
+    """Compute the median value of the densest tenth of the voxels.
+
+    The error of the median is half of the range from the 20th to the 80th percentile, combined with
+    5 HU.
+    """
     count = max(
         int(_DENSEST_SHARE * len(dense)),
         math.ceil(_SMALLEST_CORTEX_MM3 / voxel_mm3),

@@ -24,7 +24,7 @@ The ratio is 0.598 +- 0.004 for cortical and trabecular bone (Schileo et al. 200
 class DensityLaw:
     """Apparent density [kg/m3] = slope * grey value + offset, limited to a range.
 
-    Apparent density is wet mass divided by volume, including pores. The uncertainties only describe
+    Apparent density is wet mass divided by volume, including pores. The uncertainties describe only
     the line. They do not include the noise of a voxel or the blur of thin bone.
 
     Attributes
@@ -124,8 +124,8 @@ CT_DENSITY = _scanner_law(
 )
 """Density law of one scanner. Calibrate your own scanner before you rely on densities.
 
-The uncertainty band of the law contains the densities that follow from the tables of
-``attenuation.toml`` at 62 to 80 keV. These are 8 to 39 % lower than the line.
+The uncertainty band of the law contains the densities that are computed from the tables of
+``attenuation.toml`` at 62 to 80 keV. These densities are 8 to 39 % lower than the law.
 """
 _MAYO_DENSITY = _scanner_law(
     "dragomir-daescu",
@@ -138,8 +138,8 @@ _MAYO_DENSITY = _scanner_law(
 DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
 """Density laws by name. Each law is the line of one scanner.
 
-The uncertainty band of each law contains the tabulated values of bone at 62 to 80 keV. They differ
-from the second line by -10 to 47 %, see `CT_DENSITY`.
+The uncertainty band of each law contains the tabulated values of bone at 62 to 80 keV, see
+`CT_DENSITY`. These values differ from the law ``dragomir-daescu`` by -10 to 47 %.
 """
 
 _TO_ASH = {
@@ -157,8 +157,8 @@ _TO_ASH = {
 
 Each entry has the slope, the offset [kg/m3], the relative standard deviation of the apparent
 density, and the source. The line 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The
-factor 0.9 follows from the line of Dragomir-Daescu 2011. The 3 % for HA is the uncertainty of the
-calcium of ICRU 44, see `meshes.ct.calibration`.
+factor 0.9 follows from the line of Dragomir-Daescu 2011. For HA, the standard deviation of 3 % is
+the uncertainty of the calcium content in ICRU 44, see `meshes.ct.calibration`.
 """
 
 

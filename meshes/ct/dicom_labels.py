@@ -36,23 +36,23 @@ __all__ = [
 
 _KINDS = ("SEG", "RTSTRUCT")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".raw", ".tif", ".tiff", ".bmp")
-"""Suffixes of files that are not DICOM and do not have to be opened."""
+"""Suffixes of files that are not DICOM. Files with these suffixes are not opened."""
 _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
 _OFF_GRID = 0.05
 """Largest distance of a frame from its position in an evenly spaced stack.
 
-The unit is the plane distance along the normal, and the pixel across the normal. Positions in
-headers are rounded.
+Along the normal, the unit is the distance between planes. Perpendicular to the normal, the unit is
+the pixel size. The value is not zero, because positions in headers are rounded.
 """
 _OFF_STATED = 0.01
-"""Largest relative difference between the distance of planes and the stated distance.
+"""Largest relative difference between the measured and the stated distance of neighbouring planes.
 
 For example, a header may state 0.67 mm for 2/3 mm.
 """
 _FLAT_MM = 0.05
-"""Largest difference of heights in one plane [mm]. Coordinates in files are rounded."""
+"""Largest difference between heights in one plane [mm]. Coordinates in files are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,8 @@ def label_object(path: Path) -> LabelObject | None:
 class Segmentation:
     """Frames of a segmentation.
 
-    Each frame is a plane of one segment. In a label map, each frame is a plane with all segments.
+    Each frame is one plane of one segment. In a label map, each frame is one plane with all
+    segments.
 
     Attributes
     ----------
@@ -145,7 +146,10 @@ class Segmentation:
         return StoredImage(empty, grid, directions, first.position_mm, tuple(notes))
 
     def planes(self) -> Iterator[tuple[int, int, Flags]]:
-        """Yield the segment number, the plane and the mask, shape (columns, rows), of a frame."""
+        """Yield the segment number, plane index and mask of each frame.
+
+        The mask has the shape (columns, rows).
+        """
         kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
         full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
         least = 0.5 * full if kind == "FRACTIONAL" else 0.5
@@ -214,8 +218,8 @@ def read_segmentation(found: LabelObject) -> Segmentation:
 def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
     """Return the plane index of each frame, and the step between planes [mm, LPS].
 
-    The step is None if the frames do not lie in evenly spaced planes. The step is not always normal
-    to the planes, because a segmentation of a CT with a tilted gantry is sheared like the CT.
+    The step is None if the frames do not lie in evenly spaced planes. The step need not be normal
+    to the planes: if a CT with a tilted gantry is sheared, its segmentation is sheared too.
     """
     normal = normal_of(frames[0])
     stated = frames[0].frame.header
@@ -339,9 +343,9 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
     """Yield the number of a structure, a plane of an image, and its mask, shape (nx, ny).
 
     A voxel belongs to a structure if its centre lies within an odd number of its outlines. An
-    outline within another outline is therefore a hole. A plane of the image uses the outlines of
-    the nearest plane with outlines, if the distance to this plane is at most half the distance
-    between planes with outlines.
+    outline within another outline is therefore a hole. Each plane of the image uses the outlines of
+    the nearest plane that has outlines. The distance to this plane must be at most half the
+    distance between planes with outlines.
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)

@@ -31,13 +31,13 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 MARGIN = 3
 """Margin around a bone [voxel], for soft tissue and for interpolation."""
 KEPT_MARGIN = 4
-"""Margin around a piece of a structure for its smoothing [voxel], five standard deviations."""
+"""Margin around a piece of a structure while it is smoothed [voxel], five standard deviations."""
 SMOOTH_VOXELS = 0.8
 """Standard deviation of the smoothing of a label [voxel].
 
 Smaller values do not remove the label's steps, and larger values remove thin parts. For a bone, the
-unit is the largest of the three voxel sizes. For a structure to keep clear of, the unit is the
-voxel size along each axis.
+unit is the largest of the three voxel sizes. For a structure that a tool must keep clear of, the
+unit is the voxel size along each axis.
 """
 NOISE_VOXELS = 0.5
 """Standard deviation [voxel] of the smoothing of grey values before a surface is extracted."""
@@ -49,9 +49,9 @@ Such gaps are trabecular openings, vessels and partial-volume effects.
 SUB = 4
 """Number of sample points of the bone fraction along each edge of a voxel."""
 LEAST_SHARE = 0.5
-"""Bone fraction above which a voxel's own value is used.
+"""Bone fraction above which the density is computed from a voxel's own value.
 
-Other voxels get the value of the nearest voxel above this fraction.
+Other voxels get the density of the nearest voxel above this fraction.
 """
 BEYOND_VOXELS = 3
 """Number of voxels by which the density is extended beyond the surface.
@@ -71,7 +71,8 @@ class BoneOfImage:
     image
         Part of the CT that contains the bone.
     field, level
-        A voxel is bone where the field, an array with the image's shape, is above the level.
+        Array with the shape of the image, and a threshold. A voxel is bone if its field value is
+        above the level.
     triangles
         Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
     cuts
@@ -79,7 +80,8 @@ class BoneOfImage:
     notes
         Sentences for users.
     label_mm3
-        Volume of the label's voxels, or of the filled piece above the threshold [mm3].
+        Volume of the label's voxels [mm3]. Without a label, the volume of the filled piece above
+        the threshold.
     """
 
     image: Image
@@ -98,9 +100,10 @@ class BoneOfImage:
     def density(self, law: Callable[[Floats], Singles]) -> Image:
         """Compute the apparent density [kg/m3] of the bone and of voxels around it, 0 elsewhere.
 
-        A voxel that the surface crosses contains bone and soft tissue, and its grey value is their
-        weighted mean. If at least half of the voxel is bone, the value of bone is computed from
-        this mean. Otherwise, the value of the nearest such voxel is used.
+        A voxel that the surface crosses contains bone and soft tissue. Its grey value is the
+        weighted mean of the values of bone and soft tissue. If at least half of the voxel is bone,
+        the value of bone is computed from this mean. Otherwise, the density of the nearest voxel
+        with enough bone is used.
         """
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -212,7 +215,7 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
 
 
 def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
-    """Build the bone where a field is above a level.
+    """Build the bone from the voxels in which a field is above a level.
 
     `other` is the size of the second-largest piece, relative to the largest.
     """
@@ -266,10 +269,11 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 def filled(mask: Flags, image: Image) -> Flags:
     """Fill marrow and pores of a mask.
 
-    Gaps of the cortex are closed first. Then the regions that are enclosed in any plane are filled.
+    Gaps of the cortex are closed first. Then each region is filled that is enclosed in a plane
+    normal to one of the three image axes.
 
-    If the edge of the image cuts off a bone, the bone encloses its marrow only in planes of certain
-    directions.
+    Three directions are used, because a bone that is cut off by the edge of the image encloses its
+    marrow only in planes of some directions.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
@@ -288,7 +292,7 @@ def filled(mask: Flags, image: Image) -> Flags:
 
 
 def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
-    """Return vertices and triangles around a structure to keep clear of, and notes.
+    """Return vertices and triangles around a structure that a tool must keep clear of, and notes.
 
     The vertices are in mm, LPS, shape (n, 3).
 

@@ -26,14 +26,14 @@ AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
 """Range of air, and range from fat to muscle, in any CT [HU]."""
 METAL_HU = 3000
-"""Hounsfield units that no tissue exceeds.
+"""Hounsfield units above which a voxel is metal. No tissue exceeds this value.
 
 Enamel, the densest tissue, has up to about 2800 HU at 120 kV (from memory, confidence M).
 """
 _COARSE_MM = 3.0
 """Slice distance above which slices are reported as coarse.
 
-It is larger than the thickness of most cortices.
+The value is larger than the thickness of most cortices.
 """
 _LEAST_METAL = 8
 """Smallest number of voxels above `METAL_HU` that count as metal; fewer voxels are noise."""
@@ -44,9 +44,10 @@ An image with air around a patient has a far larger share.
 """
 _LOWEST = -2000
 _HIGHEST = 20_000
-"""Limits of the histogram. Values outside are counted at its ends, which limits its size.
+"""Limits of the histogram. Values outside the limits are counted in the first and the last bin.
 
-CT values lie inside the limits: air has -1000 HU and metal a few thousand HU.
+The limits bound the size of the histogram. CT values lie inside the limits: air has -1000 HU, and
+metal has a few thousand HU.
 """
 _MOST_SAMPLED = 4_000_000
 """Number of voxels from which noise is estimated. The error of the median is then about 0.1 %."""
@@ -54,7 +55,7 @@ _MAD = 0.6745
 """Median absolute deviation of a normal variable with a standard deviation of 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
-"""Smallest and largest threshold of bone in use.
+"""Smallest and largest threshold of bone in common use.
 
 Thresholds are 150 HU for osteoporotic bone, 226 HU in common programs, and 600 HU for the cortex
 without trabecular bone.
@@ -62,7 +63,7 @@ without trabecular bone.
 _SOFT_PEAK_HU = (-50.0, 120.0)
 """Range in which the most frequent value of soft tissue is searched.
 
-It includes fat and contrast medium.
+The range includes fat, and soft tissue with contrast medium.
 """
 _MOST_HU = 1600.0
 """Upper limit of the values used for the threshold. Enamel and metal would raise the threshold."""
@@ -76,12 +77,12 @@ _LITTLE_BONE = 0.5
 _ALL_BONE = 0.8
 """Limits for the share of a bone's label that is above the threshold of bone.
 
-The cortex is more than a tenth of any bone. If marrow is the larger part of the label, such as in
-the humeral head of an old person, more than half may be below the threshold.
+The cortex is more than a tenth of any bone. If most of the label is marrow, for example in the
+humeral head of an old person, more than half of the label may be below the threshold.
 """
 _FLIPS = ("left to right", "front to back", "head to feet")
 _SOFT_ORGAN_HU = (-200.0, 300.0)
-"""Range of the median of a soft organ in any CT, also with contrast agent [HU]."""
+"""Range of the median value of a soft organ in any CT, with or without contrast agent [HU]."""
 _CAUSES = (
     "give the labels of this image, and check that they are not flipped, moved or of another organ"
 )
@@ -141,11 +142,12 @@ class Inspection:
     lowest, highest
         Smallest and largest value.
     is_hounsfield
-        Whether the values may be Hounsfield units: air is about -1000, or soft tissue about 0 to
-        60.
+        Whether the values may be Hounsfield units. This is true if air is about -1000, or soft
+        tissue is about 0 to 60.
     noise
         Standard deviation of soft tissue, estimated from differences of neighbours, in units of the
-        values; None without soft tissue. Noise that is equal in neighbours is not included.
+        values; None without soft tissue. Noise that neighbouring voxels have in common is not
+        included.
     metal_mm3, metal_mm
         Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
     padding
@@ -278,7 +280,7 @@ def _noise(values: Numbers) -> float | None:
 def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[float, str]:
     """Suggest a threshold of bone, with a sentence that explains it.
 
-    The threshold between soft tissue and bone is computed with Otsu's criterion.
+    Otsu's criterion determines the threshold between soft tissue and bone.
 
     For Hounsfield units, only values above soft tissue are used, and the threshold is limited to
     150 to 600 HU.
@@ -328,7 +330,8 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     Raises
     ------
     InputError
-        If less than a tenth of the label is above 150 HU. The label then does not lie on bone.
+        If less than a tenth of the label is above 150 HU, because the label then does not lie on
+        bone.
     """
     bone = image.values > LOWEST_HU
     share = float(bone[mask].mean())

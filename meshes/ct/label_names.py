@@ -30,7 +30,7 @@ MOST_LABELS = 2**31 - 1
 _HEADER_BYTES = 1 << 20
 """Number of bytes of a NIfTI file that are searched for a label table.
 
-This is 4 kB for each of 255 names.
+The value allows 4 kB for each of 255 names.
 """
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
 """Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
@@ -48,8 +48,8 @@ class Segment:
     side
         ``left``, ``right`` or empty, if the file states the body side separately from the name.
     layer, value
-        Layer that contains the segment, in a file with several overlapping layers, and value of the
-        segment in this layer.
+        Index of the layer that contains the segment, and value of the segment in this layer. A file
+        has several layers if segments overlap.
     """
 
     number: int
@@ -62,7 +62,8 @@ class Segment:
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
     """Return the names of segments by number.
 
-    If several segments have the same name, the body side that the file states is appended.
+    If several segments have the same name, the body side that the file states is appended to the
+    name.
     """
     counts = Counter(each.name for each in segments)
     return {
@@ -74,7 +75,7 @@ def apart(segments: Sequence[Segment]) -> dict[int, str]:
 
 
 def side_of(text: str) -> str:
-    """Return ``left`` or ``right`` if a modifier is one of these words, else an empty string."""
+    """Return ``left`` or ``right`` if the text is one of these words, else an empty string."""
     word = text.strip().lower()
     return word if word in _SIDES else ""
 
@@ -169,8 +170,8 @@ def slicer_segments(path: Path) -> list[Segment]:
 def _slicer_side(tags: str) -> str:
     """Return the body side in the terminology of a segment of 3D Slicer.
 
-    The parts of the terminology are separated by ~. The first parts are the name of a list,
-    category, type and modifier.
+    The terminology is a text with parts that are separated by ~. The first four parts are the name
+    of a list, the category, the type and the modifier.
     """
     entry = re.search(r"TerminologyEntry:([^|]*)", tags)
     parts = entry[1].split("~") if entry else []

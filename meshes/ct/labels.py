@@ -35,16 +35,16 @@ from meshes.images.reading import IMAGE_SUFFIXES, Spacing, read_image, stored_im
 __all__ = ["Labels", "header_names", "on_grid_of", "read_labels"]
 
 _MOST_DIFFERENT = 1000
-"""Largest number of labels in a volume. Images that are not segmentations have more values."""
+"""Largest number of labels in a volume. An image with more values is not a segmentation."""
 _ROUNDED = 0.01
 """Largest difference between a label and an integer.
 
 Some programs store labels as scaled floats.
 """
 _SAME_PLACE = 1e-2
-"""Largest distance between grids that count as equal [voxel]."""
+"""Largest distance between voxel centres of two grids that count as equal [voxel]."""
 _LOST = 0.05
-"""Share of a label's voxels outside an image above which a note is written."""
+"""Largest share of a label's voxels that may lie outside an image without a note."""
 _SHOWN_NAMES = 12
 """Largest number of names that an error message lists."""
 
@@ -105,7 +105,7 @@ class Labels:
         return found
 
     def only(self, names: Iterable[str]) -> "Labels":
-        """Return only the labels with the given names.
+        """Return the labels that have the given names, without all other labels.
 
         A voxel with several labels gets the label that comes last in `names`.
         """
@@ -201,7 +201,7 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
 def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
     """Return the segments of a file with several layers.
 
-    Layers without names raise an error.
+    If a layer has no names, raise an error.
     """
     segments = slicer_segments(path)
     overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])

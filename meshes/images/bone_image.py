@@ -33,8 +33,8 @@ def image_volume(
 ) -> VoxelVolume:
     """Convert an image to bone voxels of one layer.
 
-    The origin is the centre of the top face of the voxel block, and +z is upward. The result also
-    contains the position of the block in LPS.
+    The origin of the result is the centre of the top face of the voxel block, and +z is upward. The
+    result also contains the position of the block in LPS.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _require_size(
 
 
 def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float) -> Numbers:
-    """Interpolate linearly to the spacing `to_mm` along the axes with coarser spacing."""
+    """Interpolate linearly to the spacing `to_mm` along each axis whose spacing is coarser."""
     for axis, size in enumerate(from_mm):
         if size <= (1.0 + _ISOTROPY) * to_mm:
             continue
@@ -143,7 +143,9 @@ def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float)
 
 
 def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
-    """Average runs of `ratio` > 1 voxels along an axis, with fractions of voxels as weights.
+    """Average each run of `ratio` > 1 voxels along an axis.
+
+    The weight of a voxel is the fraction of the voxel that lies in the run.
 
     A remainder at the end is omitted.
     """
@@ -171,7 +173,7 @@ def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
 def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
     """Return vertices [mm] and triangles around the region above a grey value.
 
-    They have the shapes (n, 3) and (m, 3).
+    Vertices and triangles have the shapes (n, 3) and (m, 3).
 
     Raises
     ------
@@ -224,8 +226,8 @@ def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
     Values outside the array are 0.
 
     The kernel is a Gaussian minus its variance times its Laplacian. It has no second moment in a
-    plane through its centre. The smoothed value is therefore one half also at a curved surface, to
-    first order in the curvature.
+    plane through its centre. To first order in the curvature, the smoothed value is therefore one
+    half on a curved surface too.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _PIECE = 1 << 17
 def first_bytes(path: Path, count: int) -> bytes:
     """Return the first bytes of a file, decompressed if the file is gzip.
 
-    A shorter file gives fewer bytes.
+    If the file is shorter, fewer bytes are returned.
     """
     found = b""
     for piece in _plain(path, 0, is_gzip(path)):
@@ -48,9 +48,9 @@ def read_voxels(
     Parameters
     ----------
     start
-        Byte of the file at which the data begins. The data is zlib or gzip if `compressed`.
+        Byte of the file at which the data begins. If `compressed` is set, the data is zlib or gzip.
     skip
-        Number of bytes of the inflated data before the voxels.
+        Number of bytes before the voxels in the inflated data.
 
     Raises
     ------

@@ -34,7 +34,10 @@ __all__ = ["read_dicom", "stored_pixels"]
 _THICK_MM = 3.0
 """Slice thickness from which a note is written. It is more than the thickness of most cortices."""
 _THICKER = 1.05
-"""Ratio of thickness to distance from which slices overlap. Values in headers are rounded."""
+"""Ratio of slice thickness to slice distance above which slices overlap.
+
+The ratio is larger than 1, because values in headers are rounded.
+"""
 _AIR_HU = (-1100.0, -900.0)
 """Range of air, which is -1000 HU. Noise and scatter change it by less than 100 HU."""
 
@@ -105,7 +108,7 @@ def _of_one_series(
 ) -> tuple[list[Frame], list[str]]:
     """Return the frames of the only series, or of the series with a number, and notes.
 
-    If there is one stack of slices, series with a single slice, such as a scout or a dose report,
+    If a series has several slices, series with a single slice, such as a scout or a dose report,
     are ignored. Series are distinguished by identifier and number. Messages only name the number
     and the slices.
     """
@@ -134,7 +137,7 @@ def _of_one_series(
 def _series_number(frame: Frame) -> str:
     """Return the number of a series.
 
-    Only a short integer from a header may appear in a message.
+    The number must be a short integer, because messages must not contain other data from a header.
     """
     try:
         number = int(frame.header["SeriesNumber"])
@@ -214,7 +217,7 @@ def _decompressed(first: Slice, dataset: Any) -> Numbers:
 
 
 def _ends(each: Slice) -> int:
-    """Return the sum of the lowest and the highest value that a slice can store."""
+    """Return the lowest plus the highest value that each slice can store."""
     bits = int(number_in(each.frame, "BitsStored", 16.0))
     is_signed = int(number_in(each.frame, "PixelRepresentation", 0.0)) == 1
     return -1 if is_signed else 2**bits - 1

@@ -86,11 +86,14 @@ _FIRST_ELEMENTS = tuple(
 )
 """Little-endian tags with which a file without a preamble starts: groups 0002 and 0008."""
 _GROUP_LENGTH_BYTES = 12
-"""Size of the element with the length of its group: tag 4, type 2, length 2, value 4 bytes."""
+"""Size of the element that states the length of its group.
+
+Its tag has 4 bytes, its type 2, its length 2 and its value 4 bytes.
+"""
 _PIECE = 1 << 20
 """Number of bytes inflated at once.
 
-A file that inflates to very many zeros is thus detected at the memory limit.
+A small file that inflates to a very large size is therefore detected at the memory limit.
 """
 _UNDEFINED_LENGTH = 0xFFFFFFFF
 """Length that the header states for pixels compressed in parts (DICOM PS3.5, A.4)."""
@@ -102,14 +105,14 @@ _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG"
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Frame of a file. Most files contain one frame.
+    """Frame (one image plane) of a DICOM file. Most files contain one frame.
 
     Attributes
     ----------
     file, number
         File, and index of the frame in the file.
     header
-        Elements `_READ` by name.
+        Values of the header elements in `_READ`, by element name.
     place
         Description of the file in messages.
     """
@@ -145,8 +148,8 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
     Raises
     ------
     InputError
-        If there are no DICOM files, or if a file has the suffix of the other DICOM files but is not
-        a DICOM file.
+        If there are no DICOM files, or if a file that is not DICOM has the same suffix as the DICOM
+        files.
     """
     if not is_folder(path) and path.name.upper() != "DICOMDIR":
         return [(path, path.name)], []

@@ -26,19 +26,22 @@ INVERTED = "MONOCHROME1"
 """Photometric interpretation in which low values are displayed as white."""
 _GREY = ("MONOCHROME2", INVERTED)
 _PARALLEL = 1e-4
-"""Largest difference between direction cosines of parallel slices, 0.05 mm over 500 mm."""
+"""Largest difference between direction cosines of parallel slices.
+
+This difference moves a point at a distance of 500 mm by 0.05 mm.
+"""
 _UNIT = 1e-3
 """Tolerance of unit vectors and right angles, and relative tolerance of pixel spacings.
 
 Values in headers are rounded.
 """
 _UNEVEN = 0.05
-"""Largest distance of a slice from its position in an evenly spaced stack, in spacings."""
+"""Largest distance of a slice from its position in an evenly spaced stack, in slice spacings."""
 _ROUNDED = 0.75
 """Largest distance of a slice from its position in a stack, in units of the last decimal.
 
-Rounding moves a slice by up to half a unit, and the line through all slices by less than a quarter
-of a unit.
+Rounding moves a slice by up to half a unit, and moves the line that is fitted to all slices by less
+than a quarter of a unit.
 """
 _COARSEST_MM = 0.1
 """Upper limit of the unit of the last decimal [mm].
@@ -46,9 +49,9 @@ _COARSEST_MM = 0.1
 Positions in whole millimetres are usually exact.
 """
 _MISSING = 0.4
-"""Largest tolerance of positions for any rounding, in spacings.
+"""Upper limit of the position tolerance that is derived from rounding, in slice spacings.
 
-A missing slice would move others by half a spacing.
+If a slice is missing, other slices are half a spacing from their positions.
 """
 _TILT_DEG = 0.5
 """Tolerance between the stated tilt of the gantry and the tilt computed from positions [degrees].
@@ -56,7 +59,7 @@ _TILT_DEG = 0.5
 Values in headers are rounded.
 """
 _SHEAR_DEG = 0.05
-"""Shear above which a note is written, 0.3 mm over 300 mm.
+"""Shear above which a note is written. It moves a slice by 0.3 mm over a length of 300 mm.
 
 A smaller shear is a rounding error of positions.
 """
@@ -96,7 +99,7 @@ class Slice:
 def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
     """Check the position, size and scale of a frame and return it as a slice.
 
-    Labels may have a colour table.
+    If `labels` is set, the pixels may be indices of a colour table.
 
     Raises
     ------
@@ -132,7 +135,7 @@ def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
 
 
 def _last_decimal(number: object) -> float:
-    """Return the unit of the last decimal with which a number is written."""
+    """Return the unit of the last decimal of a number as written, such as 0.01 for 3.14."""
     text = str(getattr(number, "original_string", number)).strip().lower()
     mantissa, _, exponent = text.partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
@@ -240,7 +243,7 @@ def _unplaced(
 
 
 def fit_together(one: Slice, other: Slice) -> bool:
-    """Return whether two slices have the same size, pixel spacing and orientation."""
+    """Return whether two slices agree in size, pixel spacing and orientation."""
     turned = max(np.abs(one.row - other.row).max(), np.abs(one.column - other.column).max())
     pixels_agree = np.allclose(other.pixel_mm, one.pixel_mm, rtol=_UNIT)
     return other.size == one.size and pixels_agree and bool(turned <= _PARALLEL)

@@ -22,11 +22,11 @@ __all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
-"""Largest distance of a voxel from axes along LPS without resampling [voxel]."""
+"""Largest deviation of a voxel [voxel] from a grid along LPS without resampling."""
 _FLATTEST = 1e-3
 """Tolerance of the length of direction vectors, and smallest valid determinant.
 
-With a smaller determinant, the axes lie in a plane.
+A smaller determinant means that the axes lie in a plane.
 """
 _LARGEST_MM = 10_000.0
 _SMALLEST_MM = 1e-5
@@ -35,9 +35,12 @@ _SMALLEST_MM = 1e-5
 Values outside the limits are from damaged headers.
 """
 _FARTHEST_ORIGIN_MM = 1e6
-"""Largest distance of the origin, 1 km. The rounding error of a position is then 1e-7 mm."""
+"""Largest distance of the origin, 1 km. The rounding error of such positions is 1e-7 mm."""
 _MOST_VOXELS = 1e9
-"""Largest number of voxels after resampling, 4 GB of float32 and 4 GB for the splines."""
+"""Largest number of voxels after resampling.
+
+The voxels take 4 GB as float32, and the splines take another 4 GB.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +124,9 @@ def along_lps(
     labels
         Whether the values are labels.
     lattice
-        Image along LPS axes. Oblique labels are resampled on its grid, which is extended as far as
-        the labels reach. The labels then need no second resampling for this image. None: a grid
-        with the spacing of `stored`.
+        Image along LPS axes. Oblique labels are resampled on the grid of this image, which is
+        extended as far as the labels reach. They then need no second resampling. None: a grid with
+        the spacing of `stored`.
 
     Raises
     ------
@@ -200,9 +203,9 @@ def _interpolated(
 ) -> Singles:
     """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
-    Linear interpolation lowers the peaks of thin bone. It then moves 2 % of a CT's bone surface by
-    more than half a voxel; splines move 0.2 %. Splines overshoot, so each value is limited to the
-    range of the eight voxels around its point.
+    Linear interpolation lowers the grey values of thin bone. It moves 2 % of the bone surface of a
+    CT by more than half a voxel. Splines move 0.2 % of the surface by this distance. Splines
+    overshoot, so each value is limited to the range of the eight voxels around its point.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
@@ -234,8 +237,8 @@ def _sampled(
     """Sample values at the points `matrix @ index + offset`.
 
     In the mode ``constant``, the value `outside` is used beyond the outermost voxel centres. In the
-    mode ``grid-constant``, it is used beyond the outermost voxel faces. The mode ``nearest`` does
-    not use this value.
+    mode ``grid-constant``, this value is used beyond the outermost voxel faces. The mode
+    ``nearest`` does not use this value.
     """
     from scipy.ndimage import affine_transform
 

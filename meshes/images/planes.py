@@ -20,7 +20,7 @@ _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
-"""Values of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
+"""Values of the TIFF tags PhotometricInterpretation and Compression (TIFF 6.0)."""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {
@@ -152,8 +152,8 @@ def _without_colour(
 
     Return the values, the names of the labels, and a note.
 
-    Only labels have names, one for each colour. If a pixel has two or four samples, the last one is
-    the opacity. Transparent pixels are black.
+    Labels have one name for each colour. Grey values have no names. If a pixel has two or four
+    samples, the last sample is the opacity. Transparent pixels become black.
     """
     samples = values.shape[-1]
     if samples in (2, 4):
@@ -190,7 +190,7 @@ def _without_colour(
 
 
 def _distinct(codes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """Return the distinct numbers, the index of each element in them, and their counts."""
+    """Return the distinct numbers, the index of each element's number, and the counts."""
     if codes.max() < 1 << 24:
         # For 8-bit colours, counting is ten times faster than sorting.
         counts = np.bincount(codes.ravel().astype(np.int64))

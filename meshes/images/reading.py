@@ -1,4 +1,4 @@
-"""Reading of image volumes: NIfTI, VTK, and calls of the other readers, with common checks.
+"""Reading of image volumes. NIfTI and VTK files are read here, other formats by other modules.
 
 nibabel reads the header of a NIfTI image. All numbers that determine the position or the scale of
 the voxels are checked or applied.
@@ -266,7 +266,7 @@ _REMEDY = (
     "PNG or BMP slices"
 )
 _SHORTEST_MM = 0.5
-"""Length below which the unit of a header may be metres.
+"""Length of the longest side below which the header of an image is probably in metres.
 
 A bone of 0.5 m would then have a length of 0.5 mm.
 """

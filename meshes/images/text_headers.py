@@ -1,7 +1,8 @@
 """Reading of MetaImage and NRRD images, which consist of text lines and an array, without ITK.
 
 ITK returns uninitialised memory if compressed voxels are damaged or the header does not state their
-size. It ignores slopes and units, reads invalid numbers as 0, and prints on the terminal.
+size. ITK also ignores slopes and units, reads invalid numbers as 0, and prints messages on the
+terminal.
 """
 
 import re
@@ -34,7 +35,9 @@ _UNITS_MM = {
 
 
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
-    """Read the `key separator value` lines of a header, and return the byte after the header.
+    """Read the lines `key separator value` of a header.
+
+    Return the values by key, and the position of the first byte after the header.
 
     Keys are converted to lower case.
 
@@ -72,7 +75,8 @@ def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> 
     Raises
     ------
     InputError
-        If a word of the line is not a finite number, or not above 0 although `positive` is set.
+        If a word of the line is not a finite number, or if `positive` is set and a number is not
+        above 0.
     """
     if key not in fields:
         return None
@@ -130,7 +134,7 @@ def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
 def _voxels(
     data: Path, dtype: str, shape: Sequence[float], start: int, *, skip: int, compressed: bool
 ) -> Numbers:
-    """Read the voxels. If -1 bytes are skipped, the voxels are the last bytes of the file."""
+    """Read the voxels after `skip` bytes, or from the end of the file if `skip` is -1."""
     kind = np.dtype(dtype)
     count = tuple(int(size) for size in shape)
     # In the two formats, -1 means that the voxels are the last bytes of the file.
@@ -320,7 +324,7 @@ def read_nrrd(path: Path) -> StoredImage:
 
 
 def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dict[str, str]]:
-    """Return the index and size of the layer axis of a NRRD image, and the fields without it."""
+    """Return index and size of the layer axis of a NRRD image, and the fields without this axis."""
     kinds = fields.get("kinds", "").lower().split()
     if fields.get("dimension") != "4" or kinds.count("list") != 1:
         return None, fields

@@ -1,12 +1,12 @@
-"""Tetrahedra of a segmented organ, in which further labels become parts.
+"""Tetrahedra of a segmented organ. Other labels in the organ can become parts of the mesh.
 
 A part is, for example, a tumour or a vessel.
 
 The organ is the union of its own label and the labels of its parts, so parts at its surface belong
 to the organ. If a part reaches the surface of the organ or of an earlier part, the label of the
 part is extended outside by a few voxels. Each of these voxels gets the label of the nearest voxel
-inside. The surface of the part then crosses the surface of the organ. Otherwise, there would be
-slivers between two nearly equal surfaces.
+inside. The surface of the part then crosses the surface of the organ. Without this extension, the
+two surfaces would nearly coincide, and there would be slivers between them.
 """
 
 from collections.abc import Sequence
@@ -82,7 +82,7 @@ class LabelGrid:
         return float(np.prod(self.spacing_mm))
 
     def within(self, first: tuple[int, ...]) -> "LabelGrid":
-        """Return the grid that starts at another first voxel."""
+        """Return the same grid with another first voxel."""
         x, y, z = (
             start + side * index
             for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
@@ -151,11 +151,11 @@ def _level(share: Singles, level: float, grid: LabelGrid) -> Triangles:
 
 
 _FEWEST_VOXELS = 64
-"""Smallest number of voxels of a piece that gets a surface, 5 voxels across a ball."""
+"""Smallest number of voxels of a piece that gets a surface. It is a ball 5 voxels in diameter."""
 _FLAT_END = 0.5
-"""Size of the last voxel layer, relative to the largest layer, above which it is a flat end.
+"""Size of the last layer of voxels, relative to the largest layer, above which the end is flat.
 
-For a ball with nine slices, which has a rounded end, the ratio is 0.4.
+The ratio is 0.4 for a ball with nine layers, which has a rounded end.
 """
 _BEYOND = 4
 """Number of voxels by which a part's label is extended outside the organ."""
@@ -181,7 +181,7 @@ class LabelledOrgan:
     grid
         Position of the voxels.
     notes
-        Notes on findings and assumptions, by name of the organ or part.
+        Notes on findings and assumptions, by the name of the organ or part to which they refer.
     """
 
     name: str
@@ -305,7 +305,7 @@ def organ_mesh(
 def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:
     """Find an organ and its parts in a label image.
 
-    Arguments and errors are the same as in `organ_mesh`.
+    For the parameters and errors, see `organ_mesh`.
     """
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
@@ -332,7 +332,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
 def _one_piece(
     body: Flags, organ: Flags, grid: LabelGrid, name: str
 ) -> tuple[Flags, dict[str, str]]:
-    """Return the piece with most of the organ, with cavities filled, and notes.
+    """Return the piece with most of the organ's label, with its cavities filled, and notes.
 
     The notes describe the other pieces and the edge of the image.
     """
@@ -438,7 +438,7 @@ def _pieces(
 def _part_triangles(
     mask: Flags, solid: Flags, before: Flags, grid: LabelGrid, beyond: int
 ) -> tuple[Array, Ints] | None:
-    """Return the surface of a part whose label is extended.
+    """Return the surface of a part, after its label is extended.
 
     The label is extended outside the organ and into earlier parts. Each voxel there gets the label
     of the nearest voxel.

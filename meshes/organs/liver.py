@@ -57,24 +57,25 @@ _TRIES = 4
 """Number of radii that are tried for a nodule with the required volume."""
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
-"""Number of edges across a nodule, and growth of the edges with the distance from it.
+"""Number of edges across a nodule, and increase of the edge length per distance from the nodule.
 
-With edges equal to its radius, a nodule of 18 mm lost 13 % of its volume. The error of the force
-above the nodule was up to 2 %, which is a fifth of the nodule's contribution.
+If the edges were as long as the radius, a nodule of 18 mm would lose 13 % of its volume. The error
+of the force above the nodule would then be up to 2 %, a fifth of the nodule's contribution to the
+force.
 """
 _NEAR_M = 1e-5
 """Half the step of the finite differences for a slope [m]."""
 _PROJECTIONS = 4
 """Number of Newton steps onto the surface.
 
-The distance is nearly exact, so each step squares the error.
+The distance is nearly exact, so each step squares the relative error.
 """
 _VISCERAL = (0.33, 0.10, -0.94)
 """Outward direction of the visceral side, which is inclined towards the thin left lobe."""
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces at which a liver is fixed, given by a direction and an angle [degrees].
+"""Surfaces at which a liver may be fixed, each given by a direction and an angle [degrees].
 
-A surface consists of the triangles whose normals are within the angle of the direction.
+A surface consists of the triangles whose normals deviate from the direction by at most the angle.
 
 The surfaces are the visceral side on which the liver rests, and the bare area in front of spine and
 vena cava.
@@ -115,14 +116,14 @@ def liver_shape() -> Shape:
 
 
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
-    """Build a liver from tetrahedra of even size in the site frame.
+    """Build a liver from tetrahedra of even size, in the site frame.
 
     A nodule is the part ``nodule``, and faces of tetrahedra lie on its surface.
 
     Parameters
     ----------
     spacing_m
-        Side of the lattice [m]; 8.4 mm gives about 30,000 tetrahedra.
+        Side of the lattice [m]. A side of 8.4 mm gives about 30,000 tetrahedra.
     nodule
         Stiff ball. Its depth below the surface must be at least one lattice side.
 
@@ -211,7 +212,7 @@ def slab_base(mesh: TetMesh) -> Nodes:
 
 
 def _drawn() -> Shape:
-    """Build the liver with the middle of its visceral side as origin.
+    """Build the liver, with its origin in the middle of the visceral side.
 
     The drawing is slightly too large and is then scaled.
     """

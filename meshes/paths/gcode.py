@@ -27,7 +27,7 @@ The value is a tenth of the finest voxels in use, 0.1 mm.
 _RADIUS_MM = 0.1
 """Largest difference between an arc's radius at its start and at its end [mm].
 
-By default, TwinCAT 3 NC I also corrects differences of up to 0.1 mm
+The controller TwinCAT 3 NC I also corrects differences of up to 0.1 mm by default
 (centerpointCorrectionLimitSet).
 """
 _WIDEST_RAD = 0.25 * pi
@@ -45,7 +45,7 @@ _MODES = {
     **dict.fromkeys(("G90", "G91"), "distance"),
     **dict.fromkeys(("G90.1", "G91.1"), "centre"),
 }
-"""Group of each word that is read."""
+"""Modal group of each supported G word."""
 _WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 _STILL = (
     *_WORK_OFFSETS,
@@ -54,16 +54,17 @@ _STILL = (
 )
 """G words that do not move the tool.
 
-With G43, positions refer to the tip, as in a path of tissue. G80 ends cycles, which raise an error.
+With G43, positions refer to the tip of the tool, as in all paths of this package. G80 ends a
+drilling cycle; the start of a cycle raises an error.
 """
 _SUBPROGRAMS = ("M97", "M98", "M99")
 """M words that move the tool. Other M words switch, for example, the spindle and the coolant."""
 _STILL_LETTERS = "STHDON"
 _HOME = ("G28", "G30", "G53")
-"""Moves to positions of the machine, which are unknown in the frame of the program."""
+"""Moves to machine positions. These positions are unknown in the frame of the program."""
 _END = ("M2", "M30")
 _PARAMETERS = {"G4": "PXU", "G64": "PQ"}
-"""Letters of the parameters of words without motion."""
+"""Parameter letters of each G word that does not move the tool."""
 _MEANING = {
     **{f"G{n}": "a canned cycle" for n in (73, 74, 76, *range(81, 90))},
     **{f"G{n}": "cutter compensation" for n in (41, 42)},
@@ -76,7 +77,7 @@ _MEANING = {
 }
 """Meaning of common words that raise an error."""
 _PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
-"""Axes of an arc by plane: the two axes in the plane, and the axis of a helix."""
+"""Axes of an arc, by the word of its plane: two axes in the plane, and the axis of a helix."""
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 
@@ -167,7 +168,10 @@ class Program:
         return not set(codes) & set(_END)
 
     def _numbers(self, words: list[tuple[str, float]]) -> dict[str, float]:
-        """Return the numbers of a line by letter, except parameters of words without motion."""
+        """Return the numbers of a line by letter.
+
+        Parameters of words that do not move the tool are left out.
+        """
         numbers: dict[str, float] = {}
         for letter, value in words:
             if letter in "GM":

@@ -69,14 +69,14 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
 def kept_corners(corners: ArrayLike, within: float) -> Ints:
     """Return the indices of the corners to keep, ascending (Douglas and Peucker 1973).
 
-    The distance of every other corner from the line through the kept corners is limited.
+    The distance of each removed corner from the line through the kept corners is at most `within`.
 
     Parameters
     ----------
     corners
         Shape (n, 3).
     within
-        Limit of this distance, in the unit of the corners.
+        Largest distance of a removed corner from the line, in the unit of the corners.
     """
     given = np.asarray(corners, dtype=np.float64)
     kept = {0, len(given) - 1}
@@ -106,7 +106,7 @@ _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
 _COLUMNS = {**dict.fromkeys(_PLACE, "length"), _FEED: "speed", **dict.fromkeys(_AXIS, "number")}
-"""Columns of a table, and the key of each column in `UNITS`."""
+"""Dictionary from each column of a table to its quantity in `UNITS`."""
 
 _STEP_MM = 0.5
 """Distance between points at which the depth is evaluated [mm].
@@ -319,7 +319,7 @@ POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "to
 _RAPID_MM_S = 20.0
 """Speed of rapid moves and of the approach [mm/s].
 
-Cutting is clearly slower, with about 2 mm/s.
+Cutting is clearly slower, at about 2 mm/s.
 """
 _TURN_RAD_S = 0.5 * np.pi
 """Largest angular velocity of the tool [rad/s].
@@ -330,7 +330,7 @@ _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
 """Smallest motion [mm] and rotation [rad] that get a separate pose.
 
-A zero motion would lead to two equal times.
+Without motion, two poses would have the same time.
 """
 
 
@@ -382,13 +382,13 @@ def to_replay(
     Parameters
     ----------
     path
-        Path in the frame of the file in which the site is given.
+        Path, in the frame in which the site is given.
     site
         Site that defines the scene's frame.
     feed_mm_s
-        Speed in parts of the path without a speed [mm/s].
+        Speed in parts of the path for which the file states no speed [mm/s].
     clearance_mm
-        Distance of the start from the first point, along the tool's axis [mm].
+        Distance from the start of the motion to the first point, along the tool's axis [mm].
 
     Raises
     ------

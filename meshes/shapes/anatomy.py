@@ -54,14 +54,13 @@ class Anatomy:
     notes
         Names and values of assumptions and results, for reports.
     sample
-        Function that returns fraction and depth of a whole grid, for shapes whose signed distance
-        is too expensive to evaluate for each voxel, such as a triangle mesh. None: `shape` is
-        evaluated.
+        Function that returns fraction and depth of a whole grid. It is needed for shapes whose
+        signed distance is too expensive to evaluate for each voxel, such as a triangle mesh. None:
+        `shape` is evaluated.
     placement
         Placement of the site frame in the frame of the anatomy's file; None without a file.
     caps_m
-        Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its
-        scan.
+        Points [m], shape (k, 3), for each face at which the edge of the scan cuts off the bone.
     thin_layers
         Whether thin layers, such as a root canal, may lie between the corners of a block of voxels.
         If true, every voxel is classified.

@@ -3,9 +3,9 @@
 A `Shape` maps points [m] to signed distances [m], negative inside. Every shape of this module is
 1-Lipschitz, so the magnitude of its value never exceeds the true distance to the surface. If this
 magnitude at the centre of a cell is larger than the cell's half diagonal, the surface does not
-cross the cell. Primitives are exact unless their docstring states otherwise. A union is exact
-outside, and an intersection or difference is exact inside. Elsewhere, their values are bounds. The
-result has the dtype of the points.
+cross the cell. Primitives are exact unless their docstring states otherwise. A union of exact
+shapes is exact outside, and their intersection or difference is exact inside. Elsewhere, the values
+are bounds. The result has the dtype of the points.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
 
     The crease is rounded where the distances differ by less than `blend_m`.
 
-    The blend is a quadratic polynomial (I. Quilez, "Smooth minimum"). Its gradient is a convex
-    combination of the two gradients, so the result is 1-Lipschitz.
+    The blend is a quadratic polynomial (I. Quilez, "Smooth minimum"). The gradient of the result is
+    a convex combination of the two gradients, so the result is 1-Lipschitz.
     """
     if blend_m <= 0.0:
         return np.minimum(a, b)
@@ -203,10 +203,10 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Build an ellipsoid with half axes `radii_m` [m], shape (3,).
 
-    The surface is exact; the distance is only a lower bound of the true distance.
+    The surface is exact, but the distance is only a lower bound of the true distance.
 
-    (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface. Along a long half axis r, it is
-    min(r)/r times the true distance.
+    The value (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface. Along a long half axis r,
+    the value is min(r)/r times the true distance.
     """
     radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
     centre = require_vector("centre_m", centre_m)
@@ -239,7 +239,7 @@ def _norm(v: Points) -> Distances:
 
 
 def _cylindrical(p: Points, start: Array, axis: Array) -> tuple[Distances, Distances]:
-    """Compute the height above `start` along `axis` and the distance from the axis [m]."""
+    """Compute heights of points above `start` along `axis`, and distances from the axis [m]."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))
@@ -277,14 +277,15 @@ WANTED_M = 4e-6
 """Required distance of the triangles from the surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
-"""Number of points of the first and of the finest lattice on which the distance is evaluated."""
+"""Numbers of points of the first lattice and of the finest lattice for the distance."""
 ROUNDS = 3
 """Largest number of lattices.
 
-The error is measured on the first lattice and should be small enough on the second.
+The error is measured on the first lattice. From this error, the second lattice is chosen such that
+its error should be small enough.
 """
 DOUBLINGS = 12
-"""Largest number of doublings of the reach, a factor of 4000 relative to the first lower bound."""
+"""Largest number of doublings of the search distance, which together give a factor of 4000."""
 STEP_M = 1e-6
 """Step of the finite differences for the gradient of a distance [m]."""
 
@@ -304,8 +305,8 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
     -------
     vertices_m, faces, slack_m
         Vertices [m], shape (n, 3), triangles with outward normals, shape (m, 3), and the largest
-        depth of the triangles below the surface [m]. If there are sharp convex edges, they
-        determine this depth.
+        depth of the triangles below the surface [m]. If the shape has sharp convex edges, this
+        depth occurs at these edges.
 
     Raises
     ------
@@ -404,8 +405,8 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
 def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
     """Compute the largest depth of centres and edges of triangles below the surface [m].
 
-    In concave edges, triangles lie outside the surface. The distance is then too small, which is on
-    the safe side.
+    At concave edges, triangles lie outside the surface. The distance from the triangles is then too
+    small, which is on the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate(

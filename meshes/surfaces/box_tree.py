@@ -12,16 +12,19 @@ __all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
 LEAF = 4
 """Number of triangles in a leaf, the same as in `kernels.structure_distance`."""
 LONGEST_M = 0.5e-3
-"""Longest edge of a triangle near the query box, unless more than `MOST` triangles result [m]."""
+"""Longest edge [m] of a triangle near the query box.
+
+Edges are longer if there would be more than `MOST` triangles.
+"""
 BY_DISTANCE = 0.25
 """Longest edge of a triangle, relative to its distance from the query box.
 
-The distances from a box around the triangle then vary little, so searches stop early.
+The distance then varies little over a box around the triangle, so searches stop early.
 """
 MOST = 2e5
 """Largest number of triangles after cutting.
 
-A triangle takes 72 bytes, and twice as many triangles add one level to the tree.
+A triangle takes 72 bytes. Doubling the number of triangles adds one level to the tree.
 """
 _GRID = 1024
 """Number of cells of the Morton curve along each axis.
@@ -32,7 +35,7 @@ With 10 bits per axis, three axes fit in an integer.
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
-    """Complete binary tree: the children of node i are 2 i + 1 and 2 i + 2.
+    """Complete binary tree of boxes. The children of node i are the nodes 2 i + 1 and 2 i + 2.
 
     Attributes
     ----------

@@ -102,7 +102,7 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 
     At the middle of the upper half, the width is `upper_width_ratio` times the full width.
 
-    This width increases with the radius of the upper circle. The radius is found by bisection.
+    The width there increases with the radius of the upper circle, so bisection finds the radius.
     """
     lower = 0.5 * width
 
@@ -259,8 +259,8 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
     """Build the outer surface.
 
-    The surface is the extruded outline. Below z = 0 it is inclined inward, its top is made concave
-    by a sphere, and it is cut off at the base.
+    The outline is extruded along z. Below z = 0, the wall is inclined inward. A sphere makes the
+    top concave, and a plane cuts off the base.
     """
     sine = math.sin(taper)
     cosine = math.cos(taper)
@@ -288,7 +288,7 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
 def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
     """Return a function that classifies points by depth.
 
-    The depths below the concave face and below the outer surface are used.
+    The layer depends on the depth below the concave face and the depth below the outer surface.
     """
     wall = 1e-3 * sizes.cortical_wall_mm
     deep = sizes.trabecular_density_kg_m3
@@ -331,8 +331,8 @@ def surface_anatomy(
 
     The bone consists of a cortical shell with constant thickness, and trabecular bone inside. A
     surface contains no information about the interior, so thickness and densities are assumptions.
-    They are recorded in the notes. The default thickness is the mean of the subchondral plate
-    (1.2-2.9 mm, six glenoids, Frich). The default densities are those of `glenoid`.
+    The assumptions are recorded in the notes. The default thickness is the mean of the subchondral
+    plate (1.2-2.9 mm, six glenoids, Frich). The default densities are the same as in `glenoid`.
 
     Parameters
     ----------

@@ -58,8 +58,8 @@ _ALIKE = 0.85  # ratio of second to best score above which the result is ambiguo
 class _Head:
     """Joint head: name, range of sphere coverage, and whether the head has a neck.
 
-    Coverage is the share of the sphere that bone surface covers. The range consists of the
-    coverages at which the score is 0 and 1, and the largest coverage.
+    Coverage is the share of the sphere that bone surface covers. The range consists of three
+    coverages: the coverage with score 0, the coverage with score 1, and the largest coverage.
     """
 
     name: str
@@ -88,8 +88,8 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
         ``glenoid``: centre of the socket of a scapula, z outward, y superior. ``femoral-head``,
         ``humeral-head``: point at which the axis of the neck or of the articular cap leaves the
         bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the axis of this
-        pedicle leaves the bone, z outward along the axis, y up. ``vertebra``: the same for the
-        wider pedicle.
+        pedicle leaves the bone, z outward along the axis, y up. ``vertebra``: the same point for
+        the wider of the two pedicles.
     surface
         Surface of a single bone.
 
@@ -144,7 +144,7 @@ def find_glenoid(
 
 
 def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSite:
-    """Score samples by the disc around each sample, and find the face around the best sample."""
+    """Score each surface sample by the disc around it, and find the face around the best sample."""
     from scipy.spatial import cKDTree
 
     # With 4000 samples, a real scapula is not accepted. With 16,000 samples, the results do not
@@ -192,8 +192,9 @@ def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Ar
 
     The similarity describes the surface around the sample.
 
-    The similarity is high if surface with similar normals covers a disc with a radius of 10 mm, the
-    surface falls off beyond 20 mm, the bone behind the disc is thick, and the disc is not convex.
+    The similarity is high if four conditions hold. The surface covers a disc with a radius of 10 mm
+    and has similar normals there. The surface falls off beyond 20 mm. The bone behind the disc is
+    thick. The disc is not convex.
     """
     offset = samples.points[near] - samples.points[number]
     normals = samples.normals[near]
@@ -348,7 +349,7 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
-    """Fit caps from the centres and radii with the most votes.
+    """Fit spherical caps, starting from the centres and radii with the most votes.
 
     Samples vote for centres along their normals.
     """

@@ -61,8 +61,9 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     Raises
     ------
     InputError
-        If the file is missing or has another format, states another frame than LPS and RAS or
-        another unit than mm, or a control point is undefined or is not three finite numbers.
+        If the file is missing or has another format, or states a frame other than LPS and RAS or a
+        unit other than mm. Also if a control point is undefined or does not consist of three finite
+        numbers.
     """
     file = Path(path)
     require_file(file, "markups")
@@ -163,10 +164,10 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
 
 
 def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Path) -> Array:
-    """Return the normal of a plane. It may have any length.
+    """Return a normal of a plane, of any length.
 
-    The normal is the stated normal, else the third axis of the plane's orientation, else the normal
-    of three points.
+    If the record states a normal, this normal is used. Otherwise, the third axis of the plane's
+    orientation is used. Without an orientation, the normal of three points is used.
     """
     if record.get("normal") is not None:
         return frame * _three(record["normal"], "the normal", file)

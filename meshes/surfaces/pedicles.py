@@ -112,7 +112,7 @@ def _inner_points(surface: Surface) -> Array:
 def _canal(points: Array) -> _Hole | None:
     """Return the largest hole of plausible size in projections of a bone, or None.
 
-    The direction of the hole is the mean of the directions in which it is open.
+    The direction of the hole is the mean of the directions along which the hole is open.
     """
     # 300 directions on a half sphere are 8 degrees apart. A canal is open in a cone of this width.
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
@@ -158,10 +158,10 @@ def _hole(points: Array, axis: Array) -> _Hole:
 def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
     """Return the directions left, forward and up of a vertebra.
 
-    A bone that is not a vertebra raises an error.
+    If the bone is not a vertebra, raise an error.
 
-    The body lies in front of the canal. The pedicles start at the upper half of the body and the
-    arch lies lower, which determines the direction up.
+    The body lies in front of the canal. The pedicles start at the upper half of the body, and the
+    arch lies lower. This difference determines the direction up.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
@@ -229,7 +229,7 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
 
     Also return the smallest depth of bone along 18 mm of the axis.
 
-    The axis is the line with the most bone around it, along which a surgeon drills.
+    The axis is the line along which a surgeon drills: the line with the most bone around it.
     """
     from scipy.optimize import minimize
 

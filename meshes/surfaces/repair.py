@@ -3,9 +3,9 @@
 Vertices are merged, triangles are oriented consistently, and debris (small separate pieces) is
 removed.
 
-A surface is called closed if every directed edge and its reverse occur equally often. This is a
-weaker condition than manifold, because four triangles may meet at an edge. It is the condition
-under which winding numbers are defined.
+A surface is called closed if every directed edge and its reverse occur equally often. This
+condition is weaker than the condition for a manifold, because four triangles may meet at an edge.
+The condition is sufficient for winding numbers to be defined.
 """
 
 from dataclasses import dataclass
@@ -70,10 +70,10 @@ def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
 
 
 def _numbered(keys: Ints) -> tuple[Ints, Ints]:
-    """Return the first index of each distinct key, in ascending order, and each key's rank.
+    """Return the first index of each distinct key, sorted by key, and the rank of each key.
 
-    The result is that of `numpy.unique`, but the function is five times as fast, because it does
-    not need a stable sort.
+    The result is the same as with `numpy.unique`, but this function is five times as fast, because
+    it does not need a stable sort.
     """
     order = np.argsort(keys)
     ordered = keys[order]
@@ -119,9 +119,9 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     """Orient all triangles of each body outward.
 
     The function uses a graph with two nodes per triangle, for the given and the reversed winding.
-    Neighbours across an edge with two triangles are connected if their windings agree. A component
-    of this graph is a consistent orientation. A body with negative volume is reversed, unless it
-    lies within the box of another body, because it is then a cavity.
+    At an edge with two triangles, nodes of the two triangles are connected if their windings agree.
+    A component of this graph is a consistent orientation. A body with negative volume is reversed.
+    A body that lies within the box of another body is not reversed, because it is a cavity.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def edge_counts(faces: Ints) -> tuple[int, int]:
 def _distinct(faces: Ints) -> Ints:
     """Return the indices of the triangles to keep.
 
-    One of several equal triangles is kept. A pair with opposite windings is removed.
+    Of several equal triangles, one is kept. Of a pair with opposite windings, no triangle is kept.
     """
     _, first, where = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
@@ -234,8 +234,8 @@ def triangle_areas(vertices: Array, faces: Ints) -> Array:
 class Holes:
     """Result of `fill_holes`.
 
-    It contains the numbers of small and large holes that were closed, the points of the caps, and
-    the area of the largest hole.
+    The attributes are the numbers of small and large holes that were closed, the points of the
+    caps, and the area of the largest hole.
     """
 
     filled: int
@@ -253,9 +253,9 @@ def fill_holes(
 ) -> tuple[Triangles, Holes]:
     """Close each loop of unmatched edges by a fan of triangles around its mean point.
 
-    A hole is large if its area is more than `largest` times the area of the surface. The fan of a
-    large hole is a cap. The fan of another hole is also a cap if its area is more than `least_cap`
-    and more than one triangle is missing.
+    A hole is large if its area is more than `largest` times the area of the surface. A cap is a fan
+    whose points are reported. The fan of a large hole is a cap. The fan of a small hole is a cap if
+    its area is more than `least_cap` and more than one triangle is missing.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
@@ -289,7 +289,7 @@ def fill_holes(
 def _unmatched(vertex_count: int, faces: Ints) -> Ints:
     """Return directed edges whose reverse is missing, shape (n, 2).
 
-    If the reverse is missing several times, the edge is repeated.
+    If the reverse is missing several times, the edge is returned as often.
     """
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
@@ -370,7 +370,7 @@ def _apart(points: Array, others: Array) -> float:
 def _ribbon(points: Array, loop: Ints, other: Ints) -> Ints:
     """Return triangles between two loops that run in opposite directions.
 
-    In every step, the shorter diagonal is used.
+    In every step, the triangle with the shorter diagonal is added.
     """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())

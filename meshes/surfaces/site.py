@@ -33,15 +33,15 @@ __all__ = [
 FACE_SAMPLES = 40_000
 """Number of surface samples from which the normal of a site is computed.
 
-On a scapula, they are 0.5 mm apart.
+On a scapula, the samples are 0.5 mm apart.
 """
 _FARTHEST_M = 10e-3
 """Largest distance of a given point from the surface.
 
-A larger distance means another frame or unit.
+A larger distance means that the point is in another frame or unit.
 """
 _AROUND_M = 3e-3
-"""Radius over which a normal is averaged. Facets and voxel steps are smaller."""
+"""Radius over which a normal is averaged. It is larger than facets and voxel steps."""
 _LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal, one degree
 
 
@@ -93,7 +93,7 @@ class FoundSite:
     score
         Quality of the match, 0 to 1.
     second_score
-        Score of the best place at some distance from the site, 0 if no other place matches.
+        Score of the best place that is not close to the site, 0 if no other place matches.
     second_centre_mm
         Centre of this second place [mm] in the frame of the surface, shape (3,), or None.
     """
@@ -235,8 +235,8 @@ def site_along(
     note
         Description of the method that found the site.
     along
-        Direction of x. None: y is along `long_axis`, if given, and points away from the middle of
-        the bone.
+        Direction of x. None: y points away from the middle of the bone, along `long_axis` if it is
+        given.
     long_axis
         Direction of y with arbitrary sign.
 

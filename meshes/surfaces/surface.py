@@ -34,7 +34,7 @@ _HOLE_AREA = 0.03
 _CAP_M2 = 1e-5
 """Area above which a hole is listed as a cap [m2].
 
-A cap closes a hole. Its shape is a guess, which is important near the tool.
+A cap is a face that closes a hole. Its shape is a guess, which matters if the tool is near.
 """
 _FLATTEST = 1e-3
 """Ratio of smallest to largest spread of points below which the points are a flat sheet."""
@@ -42,28 +42,28 @@ _FARTHEST = 1e100
 """Limit above which coordinates count as not finite, because their squares overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
-"""Limits of the longest side if the scale is given, from a chip of bone to two femurs."""
+"""Limits of the longest side if the scale is given [mm], from a chip of bone to two femurs."""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 """Units that can be guessed: name, length [mm], and range of the longest side of a bone.
 
 The range is 5 to 700 mm in this unit.
 """
 _OTHER_UNITS = (("centimetres", 10.0), ("inches", 25.4))
-"""Units that are more probable than millimetres for a small surface: name, length [mm]."""
+"""Other possible units of a surface that would be small in millimetres: name, length [mm]."""
 _USUAL_BONE_MM = (60.0, 600.0)
-"""Range of the longest side of bones that are often scanned.
+"""Usual range of the longest side of a scanned bone [mm].
 
-A warning names the units in which the surface would have such a size.
+A warning names the units in which the longest side would be in this range.
 """
 _RESOLVED_MM = 0.01
 """Largest rounding error of coordinates without a warning [mm], a tenth of the finest voxels."""
 _TYPICAL_BONE_MM = 140.0
-"""Longest side of the bone with a suggested scale, about the size of a scapula."""
+"""Longest side that a bone has with a suggested scale [mm], about the size of a scapula."""
 
 
 @dataclass(frozen=True)
 class SurfaceReport:
-    """Properties of a surface file, and changes to its surface.
+    """Properties of a surface file, and changes that were made to the surface.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SurfaceReport:
     scale_mm
         Millimetres per unit of the file.
     unit_guess
-        Phrase on the method that determined the unit.
+        Phrase that describes how the unit was determined.
     size_mm
         Sides of the bounding box [mm].
     volume_mm3
@@ -100,10 +100,10 @@ class Surface:
     faces
         Vertex indices of the triangles, shape (m, 3), int64.
     report
-        Origin of the surface and changes to it.
+        Properties of the file, and changes to the surface.
     caps_m
-        Points [m], shape (k, 3), of each face that closes a hole of more than 10 mm2. At such a
-        hole, the scan of the bone may end.
+        Points [m], shape (k, 3), of each face that closes a hole of more than 10 mm2. The scan of
+        the bone may end at such a hole.
     scanned
         Vertices [m] and triangles without the faces that close holes. The axes of a site are
         computed from these triangles.
@@ -219,7 +219,7 @@ def surface_from_triangles(
 
 
 def _require_finite(vertices: Array, source: str) -> None:
-    """Raise an error for vertices that are not finite or implausibly far away."""
+    """Raise an error for vertices that are not finite or implausibly far from the origin."""
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(

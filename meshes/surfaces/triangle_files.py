@@ -100,7 +100,7 @@ def _read_ply(file: Path, notes: list[str]) -> _Stored:
     """Read a PLY file with trimesh if possible, otherwise with VTK.
 
     VTK also reads binary files with polygons of different sizes, and files with additional bytes
-    after the triangles. But it only stores coordinates in single precision.
+    after the triangles. VTK stores coordinates only in single precision.
     """
     if not _is_whole_ply(file):
         reason = f"{file.name} has another length than its header states."

@@ -51,8 +51,8 @@ def read_vtk(file: Path) -> Any:
     Raises
     ------
     DamagedFileError
-        If the reader printed an error, with the first error, or if the cells are inconsistent with
-        the file's offsets.
+        If the reader printed an error, or if the cells are inconsistent with the file's offsets.
+        The message contains the first printed error.
     InputError
         If a cell refers to a point that does not exist.
     """
@@ -122,12 +122,14 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def mesh_arrays(data: Any) -> Answer:
-    """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
+    """Return facts about a mesh, and its arrays.
+
+    The arrays are ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
 
     For tetrahedra, the facts are: ``others``, the number of other cells; ``quadratic``, whether
-    some tetrahedra had mid-edge nodes; ``names``, the original names of the cell arrays, which are
-    called ``cells 0``, ``cells 1``, ... in the result; ``parts``, the texts of the field
-    ``part_names``.
+    some tetrahedra had mid-edge nodes; ``names``, the original names of the cell arrays; ``parts``,
+    the texts of the field ``part_names``. In the result, the cell arrays are called ``cells 0``,
+    ``cells 1``, and so on.
     """
     kinds = np.asarray(getattr(data, "celltypes", ()))
     if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():

@@ -1,4 +1,4 @@
-"""Tetrahedra of a soft organ, read from a file or object, or made inside a closed surface."""
+"""Tetrahedra of a soft organ, read from a file or object, or generated in a closed surface."""
 
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
@@ -39,10 +39,10 @@ __all__ = [
 _ORGAN_MM = (20.0, 450.0)
 """Range of the longest side of an organ, from a small gland to an enlarged liver.
 
-No length is in this range in two units.
+The range is so narrow that no length lies in it both in millimetres and in metres.
 """
 _TYPICAL_MM = 200.0
-"""Longest side of the organ with a suggested scale, the size of a liver."""
+"""Longest side that an organ has with a suggested scale [mm], the size of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -55,9 +55,9 @@ _PART_ARRAYS = (
     "material",
     "label",
 )
-"""Names of integer cell arrays that contain the parts, most probable name first.
+"""Names of integer cell arrays that may contain the parts, most probable name first.
 
-Meshing programs write these names.
+Meshing programs write arrays with these names.
 """
 _SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
@@ -182,7 +182,10 @@ def _read_by_meshio(file: Path) -> StoredMesh:
 
 
 def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
-    """Return millimetres per file unit, for a box in file units, and a sentence on the unit."""
+    """Return the millimetres per file unit, and a sentence on the unit.
+
+    `size` contains the sides of the bounding box in file units.
+    """
     longest = float(size.max())
     if unit_mm is None:
         for scale, unit in ((1.0, "millimetres"), (1000.0, "metres")):
@@ -210,7 +213,7 @@ def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
 
 @dataclass(frozen=True, eq=False)
 class GivenTets:
-    """Mesh from the caller, and the mesh that is solved.
+    """Mesh that the caller passed, and the mesh that is used for the solution.
 
     Attributes
     ----------
@@ -374,8 +377,8 @@ def _parts(
 ) -> tuple[Ints, dict[int, str]]:
     """Return the part number of each cell, shape (m,), and the names of the part numbers.
 
-    A list of names that starts with number 0 belongs to the array ``part``. Names from meshio
-    belong to the array ``gmsh:physical``.
+    A list of names that starts at number 0 applies to the array ``part``. Names from meshio apply
+    to the array ``gmsh:physical``.
     """
     for array in _PART_ARRAYS:
         values = data.get(array, np.zeros(0))

@@ -35,7 +35,7 @@ _LONGEST_NAME = 60
 MOST_PARTS = 64
 """Largest number of distinct values of an array of parts.
 
-Arrays with more values are numbers of cells or materials.
+An array with more values does not contain parts, but numbers of cells or materials.
 """
 
 
@@ -54,7 +54,7 @@ class StoredMesh:
     names
         Names of the parts that have a name.
     notes
-        Omitted content, one sentence each.
+        Notes on content that is omitted, one sentence each.
     """
 
     points: Array
@@ -66,7 +66,7 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra, or of the triangles without tetrahedra, shape (k, 3)."""
+        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3)."""
         return self.points[np.unique(self.tets if len(self.tets) else self.triangles)]
 
     def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
@@ -173,8 +173,8 @@ def _nodes(lines: list[str]) -> tuple[Ints, Array]:
 def _element(line: str, version: int) -> tuple[int, int, list[int]]:
     """Return type, physical group (0 without a group) and nodes of a finite element.
 
-    Format in version 1: number type physical elementary count nodes. Format in version 2: number
-    type count-of-tags tags nodes.
+    In version 1, the line contains: number, type, physical group, elementary group, count of nodes,
+    nodes. In version 2, it contains: number, type, count of tags, tags, nodes.
     """
     row = [whole_number_in(word) for word in line.split()]
     if version == 1:

@@ -52,7 +52,7 @@ The edges then differ by a factor of ten.
 """
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 _SWEEPS = 3
-"""Number of passes over the slivers. Node moves of one pass change the cells of the next pass."""
+"""Number of passes over the slivers. A pass moves nodes and so changes cells for the next pass."""
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
 """First and smallest step of the pattern search, relative to the size of the cells around a node.
@@ -202,7 +202,7 @@ def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes,
 def _flat_turned(nodes: Array, cells: Ints) -> Ints:
     """Orient flat cells to agree with their solid neighbours.
 
-    The volume of a flat cell has no reliable sign.
+    The sign of a flat cell's volume is not reliable.
     """
     flat = flatness(nodes, cells) < FLAT
     if not flat.any():
@@ -215,7 +215,10 @@ def _flat_turned(nodes: Array, cells: Ints) -> Ints:
 
 
 def _whole(cells: Ints, keep: Flags) -> bool:
-    """Return whether removing cells neither changes the number of pieces nor pinches an edge."""
+    """Return whether the mesh stays intact if only the cells `keep` remain.
+
+    The number of pieces must not change, and no edge may be pinched.
+    """
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
         len(pinched_edges(_surface(left))) <= len(pinched_edges(_surface(cells)))
@@ -327,8 +330,8 @@ def smooth(
 
     A pattern search maximises the worst mean ratio of the cells around each node.
 
-    A move is only accepted if the worst cell around the node improves. No cell becomes worse than
-    the previously worst cell around the node.
+    A move is accepted only if the worst cell around the node improves. After a move, no cell around
+    the node is worse than the worst cell was.
 
     Parameters
     ----------

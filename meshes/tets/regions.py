@@ -125,7 +125,8 @@ def place_on_surface(mesh: TetMesh, point_m: Array, around_m: float) -> tuple[Ar
 
     The normal is a weighted mean over the triangles whose centroids lie within `around_m` [m]. The
     weights increase with the area and with the proximity of a triangle. The normal therefore varies
-    smoothly between facets. If there is no such triangle, it is the normal of the nearest triangle.
+    smoothly between facets. If no centroid lies within `around_m`, the normal of the nearest
+    triangle is returned.
     """
     nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]
     normals = cross_products(mesh.nodes_m, mesh.surface)  # length: twice the area

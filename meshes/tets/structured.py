@@ -1,8 +1,8 @@
 """Structured tetrahedral meshes: every cell of a grid is divided into six tetrahedra.
 
 A cuboid cell is divided along its diagonal from (0, 0, 0) to (1, 1, 1) into the six simplices of
-Kuhn (1960), the triangulation of Freudenthal (1942). All cells are divided in the same pattern, and
-each face is divided along the diagonal through its lowest corner, so neighbours conform.
+Kuhn (1960). This is the triangulation of Freudenthal (1942). All cells are divided in the same
+pattern. Each face is divided along the diagonal through its lowest corner, so neighbours conform.
 """
 
 import math
@@ -20,7 +20,7 @@ __all__ = ["box", "graded", "grid"]
 
 
 def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
-    """Build cuboids of six tetrahedra each between planes at `x_m`, `y_m` and `z_m` [m].
+    """Build cuboids between planes at `x_m`, `y_m` and `z_m` [m], each divided into six tetrahedra.
 
     The positions of the planes are ascending, shapes (n + 1,).
 

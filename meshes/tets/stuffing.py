@@ -1,19 +1,20 @@
-"""Tetrahedra that fill a signed distance, made from a body-centred cubic lattice.
+"""Tetrahedra that fill a solid given by its signed distance, from a body-centred cubic lattice.
 
-The method is isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to a
-crossing of the surface with one of their edges are moved onto the crossing. Edges that are still
-crossed are cut at the crossing, and the pieces are filled with tetrahedra. Quadrilateral faces
+The method is isosurface stuffing (Labelle and Shewchuk, 2007). The surface crosses edges of the
+lattice. A node close to such a crossing is moved onto the crossing. Edges that are still crossed
+are cut at the crossing, and the pieces of the cells are filled with tetrahedra. Quadrilateral faces
 between pieces are divided from their lowest node (Dompierre et al., 1999), so neighbours conform.
 If the pieces on the two sides of a surface are kept, the inside of the surface becomes a part of
 the mesh.
 
 Refinement bisects tetrahedra at their longest edges. If an edge is the longest edge of every
-tetrahedron around it, the edge and these tetrahedra are bisected. The mesh is then still
-conforming. If a tetrahedron has an edge to bisect and also a longer edge, the longer edge is
-bisected first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). The quality of the tetrahedra
-remains bounded. The surface does not change, or its nodes are moved onto a given surface. Without
-such moves, flat triangles with a length of 20 mm would lie up to 0.8 mm below a surface with a
-radius of 60 mm, for any refinement.
+tetrahedron around it, the edge and these tetrahedra are bisected. The mesh remains conforming. If a
+tetrahedron has an edge to bisect and also a longer edge, the longer edge is bisected first (Rivara
+1997, Int. J. Numer. Methods Eng. 40:3313). The quality of the tetrahedra remains bounded. By
+default, the surface of the mesh does not change. Its nodes can also be moved onto a given surface.
+Without such moves, refinement does not reduce the distance between the mesh and the true surface.
+For example, a flat triangle with a length of 20 mm remains up to 0.8 mm below a surface with a
+radius of 60 mm.
 """
 
 import math
@@ -43,12 +44,12 @@ Move = Callable[[Array], Array]
 _MOST_BISECTED = 5_000_000
 """Largest number of tetrahedra after refinement.
 
-The end nodes of their edges take 0.5 GB, and sorting takes several times as much.
+The end nodes of the edges take 0.5 GB, and sorting them takes several times as much memory.
 """
 _LEAST_VOLUME = 0.5
-"""Smallest relative volume of every tetrahedron around a node after the node is moved.
+"""Smallest volume of a tetrahedron after one of its nodes is moved, relative to the volume before.
 
-Otherwise, the node is not moved onto the surface.
+If a volume would be smaller, the node is not moved onto the surface.
 """
 
 
@@ -69,8 +70,8 @@ def bisected(
     size_m
         Function from points [m], shape (n, 3), to the required longest edge [m], shape (n,).
     onto
-        Function that returns the nearest points of the surface that the mesh represents. Old and
-        new surface nodes of the mesh are moved to these points.
+        Function that returns the points nearest to the nodes on the surface that the mesh
+        represents. Old and new surface nodes of the mesh are moved to these points.
 
     Raises
     ------
@@ -140,7 +141,7 @@ def bisected(
 def _moved(nodes: Array, cells: Ints, chosen: Ints, onto: Move) -> Array:
     """Move the chosen nodes onto the surface.
 
-    Nodes are not moved if this would flatten a tetrahedron.
+    A node is not moved if the move would flatten a tetrahedron.
     """
     moved = nodes.copy()
     before = signed_volumes(nodes, cells)
@@ -157,35 +158,35 @@ Points = Array
 _SNAP = 0.3
 """Distance, relative to the edge, within which a node is moved onto a crossing.
 
-The worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With a value of 0.2,
-they are 0.28, 0.24 and 0.79. With 0.4, they are 0.47, 0.16 and 0.27.
+With this value, the worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With
+0.2, the worst mean ratios are 0.28, 0.24 and 0.79. With 0.4, they are 0.47, 0.16 and 0.27.
 """
 _LEAST_QUALITY = 0.15
 """Smallest mean ratio of a cell after nodes are moved.
 
-With values from 0.1 to 0.2, the meshes above are the same. With 0.05, the worst mean ratio of the
-liver is 0.08.
+For values from 0.1 to 0.2, the meshes of the ball, liver and box do not change. With 0.05, the
+worst mean ratio of the liver is 0.08.
 """
 _STEPS = 6
 """Number of steps towards a crossing.
 
-The error for the three surfaces above is at most 0.04 um, and 0.7 um with 4 steps.
+For the ball, liver and box, the error is at most 0.04 um. With 4 steps, it is at most 0.7 um.
 """
 _MOST_CELLS = 20_000_000
-"""Largest number of cells of the lattice, which take 0.6 GB."""
+"""Largest number of lattice cells. They take 0.6 GB."""
 EDGE_GROWTH = 0.5
 """Increase of the edge length per distance from the fine region, the same as in scenes."""
 _EDGES = 3.0
 """Number of edges across a ball.
 
-Across a tube, there are two. Quadratic edges follow its curvature.
+There are two edges across a tube. Quadratic edges follow the curvature of the surface.
 """
 _TRIES = 4
 _CLOSE = 0.01
 """Number of meshes that are tried for an inclusion, and accepted volume error.
 
-The error is relative to the inclusion's volume. From the meshes within this error, the mesh with
-the best worst cell is used. If no mesh is within the error, the mesh with the smallest error is
+The error is relative to the inclusion's volume. Of the meshes within this error, the mesh whose
+worst cell is best is used. If no mesh is within the error, the mesh with the smallest error is
 used.
 """
 
@@ -248,10 +249,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
 
 
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
-    """Make the part of the mesh inside a shape a separate part.
+    """Make a new part of the mesh from the inside of a shape.
 
-    Only cells of the first part are changed. The new part is bounded by faces on the shape's
-    surface.
+    Only cells of the mesh's first part are changed. Faces on the shape's surface bound the new
+    part.
 
     Raises
     ------
@@ -277,8 +278,8 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
 
     Returns
     -------
-    Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape (m,);
-    original cell of each cell, shape (m,).
+    Nodes, shape (n, 3); cells, shape (m, 4); flags of the cells on the negative side, shape (m,);
+    index of the original cell that contains each cell, shape (m,).
     """
     value = np.asarray(distance(nodes), dtype=np.float64)
     nodes, value = _snapped(nodes, cells, value, distance)
@@ -455,10 +456,12 @@ def with_inclusion(
     volume_m3: float,
     onto: Move | None = None,
 ) -> tuple[TetMesh, str]:
-    """Make the inside of a closed surface a new part; return the mesh and a note on the volume.
+    """Make a new part from the inside of a closed surface.
+
+    Return the mesh, and a note on the volume of the part.
 
     Edges on the surface are at most 2 V / A long, where V is the enclosed volume and A the area.
-    This is a third of a ball's diameter. Cells of an earlier part are not changed.
+    For a ball, this length is a third of the diameter. Cells of an earlier part are not changed.
 
     Parameters
     ----------
@@ -469,8 +472,8 @@ def with_inclusion(
     volume_m3
         Volume of the part inside the mesh [m3].
     onto
-        Function that returns the nearest points of the surface that the mesh represents. The
-        surface nodes of the mesh are moved to these points.
+        Function that returns the points nearest to the nodes on the surface that the mesh
+        represents. The surface nodes of the mesh are moved to these points.
 
     Raises
     ------

@@ -53,8 +53,8 @@ def mean_ratio(nodes: Nodes, cells: Cells) -> Array:
 
     The mean ratio is 12 (3 V)^(2/3), divided by the sum of squared edges (Liu and Joe, 1994).
 
-    It is 1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one, and 0.84 for
-    the corner of a cube.
+    The ratio is 1 for a regular tetrahedron, 0.84 for the corner of a cube, 0 for a flat
+    tetrahedron, and negative for an inverted tetrahedron.
     """
     # 1e-300 avoids a division by zero for four equal corners.
     volume = signed_volumes(nodes, cells)
@@ -76,12 +76,12 @@ def flatness(nodes: Nodes, cells: Cells) -> Array:
 def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
     """Return all faces of all cells, four per cell, with outward normals.
 
-    Also return the index of each face, and the number of cells with this face.
+    A face of two cells is listed twice.
 
     Returns
     -------
-    Triangles, shape (4 m, 3); index of the face without regard to orientation, shape (4 m,); number
-    of cells with this face, shape (4 m,).
+    Triangles, shape (4 m, 3); index of each face, shape (4 m,); number of cells with this face,
+    shape (4 m,). The same face has the same index in either orientation.
     """
     triangles = cells[:, FACES].reshape(-1, 3)
     _, where, count = np.unique(

@@ -2,8 +2,8 @@
 
 fTetWild keeps the surface within an envelope and determines the inside from the winding number. A
 surface that crosses itself is therefore filled as the union of the enclosed regions. The meshes of
-two runs differ slightly, also on one thread. The cache makes meshes reproducible: it stores a mesh
-under the content of its surface.
+two runs differ slightly, also on one thread. The cache makes meshes reproducible, because it
+identifies a mesh by the content of its surface.
 """
 
 from dataclasses import replace
@@ -26,18 +26,18 @@ FILL_EDGES = 14.0
 _CELLS = 30_000
 """Number of tetrahedra of a solid if no edge is given.
 
-The computation of the compliance of 500 nodes then takes 10 s.
+With this number, computing the compliance of 500 nodes takes 10 s.
 """
 _EDGE_PER_CELL = 2.7
 """Ratio of target edge to cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance by which the surface may move, relative to the edge, and largest distance [m].
+"""Distance by which the surface may move, relative to the edge, and its upper limit [m].
 
-The largest distance is smaller than the voxels of scans from which surfaces are made.
+The upper limit is smaller than the voxels of scans from which surfaces are made.
 """
 _VOLUME_OFF = 0.005
-"""Relative difference of the volume of the mesh above which a note is added."""
+"""Relative difference between the volumes of mesh and surface above which a note is added."""
 _STEPS = 8
 """Largest number of moves.
 
@@ -143,7 +143,7 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     Parameters
     ----------
     mesh
-        Mesh whose flat facets enclose a different volume than the body that it represents.
+        Mesh whose flat facets do not enclose exactly the volume of the body that it represents.
     volume_m3
         Volume to enclose [m3].
     within_m

@@ -4,10 +4,10 @@ There are two conversions: sub-samples, and interpolated shares.
 
 `resampled` counts the labels at sub-samples of each voxel, which is fast for a whole tooth.
 `LabelShares` is a continuous function that does not depend on the grid on which it is sampled. The
-voxels of each layer are smoothed with the kernel of `meshes.images.bone_image` with a standard
-deviation of 1.5 voxels, and interpolated. For labels of planes and balls, the error of the surface
-is 0.08 voxels (RMS), without bias. A layer with a thickness of two voxels becomes a fifth of a
-voxel thicker on each side.
+voxels of each layer are smoothed by the kernel of `meshes.images.bone_image`, with a standard
+deviation of 1.5 voxels, and interpolated. For labels of planes and balls, the RMS error of the
+surface is 0.08 voxels, without bias. A layer with a thickness of two voxels becomes thicker by 0.2
+voxels on each side.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 MOST_SAMPLES = 6
 """Largest number of sub-samples along the edge of a voxel.
 
-The number per voxel, 216, still fits in a byte.
+The number of sub-samples per voxel is then 216, which fits in a byte.
 """
 SPREAD = 1.5
 """Standard deviation of the Gaussian [voxel].
@@ -43,9 +43,9 @@ SPREAD = 1.5
 With 1.0, the error of planes is 0.10 voxels (RMS). With 2.0, the error of thin layers is larger.
 """
 REACH = 8
-"""Margin around a region on which its shares depend [voxel].
+"""Width of the margin around a region that influences the shares in the region [voxel].
 
-It is four standard deviations, plus one voxel for the Laplacian and one voxel for interpolation.
+The width is four standard deviations, plus one voxel for the Laplacian and one for interpolation.
 """
 _SLAB = 8
 """Number of voxel planes that a thread fills at once.
@@ -62,7 +62,7 @@ _FARTHEST = 1.0
 Up to this distance, the distance can be computed from the share.
 """
 _SURELY = 0.49
-"""Difference of a share from one half above which no surface lies within a voxel."""
+"""Difference of a share from one half above which no surface lies within a distance of a voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
 _DENSITY_KG_M3 = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.uint16)
 
@@ -150,14 +150,14 @@ def resampled(
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Make voxels with the edge `size` [m] of the whole tooth, cropped to the tooth.
+    """Convert the whole tooth to voxels with the edge `size` [m], cropped to the tooth.
 
     The grid lines lie at integer multiples of the edge.
 
-    Fractions and layers are computed from sub-samples. Their distance is at most the voxel size of
-    the image, unless `most_samples` along an axis would be exceeded. The fraction is the share of
-    the sub-samples in any layer. The layer is the most frequent layer, and the first of `PRIORITY`
-    if several layers are equally frequent.
+    Fractions and layers are computed from sub-samples. The distance of sub-samples is at most the
+    voxel size of the image, unless this needs more than `most_samples` along an axis. The fraction
+    is the share of the sub-samples that lie in any layer. The layer is the most frequent layer. If
+    several layers are equally frequent, the first of them in `PRIORITY` is used.
 
     Raises
     ------
@@ -214,8 +214,8 @@ def resampled(
 def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
     """Count the sub-samples of each voxel in up to eight layers, shape (nx, ny, nz, 8).
 
-    A word consists of eight one-byte counters, so one sum counts all layers. `parts`³ fits in a
-    byte.
+    A 64-bit word consists of eight one-byte counters, so one addition counts all layers. The number
+    of sub-samples, `parts`³, must fit in a byte.
     """
     counter = np.zeros(EMPTY + 1, dtype=np.uint64)
     counter[list(layers)] = np.uint64(1) << (np.uint64(8) * np.arange(len(layers), dtype=np.uint64))
@@ -238,7 +238,7 @@ class LabelShares:
     Attributes
     ----------
     layers
-        Layers in the box, uint8. If shares are equal, the first layer is used.
+        Layer indices in the box, uint8. If shares are equal, the first of these layers is used.
     shares
         Share of each layer at the voxels, float32, shape (nx, ny, nz).
     solid
@@ -313,7 +313,7 @@ class LabelShares:
     def distance(self, points: Floats) -> Array:
         """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
 
-        Beyond one standard deviation, the result is a bound.
+        Beyond one standard deviation, the result is a bound of the distance.
         """
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 
@@ -350,7 +350,7 @@ class LabelShares:
         return result.reshape(grid.shape)
 
     def _part_fraction(self, centres: Array, size: float) -> Singles:
-        """Compute the fraction inside of cubes with a given edge [m], shape (n,)."""
+        """Compute the fraction of each cube that lies inside the surface, shape (n,)."""
         distance = self.distance(centres)
         fraction = (distance < 0.0).astype(np.float32)
         crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * size)
@@ -384,7 +384,10 @@ class LabelShares:
 
 
 def _plane_share() -> tuple[Array, Array]:
-    """Tabulate the share behind a plane, and the depth below the plane [standard deviations]."""
+    """Tabulate the share at points behind a plane, and the depth of these points below the plane.
+
+    The depth is in standard deviations.
+    """
     from scipy.special import ndtr
 
     # With steps of 1/400 of a standard deviation, the error of linear interpolation is 2e-6
@@ -401,5 +404,5 @@ def _interpolated(values: Singles, at: Array) -> Singles:
 
 
 def _parts(count: int) -> list[slice]:
-    """Return slices of points that fit in the processor's cache."""
+    """Return slices that divide points into parts that fit in the processor's cache."""
     return [slice(k, k + _POINTS_AT_ONCE) for k in range(0, max(count, 1), _POINTS_AT_ONCE)]

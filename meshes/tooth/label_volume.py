@@ -40,7 +40,7 @@ CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
 _FINEST_DEFAULT_MM = 0.1
 """Smallest voxel if no size is given. A whole tooth in the voxels of a micro-CT takes gigabytes."""
 _CAVITY_M = 0.1e-3
-"""Size of the voxels in which pulp and lesion are found, the default size in a scene."""
+"""Size of the voxels in which pulp and lesion are searched, the default size in a scene."""
 _CAVITY_SAMPLES = 2
 """Number of sub-samples along an edge of these voxels, enough to find the cavity.
 """
@@ -52,7 +52,7 @@ _MOST_VOXELS = 4e8
 
 @dataclass(frozen=True, eq=False)
 class LabelledTooth:
-    """Tooth in a label image at a site, from which voxels of any size are made.
+    """Tooth in a label image at a site, for conversion to voxels of any size.
 
     Attributes
     ----------
@@ -103,8 +103,8 @@ class LabelledTooth:
 
         For the whole tooth, fractions and layers are computed from sub-samples, see
         `meshes.tooth.label_sampling.resampled`. For a region, fractions, layers and distances are
-        computed from the interpolated shares of the labels, which give the same surface for all
-        voxel sizes. If no label is the pulp, the empty cavity in the dentin is the pulp.
+        computed from the interpolated shares of the labels. The surface is then the same for all
+        voxel sizes. If no label is the pulp, the empty cavity in the dentin is used as the pulp.
 
         Parameters
         ----------
@@ -209,9 +209,9 @@ class LabelledTooth:
 def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -> LabelledTooth:
     """Check the labels of a tooth and find its site.
 
-    The origin of the site is the point where the tooth's long axis through the middle of the enamel
-    leaves the tooth. At this point, the surface is enamel or an open lesion. z points from the
-    roots to the crown.
+    The long axis of the tooth passes through the middle of the enamel. The origin of the site is
+    the point where this axis leaves the tooth. At this point, the surface is enamel or an open
+    lesion. z points from the roots to the crown.
 
     Parameters
     ----------

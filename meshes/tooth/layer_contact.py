@@ -1,8 +1,8 @@
 """Fit of the layers of a tooth: overlaps, gaps and enclosed voids, measured on a lattice of points.
 
 A gap is a space between two layers that should touch, with a width of at most 0.3 mm along x, y or
-z. A gap is deeper than it is wide. Wider spaces, and spaces between layers that need not touch, are
-part of the anatomy.
+z. The depth of a gap is larger than its width. Wider spaces, and spaces between layers that need
+not touch, are part of the anatomy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,18 +42,18 @@ _TOUCHING = [
 _TOUCH_M = 0.5e-3
 """Largest distance of layers that count as touching."""
 _POINTS_TESTED = 4000
-"""Number of points of a layer from which its distance to other layers is measured.
+"""Number of points of a layer at which the distance to other layers is measured.
 
-On a tooth, they are 0.3 mm apart.
+On a tooth, the points are 0.3 mm apart.
 """
 _NEAR_M = 0.2e-3
 _LEAST_WITHIN = 0.6
-"""Share of the pulp's surface that must lie in the dentin or near to the dentin's surface.
+"""Smallest share of the pulp's surface that must lie in the dentin or near the dentin's surface.
 
-Near means within ``_NEAR_M``.
+Near means at a distance of at most ``_NEAR_M``.
 """
 _LINES_A_POINT = 2
-"""Ratio of lines to points above which points are too scattered to share lines."""
+"""Ratio of vertical lines to points above which each point is tested on its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class LayerContact:
         Dictionary from a pair of layer names to the volume of overlap or gap. Pairs without overlap
         or gap are not included.
     void_mm3
-        Volume that is enclosed by the layers but not in a layer or a gap.
+        Volume that the layers enclose, but that lies neither in a layer nor in a gap.
     gap_layer
         Layer index + 1 of the layer to which the gap at each lattice point is assigned, 0
         elsewhere, uint8, shape (nx, ny, nz).
@@ -83,7 +83,8 @@ def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
 
     Each point is tested by the vertical line through it.
 
-    Points of a grid share their lines, so far fewer lines than points are tested.
+    Points of a grid lie on common lines, so the number of tested lines is much smaller than the
+    number of points.
     """
     x, i = np.unique(points[:, 0], return_inverse=True)
     y, j = np.unique(points[:, 1], return_inverse=True)
@@ -158,7 +159,7 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
-    """Return the layer index + 1 to which each lattice point in a gap is assigned.
+    """Return the layer to which each lattice point in a gap is assigned, as the layer index + 1.
 
     Also return the number of points by pair of layers.
     """
@@ -181,7 +182,7 @@ def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], 
 
 
 def _drop_creases(between: Bytes, label: Bytes) -> None:
-    """Remove, in place, spaces that are nowhere deeper than the width of a gap.
+    """Remove spaces that are nowhere deeper than the width of a gap. The array is changed in place.
 
     Such a space is the crease between two layers at the outer surface.
     """
@@ -200,7 +201,8 @@ def _drop_creases(between: Bytes, label: Bytes) -> None:
 def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
     """Return the labels of the nearest filled points before and after each point along an axis.
 
-    A label is 0 if there is no filled point. Also return the distance of these points.
+    A label is 0 if there is no filled point. Also return the number of points between the two
+    filled points.
     """
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
@@ -218,7 +220,7 @@ def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16
 def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangles]) -> None:
     """Raise an error for layers that do not touch another layer.
 
-    A layer touches another layer if it lies in this layer or its distance is at most 0.5 mm.
+    Two layers touch if one lies in the other, or if their distance is at most 0.5 mm.
 
     Parameters
     ----------
@@ -250,8 +252,8 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
 def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
     """Raise an error if a pulp is not in the dentin.
 
-    At least 60 % of its surface must lie in the dentin, or at most 0.2 mm from the surface of the
-    dentin.
+    At least 60 % of the pulp's surface must lie in the dentin, or at most 0.2 mm from the surface
+    of the dentin.
 
     Parameters
     ----------

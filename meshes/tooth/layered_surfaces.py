@@ -102,7 +102,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Surfaces of the layers in the site frame, with their gaps and socket.
+    """Surfaces of a tooth's layers in the site frame, with gaps and socket.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ class LayeredSolid:
         return fraction, depth
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return the layer that contains each point. Of several layers, the priority decides.
+        """Return the layer of each point. If several layers contain a point, the priority decides.
 
         A point outside all layers belongs to the layer to which its gap is assigned, or to the
         nearest layer.
@@ -194,7 +194,7 @@ class LayeredSolid:
 
 
 def joined(solids: Sequence[Triangles]) -> Triangles:
-    """Join several surfaces. Coincident triangles with opposite orientation are removed."""
+    """Join several surfaces, without coincident triangles of opposite orientation."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
     vertices = np.concatenate([vertices for vertices, _ in solids])
     faces = np.concatenate(
@@ -252,7 +252,7 @@ def layered_surfaces(
     Raises
     ------
     InputError
-        If a file cannot be used, or for the reasons listed in `layered_anatomy`.
+        If a file cannot be used. The other errors are listed in `layered_anatomy`.
     """
     require_known(paths_by_layer, "paths_by_layer")
     dentin = _read("dentin", paths_by_layer["dentin"], scale_mm)
@@ -281,12 +281,12 @@ def layered_anatomy(
 ) -> Anatomy:
     """Build a tooth from one closed surface per layer, in the site frame of teeth.
 
-    The origin is the point where the tooth's long axis through the middle of the enamel leaves the
-    enamel. A thin bur that moves down this axis first touches the tooth at the origin. z points
-    from the roots to the crown, and x along the wider direction of the roots. A voxel that several
-    layers share belongs to the layer that contains its centre. The voxel is full, and the layers
-    have the correct volumes. The overlap of two layers, and the gap between them, are assigned to
-    the layer that comes first in `meshes.tooth.layers.PRIORITY`.
+    The long axis of the tooth passes through the middle of the enamel. The origin is the point
+    where this axis leaves the enamel. A thin bur that moves down this axis first touches the tooth
+    at the origin. z points from the roots to the crown, and x along the wider direction of the
+    roots. A voxel that several layers share is full and belongs to the layer that contains its
+    centre. The layers therefore have the correct total volumes. The overlap of two layers, and the
+    gap between them, are assigned to the layer that comes first in `meshes.tooth.layers.PRIORITY`.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def layered_anatomy(
     at_lesion
         Whether the origin lies above the lesion, see `meshes.tooth.layers.lesion_site`.
     at
-        Site in the frame of the surfaces, if it is known.
+        Site in the frame of the surfaces. None: the site is searched.
 
     Raises
     ------

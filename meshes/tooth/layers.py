@@ -12,9 +12,9 @@ bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
 
 The site of a tooth is given by its long axis or by its lesion. The long axis is a principal axis of
-all points of the tooth. It is the one with the smallest angle to the line between the centres of
-dentin and enamel. If all angles are larger than 25 degrees, as in a crown without roots, the long
-axis is the line itself."""  # noqa: E501 a table
+all points of the tooth. The principal axis with the smallest angle to the line between the centres
+of dentin and enamel is used. If all angles are larger than 25 degrees, as in a crown without roots,
+the line itself is the long axis."""  # noqa: E501 a table
 
 import math
 from collections.abc import Callable, Iterable
@@ -64,7 +64,8 @@ LAYER_DENSITY_KG_M3 = {
 }
 """Density of each layer [kg/m3].
 
-The density of `caries` is for a lesion of unknown softness, which is assumed to be one half.
+The density of `caries` applies to a lesion of unknown softness. The softness is then assumed to be
+one half.
 """
 
 EMPTY = 255
@@ -80,8 +81,7 @@ _POINTS_AT_ONCE = 1 << 17
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest side of a tooth: crown without roots, canine with its root, and typical molar.
-"""
+"""Longest side of a tooth [mm]: crown without roots, canine with its root, and typical molar."""
 
 
 def caries_density(softness: Floats) -> Floats:
@@ -97,8 +97,8 @@ def caries_softness(density_kg_m3: Floats) -> Floats:
 
     The softness is (2100 - density)/800, limited to 0 to 1.
 
-    0 is sound dentin, and 1 is fully softened, infected dentin. Use this function only for voxels
-    of the layer `caries`, because sound tissues have other densities.
+    A softness of 0 means sound dentin, and 1 means fully softened, infected dentin. Use this
+    function only for voxels of the layer `caries`, because sound tissues have other densities.
     """
     density = np.asarray(density_kg_m3)
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
@@ -139,7 +139,8 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     argument, given
         Name of the argument that determines the size, and its value.
     per_unit
-        Ratio of the size to this value: number of voxels along the side, or size in file units.
+        Size divided by the value of this argument: number of voxels along the side, or size in file
+        units.
     """
     if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
         return
@@ -163,16 +164,17 @@ The angle is 0 degrees in the procedural molar, and 5 degrees in its crown witho
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
-"""Smoothing of the outer surface, and radius of the mean normal.
+"""Standard deviation [m] of the smoothing of the outer surface, and radius [m] of the mean normal.
 
-For comparison, voxels are 0.1 to 0.15 mm.
+For comparison, the voxel size is 0.1 to 0.15 mm.
 """
 _BEYOND_M = 1.0e-3
 """Distance outside the nearest surface point at which the search along the normal ends."""
 _UPRIGHT = 0.7
-"""Cosine of 45 degrees.
+"""Cosine of the smallest angle between normal and tooth axis at which y points to the crown.
 
-If the normal is closer to the axis, the direction to the crown is nearly parallel to the normal.
+The angle is 45 degrees. At smaller angles, the direction to the crown is nearly parallel to the
+normal.
 """
 
 
@@ -246,7 +248,10 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
 
 
 def _widest(points: Array, up: Array) -> Array:
-    """Return the unit vector across `up` along which the lower half of the points is widest."""
+    """Return the direction in which the lower half of the points is widest.
+
+    The direction is a unit vector perpendicular to `up`.
+    """
     offset = points - points.mean(axis=0)
     lower = offset[offset @ up < 0.0]
     across = lower - np.outer(lower @ up, up)
@@ -261,9 +266,9 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     """Find the site above the centre of a tooth's largest lesion.
 
     The outward normal is the normal of the smoothed outer surface at the point nearest to the
-    centre of the lesion. The origin is the point where the line along the normal through the centre
-    leaves the tooth. If the angle between the normal and the tooth's axis is large, y points to the
-    crown. Otherwise, x is as in the tooth's frame.
+    centre of the lesion. The line along the normal through the centre of the lesion leaves the
+    tooth at the origin. If the angle between the normal and the tooth's axis is larger than 45
+    degrees, y points to the crown. Otherwise, x is close to the x axis of the tooth's frame.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ from meshes.tooth.molar_parts import (
 __all__ = ["MolarSizes", "molar"]
 
 _CREST_M = 1.5e-3
-"""Distance of the bone crest below the cervical line, see the table above."""
+"""Distance from the cervical line down to the bone crest, see the table above."""
 _LEAST_OVER_PULP_M = 0.3e-3
 """Smallest thickness of dentin between a lesion and the pulp, six voxels of the scene."""
 _SHALLOWEST_LESION_M = 0.1e-3
@@ -75,8 +75,8 @@ class MolarSizes(Ranged):
     root_length_mm
         Length from the buccal cervical line to the apices [mm].
     enamel_thickness_mm
-        Thickness above the highest cusp along z [mm]. In the fossa, the enamel has 62 % of this
-        thickness, and at the cervical line 0.
+        Thickness above the highest cusp along z [mm]. The thickness is 62 % of this value in the
+        fossa, and 0 at the cervical line.
     cusp_height_mm
         Height from the central fossa to the highest cusp tip [mm].
     pulp_roof_mm
@@ -87,10 +87,11 @@ class MolarSizes(Ranged):
     socket_mm
         Thickness of the bone around and below the roots, in a block with a flat crest [mm].
     caries_depth_mm
-        Depth of a lesion under the fossa [mm]: 0 for no lesion, or at least 0.1 and at most 0.3
-        less than the depth of the chamber's roof. The rim of the lesion is an ellipsoid that
-        extends from the fossa down. The softness is (1 - r²)², where r is the distance from the
-        centre relative to the rim; see `meshes.tooth.layers.caries_softness`.
+        Depth of a lesion under the fossa [mm]. With 0, there is no lesion. Otherwise, the depth
+        must be at least 0.1, and at least 0.3 less than the depth of the chamber's roof. The rim of
+        the lesion is an ellipsoid that extends from the fossa down. The softness is (1 - r²)²,
+        where r is the distance from the centre divided by the distance of the rim; see
+        `meshes.tooth.layers.caries_softness`.
     caries_diameter_mm
         Largest diameter of the lesion [mm].
     """
@@ -112,9 +113,9 @@ def molar(**sizes_mm: float) -> Anatomy:
     """Build a lower first molar in its socket, in the site frame of teeth.
 
     The origin is the bottom of the central fossa on the enamel. A thin bur that moves down the
-    tooth's long axis first touches the tooth there. A ball that is wider than the fossa touches the
-    inclines of the cusps slightly above. x points mesially, y buccally, and z outward. The bur
-    comes from +z, and the roots point to -z.
+    tooth's long axis first touches the tooth at the origin. A ball that is wider than the fossa
+    touches the inclines of the cusps, slightly above the origin. x points mesially, y buccally, and
+    z outward. The bur comes from +z, and the roots point to -z.
 
     Parameters
     ----------
@@ -292,7 +293,8 @@ def _true_distance(
 ) -> Floats:
     """Compute the first-order distance [m] near the surface.
 
-    The distance is the value divided by the slope, from finite differences of 20 µm.
+    The distance is the value divided by the slope. The slope is computed from finite differences
+    over 20 µm.
     """
     # 20 um: single precision resolves 1e-9 m here, and the curvature of the shapes is negligible
     # within 20 um.

@@ -27,8 +27,8 @@ _CUSPS = (
 )
 """Positions and heights of the cusp tips.
 
-Each entry has the position of the tip relative to half the crown's width and length, x mesial and y
-buccal, and the height relative to the highest cusp.
+Each entry has three numbers: mesial position x divided by half the crown's width, buccal position y
+divided by half the crown's length, and height divided by the height of the highest cusp.
 """
 _TRUE_CUSPS = 5
 """Number of cusps at the start of `_CUSPS`. The other entries are ridges."""
@@ -111,9 +111,9 @@ class Crown:
 
     @property
     def _fossa(self) -> float:
-        """Compute the height [m] at which the blended grooves of the seven cones meet.
+        """Height [m] of the blended cones at the point where the seven cones meet.
 
-        At this point, the height of all cones is 0 before blending.
+        At this point, the height of each cone is 0. Blending raises the surface.
         """
         level = 0.0
         for _ in _CUSPS[1:]:
@@ -132,7 +132,7 @@ class Crown:
     def wall(self, p: Floats) -> Floats:
         """Compute the horizontal distance from the side wall of crown and root trunk [m].
 
-        It is negative inside.
+        The distance is negative inside.
         """
         height = (p[:, 2] - self.cervix) * (1.0 / self.height)
         below = np.maximum(-height, 0.0) * (self.height * _TRUNK_TAPER)
@@ -161,13 +161,14 @@ class Crown:
     def outside(self, p: Floats) -> Floats:
         """Compute the distance from crown and trunk [m].
 
-        The distance is measured along z below the chewing surface, and horizontally at the wall.
+        Below the chewing surface, the distance is measured along z. At the wall, it is measured
+        horizontally.
         """
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
     def outside_dentin(self, p: Floats) -> Floats:
-        """Compute the same distance as `outside`, but for the dentin under the enamel.
+        """Compute the distance from the dentin under the enamel [m], measured as in `outside`.
 
         Below the cervical line, the result is equal to `outside`.
         """
@@ -219,8 +220,7 @@ class Root:
     def distance(self, p: Floats) -> Floats:
         """Compute a bound of the distance [m], negative inside.
 
-        The bound is exact along x. Along y, it is smaller than the distance by the factor
-        `flattening`.
+        Along x, the bound is exact. Along y, the bound is `flattening` times the distance.
         """
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
         return _round_cone(
@@ -269,7 +269,7 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
     """Compute the distance [m] from the whole tooth, or from its dentin including the pulp.
 
-    It is negative inside.
+    The distance is negative inside.
     """
     head = crown.outside_dentin(p) if dentin else crown.outside(p)
     furcation = (crown.cervix - _TRUNK_M) - p[:, 2]

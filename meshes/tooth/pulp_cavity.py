@@ -22,12 +22,13 @@ The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1
 _LARGEST_MOUTH_M2 = 1.0e-6
 """Largest area of one opening in the roots.
 
-A round opening of 0.8 mm has 0.5 mm2. In voxels, its stepped area is up to twice as large.
+A round opening with a diameter of 0.8 mm has an area of 0.5 mm2. In voxels, the stepped area of the
+opening is up to twice as large.
 """
 _CROWN_LEAK_M2 = 0.05e-6
 """Largest area of openings in the crown [m2].
 
-It allows leaks of a segmentation with an area of five voxel faces.
+The value allows leaks of the segmentation with an area of five voxel faces.
 """
 _VOLUME_M3 = (1e-9, 200e-9)
 """Limits of the volume of a pulp cavity.
@@ -39,11 +40,10 @@ open roots are several times larger.
 _LEAST_DENTIN = 0.5
 """Smallest share of dentin in the wall of the cavity.
 
-The rest may be caries, or enamel if the crown is worn.
+The rest of the wall may be caries, or enamel if the crown is worn.
 """
 _ENAMEL_PERCENT = 2.0
-"""Part of the enamel [%] that may lie below the neck of the tooth, as in mislabelled pieces.
-"""
+"""Percentage of the enamel that may lie below the neck of the tooth, such as mislabelled pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,8 @@ class PulpCavity:
     inside
         Mask of the voxels of the cavity, bool, shape of the tooth.
     away_m
-        Distance of each voxel from the region that such a ball can reach [m], shape of the tooth.
+        Distance of each voxel from the region that a ball with a diameter of 0.8 mm can reach [m],
+        shape of the tooth.
     """
 
     tooth: VoxelVolume
@@ -149,7 +150,7 @@ class PulpCavity:
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
     """Fill the cavity of a volume with pulp.
 
-    Partly filled voxels at the wall of the cavity are filled with their own layers.
+    Partly filled voxels at the wall of the cavity keep their layers and become full.
     """
     from scipy.ndimage import binary_dilation
 
@@ -173,7 +174,7 @@ def _is_closed(piece: Flags, empty: Flags, neck: float, spacing_m: float) -> boo
     empty
         Mask of voxels without tissue, same shape.
     neck
-        Index along z of the neck of the tooth. The crown lies above it.
+        Index along z of the neck of the tooth. The crown lies above the neck.
     spacing_m
         Edge of a voxel [m].
     """

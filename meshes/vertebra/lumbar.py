@@ -52,7 +52,7 @@ _ENTRY_M = 19e-3
 The distance includes pedicle and pars, and is a prior.
 """
 _REACH_M = 75e-3
-"""Half side of a box that contains the bone. The default spinous process ends at 71 mm."""
+"""Half side of a box that contains the bone [m]. The default spinous process ends at 71 mm."""
 
 
 @dataclass(frozen=True)
@@ -73,14 +73,14 @@ class _HalfSizes:
 
     @property
     def canal_y(self) -> float:
-        """Distance of the canal's centre behind the centre of the body [m]."""
+        """Distance by which the canal's centre lies behind the centre of the body [m]."""
         return self.depth + self.canal_depth
 
     @property
     def isthmus(self) -> Array:
         """Middle of the narrowest part of the left pedicle [m].
 
-        It lies next to the canal, in the middle between the two cortices.
+        This point lies next to the canal, in the middle between the two cortices.
         """
         return np.array(
             [
@@ -298,8 +298,8 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
     After three steps, the error is 1e-5 of the size of the ellipse.
 
     Each step approximates the ellipse by its circle of curvature at the last point (A. Nash,
-    "Computing the distance between a point and an ellipse"). The start is the direction of 45
-    degrees.
+    "Computing the distance between a point and an ellipse"). The first point lies in the direction
+    of 45 degrees.
     """
     px = np.abs(x)
     py = np.abs(y)

@@ -1,11 +1,11 @@
-"""Distances of voxel centres to the bone's surface and to changes of layer, stored in bytes.
+"""Distances from voxel centres to the bone's surface and to boundaries between layers, in bytes.
 
-The distances are interpolated between voxel centres. The position of a surface or a change of layer
-is thus accurate to second order in the spacing, not only to the nearest voxel.
+The distances are interpolated between voxel centres. The position of the surface or of a boundary
+is therefore accurate to second order in the spacing, and not only to the nearest voxel.
 
-Distances to the nearest change of layer are computed from the layer at any point, or only from
-labels. They are only computed for voxels in a cell of eight centres with two different layers. The
-distance of other voxels is never used.
+Distances to the nearest boundary are computed from a function that returns the layer at any point,
+or from the labels of the voxels. They are computed only for voxels in a cell of eight centres with
+at least two different layers. The distance of other voxels is never used.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _SMALLEST_COMPONENT = 1e-5  # see `cube_fraction`
 def cube_fraction(distance: Floats, normal: Floats) -> Array:
     """Compute the volume of the part of a unit cube behind a plane, n·x <= -distance.
 
-    The centre of the cube is the origin. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|, which is
-    the plane's height above the cube's lowest corner relative to the cube's extent along n. The
-    volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets S of the
-    three axes. This is inclusion-exclusion over the cube's corners, equivalent to Scardovelli &
-    Zaleski 2000, J. Comput. Phys. 164:228. Components below 1e-5 are set to 1e-5, which changes the
-    volume by less than 2e-5.
+    The centre of the cube is the origin. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. Here, a
+    is the height of the plane above the cube's lowest corner, divided by the extent of the cube
+    along n. The volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets
+    S of the three axes. The formula is inclusion-exclusion over the cube's corners. It is
+    equivalent to the formula of Scardovelli & Zaleski 2000, J. Comput. Phys. 164:228. Components
+    below 1e-5 are set to 1e-5, which changes the volume by less than 2e-5.
 
     Parameters
     ----------
@@ -79,11 +79,11 @@ SURFACE_STEPS = 63
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
-"""Stored surface distance on the surface, and two or more voxels inside and outside the surface."""
+"""Stored distances on the surface, and two or more voxels inside and outside the surface."""
 _BISECTIONS = 14
 """Number of halvings in the search for the distance of a plane.
 
-The remaining interval is 1e-4 voxels. A stored step is 0.016 voxels.
+The remaining interval is 1e-4 voxels, which is small compared with a stored step of 0.016 voxels.
 """
 # neighbours up to (2, 1, 0) away
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
@@ -102,8 +102,8 @@ def near_the_surface(
     """Return surface distance, layer, density and boundary distance of a volume.
 
     The arrays have the shape of the volume. Layer and density are extended beyond the surface, as
-    far as the surface distance is known, because a point between the last voxel centre in the bone
-    and the first one outside also needs a layer.
+    far as the surface distance is known. A point between the last voxel centre inside the bone and
+    the first voxel centre outside also needs a layer.
     """
     surface = (
         volume.surface_distance
@@ -145,13 +145,13 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 
     The result is uint8, shape (nx, ny, nz).
 
-    Each voxel that the surface crosses, or that is next to the surface, has a plane. The fraction
-    of the voxel behind the plane is the filled fraction, and the direction of the plane is the
-    gradient of the fractions. For voxels near such voxels, the mean distance from their planes is
-    used. The space outside the array has no bone. On a ball, the mean is smaller than the true
-    distance, and the interpolation between centres is larger. Each of these two biases is a twelfth
-    of the sum of the principal curvatures. A quarter of this bias remains in the interpolated
-    surface.
+    For each voxel that the surface crosses, or that is next to the surface, a plane is computed.
+    The part of the voxel behind the plane is the filled fraction. The plane is normal to the
+    gradient of the fractions. For voxels near these voxels, the mean distance from their planes is
+    used. The space outside the array has no bone. On a ball, the mean distance is smaller than the
+    true distance, and interpolation between centres increases the distance. Each of these two
+    opposite biases is a twelfth of the sum of the principal curvatures. In the interpolated
+    surface, a quarter of such a bias remains.
     """
     # A margin of three voxels: two for the reach of planes, and one for the gradient.
     padded = np.pad(fraction, 3)
@@ -189,7 +189,7 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 def _plane_distance(share: Floats, normal: Floats) -> Array:
     """Compute the signed distance of unit cubes' centres from a plane.
 
-    The share of the cube behind the plane is given.
+    `share` is the part of each cube behind its plane.
     """
     half = 0.5 * np.abs(normal).sum(axis=1)
     low = -half
@@ -230,7 +230,7 @@ def _beside(one: Flags, other: Flags) -> Flags:
 
 
 def _grown(flags: Flags) -> Flags:
-    """Return the flags with all voxels flagged that touch a flagged voxel."""
+    """Return the flags, extended to all voxels that touch a flagged voxel."""
     grown = flags.copy()
     for axis in range(3):
         a, b = _halves(axis)
@@ -251,35 +251,34 @@ def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 BOUNDARY_STEPS = 127
 """Stored steps per voxel; stored distances reach two voxels."""
 FAR = 254
-"""Stored distance of voxels that are far from every change of layer.
+"""Stored distance of voxels that are far from every boundary between layers.
 
-The layer does not change within two voxels, or in any cell of which the voxel is a corner.
+No boundary lies within two voxels of such a voxel, or in a cell that has the voxel as a corner.
 """
 _UNKNOWN = 255
 _PADDED = 6
 """Width of the border of unknown voxels, the radius of the larger ball."""
 _AT_ONCE = 1 << 18
-"""Number of pairs of voxel and neighbour that are summed at once, which takes some MB.
-"""
+"""Number of pairs of voxel and neighbour that are summed at once. They take some MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
 """Step [voxel] of the search for a change along a direction, and number of bisections.
 
-The error of the middle of the remaining interval is 0.008 voxels, a stored step.
+The middle of the remaining interval has an error of up to 0.008 voxels, which is a stored step.
 """
 _WIDE = 6.0
 _NARROW = 3.0
 """Radii of the balls [voxel] in which shares are computed for the distance.
 
-The RMS error is 0.07 voxels on a ball with a radius of 14 voxels and 0.18 voxels on a block. With 4
-instead of 6, the errors are 0.11 and 0.16 voxels, and with 8 they are 0.05 and 0.20 voxels. With 2
-instead of 3, the error on the block is 0.29 voxels.
+With radii of 6 and 3 voxels, the RMS error is 0.07 voxels on a ball with a radius of 14 voxels, and
+0.18 voxels on a block. With 4 instead of 6, the errors are 0.11 and 0.16 voxels. With 8 instead of
+6, they are 0.05 and 0.20 voxels. With 2 instead of 3, the error on the block is 0.29 voxels.
 """
 _DISAGREES = 0.25
 _REACH = 2
 """Deviation [voxel] of a label above which the narrow ball is used, and range of its use [voxel].
 
-With deviations of 0.1 to 1 and ranges of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
+For deviations of 0.1 to 1 and ranges of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
 """
 
 LayerAt = Callable[[Singles], Bytes]
@@ -287,12 +286,12 @@ LayerAt = Callable[[Singles], Bytes]
 
 
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
-    """Compute the stored distance of voxel centres to the nearest change of layer.
+    """Compute the stored distance from voxel centres to the nearest boundary between layers.
 
     The result has the shape (nx, ny, nz).
 
-    The direction to the change is computed from the voxels of other layers around a voxel. Along
-    this direction, the change is searched in steps of half a voxel, and then by bisection.
+    The direction to the boundary is computed from the voxels of other layers around a voxel. Along
+    this direction, the boundary is searched in steps of half a voxel, and then by bisection.
 
     Parameters
     ----------
@@ -326,14 +325,14 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest change of layer from labels.
+    """Compute the stored distance to the nearest boundary between layers from the labels of voxels.
 
     The distance is computed from the share of a voxel's layer in a ball with a radius of six voxels
-    around the voxel, see `_ball`. If labels contradict this distance by more than a quarter voxel,
-    as at corners and thin layers, a ball with a radius of three voxels is used. Each voxel's centre
-    remains in its layer, so no boundary is shifted by more than half a voxel. A voxel with most
-    neighbours in other layers keeps a distance of up to half a voxel, so that a layer with a
-    thickness of one voxel does not vanish.
+    around the voxel, see `_ball`. At corners and thin layers, labels may contradict this distance
+    by more than a quarter of a voxel. In this case, a ball with a radius of three voxels is used.
+    Each voxel's centre remains in its layer, so no boundary is shifted by more than half a voxel.
+    If most neighbours of a voxel are in other layers, the voxel keeps a distance of up to half a
+    voxel. A layer with a thickness of one voxel therefore does not vanish.
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
@@ -356,7 +355,7 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
 def _codes(layer: Bytes, known: Flags) -> Bytes:
     """Return layers with a border around them.
 
-    The value is 255 in the border and where the layer is not known.
+    The value is 255 in the border and in voxels whose layer is not known.
     """
     return np.pad(np.where(known, layer, np.uint8(_UNKNOWN)), _PADDED, constant_values=_UNKNOWN)
 
@@ -374,7 +373,8 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
     """Return flat indices of the known voxels in cells with two layers.
 
-    A cell has 2 x 2 x 2 voxels. It has two layers if two neighbours in the cell differ in layer.
+    A cell has 2 x 2 x 2 voxels. It has two layers if two neighbouring voxels in the cell have
+    different layers.
     """
     flat = codes.ravel()
     steps = _strides(codes)
@@ -396,7 +396,7 @@ def _sums(
 ) -> tuple[Singles, Singles]:
     """Compute weighted sums over the known voxels around each voxel, shapes (rows, n).
 
-    One sum is over voxels of the same layer, the other over voxels of other layers.
+    The first sum is over voxels of the same layer. The second sum is over voxels of other layers.
 
     ``weights`` has the shape (rows, offsets). Sums of integers up to 2**24 are exact on any
     machine.
@@ -430,7 +430,7 @@ def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Arr
 def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
     """Compute the offsets and weights in a ball, and the share behind a plane.
 
-    The share is tabulated by the plane's distance [voxel] from the centre.
+    The share is tabulated as a function of the plane's distance [voxel] from the centre.
 
     The weight is (1 - r²)² (1 - 5/2 r²), where r is relative to the radius. Its second moment in a
     plane through the centre is zero. The share behind a surface through the centre therefore does
@@ -465,7 +465,7 @@ def _strides(array: Bytes) -> Ints:
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Compute the distance [voxel] from voxel centres along a direction to the change of layer.
+    """Compute the distance [voxel] from voxel centres to the layer's boundary along a direction.
 
     The distance is at most 2, shape (n,).
     """

@@ -2,9 +2,9 @@
 
 Fraction: there are 3 x 3 lines along z in each voxel column. The winding number along a line
 changes where the line crosses triangles. The parts of a line with a positive winding number are
-bone. The fraction is exact along z, and a quadrature with nine lines across. Depth: the distance to
-the surface is computed on a lattice with a spacing of 0.4 mm or one voxel, and interpolated to the
-voxels.
+bone. The fraction is exact along z. Across z, it is a quadrature with nine lines. Depth: the
+distance to the surface is computed on a lattice with a spacing of 0.4 mm or one voxel, and
+interpolated to the voxels.
 
 Crossings of vertical lines with triangles also determine whether scattered points lie inside.
 """
@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 _PAIRS_AT_ONCE = 2_000_000
-"""Number of pairs of triangles and lines that are tested at once, for a dozen arrays of 16 MB."""
+"""Number of pairs of triangle and line that are tested at once, in a dozen arrays of 16 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,8 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
     Only crossings at which the winding number becomes positive, or stops being positive, are
     returned.
 
-    A common edge of two triangles is tested with the same arithmetic for the two triangles, so a
-    line passes through exactly one of them.
+    The test of a common edge uses the same arithmetic for its two triangles. A line near the edge
+    therefore passes through exactly one of the two triangles.
 
     Parameters
     ----------
@@ -126,7 +126,10 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
 
 
 def _batches(pairs: Ints) -> Iterator[slice]:
-    """Yield consecutive parts of about `_PAIRS_AT_ONCE` pairs, given the pairs of each entry."""
+    """Yield consecutive ranges of entries with about `_PAIRS_AT_ONCE` pairs in total.
+
+    `pairs` is the number of pairs of each entry.
+    """
     ends = np.cumsum(pairs)
     start = 0
     while start < len(pairs):
@@ -137,7 +140,7 @@ def _batches(pairs: Ints) -> Iterator[slice]:
 
 
 def _repeated(counts: Ints) -> tuple[Ints, Ints]:
-    """Repeat each index as often as `counts` states; also return the number of each repetition."""
+    """Repeat each index `counts` times. Also number the repetitions of each index from 0."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -184,7 +187,7 @@ def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
 def lowest_and_highest(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     """Return the elementwise minimum and maximum of three arrays.
 
-    NumPy is slow along an axis with three entries.
+    NumPy's reductions are slow along an axis with three entries.
     """
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -274,9 +277,9 @@ _LINES = 3
 _WIDEST_LATTICE_M = 0.41e-3
 """Largest spacing of the lattice on which depth is evaluated, 0.4 mm plus 0.01 mm for rounding."""
 _CELLS_BEYOND = 4
-"""Number of lattice cells beyond the threshold within which triangles are kept.
+"""Number of lattice cells by which the range of used triangles extends beyond the threshold.
 
-The depth near the threshold is thus correct.
+The depth near the threshold is therefore correct.
 """
 _OFFSET = np.array([0.0137, 0.0071])
 """Shift of the lines, relative to their distance.
@@ -296,9 +299,9 @@ class TriangleSampler:
     faces
         Triangles with outward normals, shape (m, 3).
     threshold_m
-        Depth that decides the layer of a voxel. In lattice cells that lie completely on one side of
-        this depth, the computed depth is only guaranteed to be on this side. Infinite: the depth is
-        correct everywhere.
+        Depth that decides the layer of a voxel. In lattice cells that lie completely above or below
+        this depth, the computed depth may be inaccurate, but it is on the correct side of the
+        threshold. Infinite: the depth is accurate everywhere.
     """
 
     vertices_m: Array
@@ -309,7 +312,7 @@ class TriangleSampler:
     def _along_x(self) -> tuple[Array, Array]:
         """Lowest and highest x of each triangle [m], shape (m,).
 
-        They select the triangles of a grid, because grids are slabs along x.
+        These values select the triangles near a grid, because grids are slabs along x.
         """
         return lowest_and_highest(*np.ascontiguousarray(self.vertices_m[:, 0])[self.faces].T)
 
@@ -330,7 +333,8 @@ class TriangleSampler:
 
         The two arrays are float32 and have the shape of the blocked grid.
 
-        The depth is only computed in lattice cells with bone. In other cells, it has no meaning.
+        The depth is computed only in lattice cells with bone. In other cells, the depth has no
+        meaning.
         """
         fraction = self._fraction(grid)
         return fraction, self._depth(grid, fraction)

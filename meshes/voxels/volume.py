@@ -16,7 +16,7 @@ __all__ = ["BLOCK", "FULL", "Grid", "VoxelVolume", "density_volume"]
 DENSEST_KG_M3 = 2e4
 """Largest accepted density, the density of the densest implant metals.
 
-A larger value has another unit.
+A larger value indicates that the densities have another unit.
 """
 FULL = 255
 """Stored fraction of a voxel that is completely bone."""
@@ -43,11 +43,12 @@ class VoxelVolume:
     placement
         Placement of the volume's frame in the frame of the bone's file. None without a file.
     surface_distance
-        Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`,
-        uint8, shape (nx, ny, nz). None: it is computed from the fractions when needed.
+        Signed distance from each voxel's centre to the bone's surface, see
+        `meshes.voxels.distances`, uint8, shape (nx, ny, nz). None: this distance is computed from
+        the fractions when needed.
     layer_distance
-        Distance of each voxel's centre to the nearest change of layer, with the same type and
-        shape. None: it is computed from the layers when needed.
+        Distance from each voxel's centre to the nearest boundary between layers, uint8, shape (nx,
+        ny, nz). None: this distance is computed from the layers when needed.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def density_volume(
     layer_names: tuple[str, ...] = ("bone",),
     margin: int = 0,
 ) -> VoxelVolume:
-    """Make voxels that are completely bone if their density is not 0.
+    """Make a voxel volume from densities. Voxels with a density other than 0 are completely bone.
 
     Parameters
     ----------
@@ -171,9 +172,9 @@ def density_volume(
     layer_names
         Name of each layer.
     margin
-        Number of empty voxels that are added on each side. With 0, the force on a cutter is up to 3
-        % too low where bone extends to the edge of the array, because the surface is interpolated
-        between voxels on its two sides.
+        Number of empty voxels that are added on each side. The surface is interpolated between
+        voxels on its two sides. With 0, the force on a cutter is therefore up to 3 % too low where
+        bone extends to the edge of the array.
 
     Raises
     ------

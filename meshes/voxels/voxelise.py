@@ -51,18 +51,18 @@ _BLOCKS_AT_ONCE = 256
 The coordinates of 131,072 voxels, 1.5 MB, fit in the cache.
 """
 _WIDEST_INTERPOLATION_M = 1.0e-3
-"""Largest block whose density is interpolated. `Classify` is smooth over a millimetre."""
+"""Largest block whose density is interpolated. Densities vary smoothly over a millimetre."""
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
 """Change of slope within a voxel above which the distance has a crease.
 
-The volume of a block with sharp edges is 0.04 % too large with 0.03 and 0.1, 0.08 % with 0.3 and
-0.17 % with 1.
+The volume of a block with sharp edges is 0.04 % too large with the values 0.03 and 0.1, 0.08 % too
+large with 0.3, and 0.17 % too large with 1.
 """
 _PARTS = 4
 """Number of parts along the edge of a voxel with a crease.
 
-The error of the same volume is 0.07 % with 2 parts and 0.04 % with 8 parts.
+The volume error of a block with sharp edges is 0.07 % with 2 parts, and 0.04 % with 8 parts.
 """
 _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
@@ -101,10 +101,10 @@ def voxel_fraction(
     *,
     split_creases: bool = True,
 ) -> Singles:
-    """Compute the fraction of each voxel inside a shape. In a voxel, the surface is a plane.
+    """Compute the fraction of each voxel inside a shape. The surface in a voxel is a plane.
 
-    If the distance has a crease within a voxel (an edge or corner), the voxel is divided into
-    4 x 4 x 4 parts, and the surface is a plane in each part.
+    If the distance has a crease within a voxel (an edge or corner), the voxel is divided into 4 x 4
+    x 4 parts, each with its own plane.
 
     Parameters
     ----------
@@ -287,8 +287,8 @@ def voxelise(
 
     Grid lines lie at integer multiples of the spacing, so the content of a voxel does not depend on
     the region. The fraction of a voxel that the surface crosses is the part of its cube behind the
-    surface's tangent plane. The error of the volume is of second order in the spacing. In voxels in
-    which two surfaces cross, the error is of first order.
+    surface's tangent plane. The error of the volume is of second order in the spacing. It is of
+    first order in voxels in which two surfaces cross.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ __all__ = ["calibrate"]
 
 TRIALS = 120
 NUMBERS = 24
-"""Default number of comparisons in a session, and of forces that are rated with a number.
+"""Default numbers of comparisons in a session, and of forces that the person rates with a number.
 
 With 120 comparisons, the 95 % interval contains the true Weber fraction of 7 % in 95 to 96 % of 400
 simulated people (`python tests/bench/bench_calibration.py coverage`). The second number, 24, is

@@ -10,7 +10,7 @@ __all__ = ["chart"]
 
 
 TRIALS = 30
-"""Default number of runs that predictors are tested on in each scene: ten runs for each hand."""
+"""Default number of runs of each scene for the test of predictors: ten runs for each hand."""
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3 of the study."""
 
@@ -28,10 +28,10 @@ def chart(
     Parameters
     ----------
     what
-        Names of built-in scenes (default all): draw tick time and force error of many settings. Or
-        `prediction`, followed by names of scenes (default palpation, wall and milling): draw the
-        errors of all predictors on runs that were not used for training. Or `perception`: draw
-        intensity, threshold and perceptual maps.
+        Names of built-in scenes (default all): draw tick time and force error of many settings.
+        With `prediction`, followed by names of scenes (default palpation, wall and milling): draw
+        the errors of all predictors on runs that were not used for training. With `perception`:
+        draw intensity, threshold and perceptual maps.
     out
         Output folder; default charts, charts/prediction or charts/perception.
     quick

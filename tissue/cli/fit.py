@@ -36,10 +36,10 @@ def fit(
         Name of a scene, or a TOML file, with the tissue and the tool of the measurement.
     measured
         Log of poses and forces: text, .parquet, .h5, .mat or .npz file; the trace of a run is such
-        a log. Or a table of steady loads of a drill with the columns thrust_N, torque_Nmm,
-        feed_mm_min and spin_rpm; the fit then also reports which cutting laws the table rejects. Or
-        a table of presses of a ball on a slab with the columns depth_mm, force_N and optionally
-        probe.
+        a log. The file may also be a table of steady loads of a drill with the columns thrust_N,
+        torque_Nmm, feed_mm_min and spin_rpm. The fit then also reports which cutting laws the table
+        rejects. The third kind of file is a table of presses of a ball on a slab with the columns
+        depth_mm, force_N and optionally probe.
     out
         Output folder; default fits/NAME.
     free

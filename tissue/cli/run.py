@@ -102,7 +102,7 @@ def _pair(figures: dict[str, float], unit: str) -> str:
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Return a text with the ends of the 90 % bands of peak and mean."""
+    """Return a text with the ends of the 90 % uncertainty bands of peak and mean."""
     peak, mean = (
         f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}"
         for name in ("peak", "mean_in_contact")
@@ -118,15 +118,15 @@ class SceneOptions:
     Attributes
     ----------
     seed
-        Seed of all random draws of a run with a device, and of the samples of a band.
+        Seed of all random draws of a run with a device, and of the samples of an uncertainty band.
     duration_s
-        Simulated time in seconds. Default: the whole motion; with a hand, its reaction time (less
-        than 1 s) is added.
+        Simulated time in seconds. Default: the whole motion. With a hand, the reaction time of the
+        hand (less than 1 s) is added.
     set_
         KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
         Requirement: force_error=0.03 (relative error) or tick_ms=0.7. The fastest settings on this
-        machine that meet it are used. May be repeated.
+        machine that meet the requirement are used. May be repeated.
     """
 
     seed: MaybeWhole = None
@@ -399,7 +399,7 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
 
 
 def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
-    """Check that the band can be computed; without --band, refuse the options of a band."""
+    """Check that the band can be computed; without --band, refuse options of uncertainty bands."""
     if options.band is None:
         left_out("without --band", "give --band 200, or remove it", **asdict(options))
         return

@@ -44,7 +44,8 @@ def assess(
         Largest allowed distance of the tip below the deepest point of the reference run, in mm;
         default 0.5.
     out
-        Output folder for the picture and the figures. Without it, the figures are only printed.
+        Output folder for the picture and the figures. Without this option, the figures are only
+        printed.
     overwrite
         Replace the assessment or ranking that the folder already holds.
     """
@@ -86,14 +87,14 @@ def compare(
     format_: Formats = (),
     overwrite: Flag = False,
 ) -> None:
-    """Compare runs with the first of them: their scenes, figures and forces.
+    """Compare the scenes, figures and forces of runs with those of the first run.
 
     Parameters
     ----------
     folders
         Folders of two or more runs that `tissue run` wrote.
     out
-        Folder for the picture and the table; without it they are only printed.
+        Folder for the picture and the table; without this option, the figures are only printed.
     over
         Abscissa of the picture: time, or depth of the tool's tip from its first contact; default
         depth if the tools mainly advance along their axes.

@@ -28,12 +28,12 @@ def stability(
     Parameters
     ----------
     scene
-        Name of a built-in scene, or a TOML file. Without it, the atlas is made.
+        Name of a built-in scene, or a TOML file. Without a scene, the atlas is made.
     set_
         KEY=VALUE replaces an entry of the scene, such as device=six-dof; may be repeated.
     out
-        Output folder. With a scene: for the picture and the data of the map; without it, the map is
-        only printed. For the atlas: default atlas.
+        Output folder. With a scene: folder for the picture and the data of the map; without this
+        option, the map is only printed. For the atlas, the default is atlas.
     only
         Make only this page of the atlas, such as wall_map; may be repeated.
     overwrite

@@ -192,8 +192,8 @@ def report(folder: Path, /, *, exploratory: Path | None = None) -> None:
         Folder of the study, written by `tissue study run`. The report on an unfinished study
         contains the trials so far.
     exploratory
-        Folder of an older study. The report shows its figures next to those of the study, labelled
-        as exploratory.
+        Folder of an older study. The report shows the figures of this older study, labelled as
+        exploratory, next to the figures of the study.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report

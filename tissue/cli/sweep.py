@@ -37,13 +37,13 @@ def sweep(
     scene
         Name of a built-in scene (see `tissue scenes`) or a TOML file.
     set_
-        KEY=VALUE,VALUE, values of an entry of the scene, such as voxels.spacing_mm=0.2,0.4; commas
+        KEY=VALUE,VALUE: values of an entry of the scene, such as voxels.spacing_mm=0.2,0.4; commas
         in brackets belong to a value; may be repeated.
     out
         Folder to write; default sweeps/NAME.
     workers
-        Processes; default one a core. A single process gives each run all cores, as `tissue run`
-        does.
+        Number of processes; default one per core. A single process gives each run all cores, as
+        `tissue run` does.
     compute
         Device for the kernels: cpu or cuda:0.
     cores
@@ -54,7 +54,8 @@ def sweep(
         Format of the pictures, png, svg or pdf, or of one table with the traces of all runs,
         parquet, npz, mat or h5; may be repeated.
     band
-        Samples of the constants in their ranges, such as 200: each run has 50 and 90 % bands.
+        Number of samples of the constants in their ranges, such as 200. Each run then has
+        uncertainty bands of 50 and 90 %.
     overwrite
         Run existing runs again.
     allow_unstable

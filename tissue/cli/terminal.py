@@ -58,7 +58,7 @@ Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
 ADDRESS = {"hardware.address": "--address"}
-"""Option of a command in place of the key of a scene."""
+"""Option of a command, keyed by the scene key that the option replaces in messages."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 

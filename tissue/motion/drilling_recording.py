@@ -39,15 +39,17 @@ objects.
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
 SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
-"""Rotation from our tool frame to the recorded drill frame.
+"""Rotation from the tool frame of tissue to the recorded drill frame.
 
-The axis from tip to shank is z in our frame and x in the recorded frame.
+The axis from tip to shank is z in the frame of tissue and x in the recorded frame.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecording:
-    """Content of a recording, converted to our tool frame; the time of the first pose is 0.
+    """Content of a recording, converted to the tool frame of tissue.
+
+    The time of the first pose is 0.
 
     Attributes
     ----------
@@ -107,11 +109,11 @@ class PoseFile:
 def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
-    The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
-    by half the burr size if the file contains this size. Otherwise the recorded point is used as
-    the tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore
-    sorted, and the first sample of each time is kept. If the file contains exactly one camera,
-    forces are rotated from the axes of the camera to the world frame.
+    The recorded pose is at the centre of the burr, with x towards the shank. The pose is moved to
+    the tip by half the burr size if the file contains this size. Otherwise the recorded point is
+    used as the tip. The recorder sometimes receives a pose twice or out of order. Samples are
+    therefore sorted, and the first sample of each time is kept. If the file contains exactly one
+    camera, forces are rotated from the axes of the camera to the world frame.
 
     Parameters
     ----------

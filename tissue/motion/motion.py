@@ -29,7 +29,10 @@ __all__ = [
 ]
 
 LONGEST_S = 3600.0
-"""Longest motion of a run [s]: an hour, 3.6 million ticks. A longer motion has a wrong unit."""
+"""Longest motion of a run [s]: an hour, 3.6 million ticks.
+
+A longer motion probably has a wrong unit.
+"""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ class Motion(Protocol):
         motion.rotation[:] = self.rotations()[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s`` into ``motion``; ``response`` is of the previous tick."""
+        """Write the pose at ``time_s`` into ``motion``; ``response`` is from the previous tick."""
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:

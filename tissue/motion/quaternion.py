@@ -65,7 +65,7 @@ def is_nearly_unit(rotation: Quaternion) -> bool:
 
 
 def exponential(vector: Triple) -> Quaternion:
-    """Return the rotation about ``vector``, with the angle equal to its length."""
+    """Return the rotation about ``vector`` by an angle equal to the length of ``vector`` [rad]."""
     x, y, z = vector
     angle = sqrt(x * x + y * y + z * z)
     # Below 1e-8 rad the series 1/2 - angle^2 / 48 equals 1/2 within rounding.

@@ -10,12 +10,13 @@ from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
 TOLERANCE = 0.01
-"""Allowed difference between the speed that led to a pose and the balanced speed there.
+"""Allowed difference between the speed that led to a pose and the balanced speed at this pose.
 
 The difference is relative to the larger of the two speeds. The force balance itself is exact. The
-tolerance limits the error of the pose to a hundredth of the travel in a tick. It also applies to
-the speed at which the tissue linearises its force. The resulting error of the force is the distance
-between tangent and law at a speed that differs by a hundredth: 1e-5 for a size exponent of 0.3.
+tolerance limits the error of the pose to a hundredth of the travel in a tick. The tolerance also
+applies to the speed at which the tissue linearises its force law. If the balanced speed differs
+from that speed by a hundredth, the relative error of the linearised force is 1e-5 for a size
+exponent of 0.3.
 """
 MOST_POSES = 10
 """Largest number of poses tried in a tick.
@@ -49,9 +50,9 @@ class SpeedSearch:
     of a flat reamer, the search ends on the side of the larger force.
 
     The force at a pose is given by a tangent as a function of the speed. The tangent is computed at
-    the tried speed, so that the sign of S(v) - v is that of the law. If the search ends with a
-    balanced speed that is not close to the tried speed, new tangents are computed at that pose
-    until the two speeds are close.
+    the tried speed, so that S(v) - v has the same sign as with the force law. If the search ends
+    with a balanced speed that is not close to the tried speed, new tangents are computed at that
+    pose until the two speeds are close.
 
     Attributes
     ----------
@@ -127,16 +128,16 @@ class PushAlongAxis(Motion):
     """Force-driven motion: a thrust force pushes the tool along its axis.
 
     The feed is computed from the balance of thrust and cutting force. The cutting force increases
-    so steeply with the feed (up to 1e5 N s/m) that an explicit step is unstable if it is longer
-    than 2 m / c. The balance is therefore solved for the new speed v', with the drag c and the edge
-    force at the new pose::
+    so steeply with the feed (up to 1e5 N s/m) that an explicit step longer than 2 m / c is unstable
+    (mass m, drag c). The balance is therefore solved for the new speed v', with the drag and the
+    edge force at the new pose::
 
         m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
 
-    Drag and edge force are those of the law's tangent. The cutting force therefore never exceeds
-    thrust + m v / dt. `advance` starts with the drag of the previous tick, and `correct` tries
-    poses until speed and forces agree. For a law that is linear in the speed, the tool stays at
-    rest if the thrust is below the edge force; the bone then balances the thrust.
+    Drag and edge force are computed from the tangent of the force law. The cutting force therefore
+    never exceeds thrust + m v / dt. `advance` starts with the drag of the previous tick, and
+    `correct` tries poses until speed and forces agree. For a law that is linear in the speed, the
+    tool stays at rest if the thrust is below the edge force; the bone then balances the thrust.
 
     Parameters
     ----------
@@ -268,7 +269,7 @@ class PushAlongAxis(Motion):
     def _balanced(self, drag: float, edge: float) -> float:
         """Return the balanced speed at the end of the tick, within the limits [m/s].
 
-        It balances thrust, inertia, drag and edge force.
+        This speed balances thrust, inertia, drag and edge force.
         """
         thrust = self._thrust - edge
         free = implicit_speed(

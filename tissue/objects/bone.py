@@ -47,7 +47,7 @@ The surface is drawn before the bone is cut. The voxels of this surface may be c
 voxels show a ball with about 200,000 triangles.
 """
 KEY = "anatomy."
-"""Prefix of the keys of a scene in the notes of file readers; it is removed here."""
+"""Prefix of scene keys in the notes of file readers; `Bone` removes the prefix from its notes."""
 
 
 class BoneOptions(TypedDict, total=False):
@@ -153,9 +153,9 @@ class Bone:
             Apparent densities [kg/m3], 50 to 2500.
         options
             ``material``: name of the material whose cutting coefficients are used, ``bone`` (built
-            in) or a registered material. ``cutting``: coefficients that replace these, keyed by
-            their names in a scene. ``materials``: file of constants, in the format that
-            `tissue fit` writes.
+            in) or a registered material. ``cutting``: coefficients that replace coefficients of the
+            material, keyed by their names in a scene. ``materials``: file of constants, in the
+            format that `tissue fit` writes.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class Bone:
         layer_names: tuple[str, ...] = ("bone",),
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a bone from an array of densities, which are 0 where there is no bone.
+        """Make a bone from an array of densities; a density of 0 means no bone.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class Bone:
         spacing_mm
             Edge of a voxel [mm].
         origin_mm
-            Corner of the first voxel that has the lowest coordinates [mm].
+            Corner of the first voxel with the lowest x, y and z [mm].
         layer
             Index of the layer of each voxel, in an array of the same shape; default 0 everywhere.
         layer_names
@@ -292,8 +292,8 @@ class Bone:
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
             Edge of the voxels after resampling [mm]; default the finest spacing of the file. TIFF,
-            PNG and BMP slices contain no spacing; for these it is the spacing of their voxels.
-            Three numbers, one for each axis, replace the spacing that any file contains.
+            PNG and BMP slices contain no spacing: give the spacing of their voxels. Three numbers,
+            one for each axis, replace the spacing in a file of any format.
         max_memory_GB
             Memory that the image may take [GB]; default half of the free memory.
         options
@@ -352,11 +352,11 @@ class Bone:
     ) -> Cut:
         """Move a rotating tool through poses, remove the swept bone and compute the forces.
 
-        The bone keeps the cut. A second call with the same tool continues the cut if its first pose
-        is the last pose of the call before. Between two poses the tool moves along a straight line.
-        Its velocity at a pose is computed from the difference to the previous pose. Force and
-        torque at the first pose are therefore 0. Bone that lies inside the tool at the first pose
-        is removed.
+        The bone keeps the cut. A second call with the same tool continues the cut if the first pose
+        of this call is the last pose of the previous call. Between two poses the tool moves along a
+        straight line. Its velocity at a pose is computed from the difference to the previous pose.
+        Force and torque at the first pose are therefore 0. Bone that lies inside the tool at the
+        first pose is removed.
 
         A warning is issued if the feed per tooth exceeds 0.1 mm, or if a smooth part of the tool,
         such as a peg, is pushed into bone. The warning is also in `Cut.notes` and `Cut.events`.
@@ -377,9 +377,10 @@ class Bone:
             the force at this depth, 0.001 to 0.1. Together they set the number of cutting elements
             on the tool's surface. The voxels should be smaller than the depth.
         keep_clear
-            Closed surfaces that the tool must not touch, keyed by name. Each is a file or a pyvista
-            surface in the frame of the bone [mm]. The trace has a column ``distance_NAME_mm`` for
-            each surface. An overlap of the tool with a surface is recorded as an event.
+            Closed surfaces that the tool must not touch, keyed by name. Each surface is a file or a
+            pyvista surface in the frame of the bone [mm]. The trace has a column
+            ``distance_NAME_mm`` for each surface. An overlap of the tool with a surface is recorded
+            as an event.
 
         Raises
         ------

@@ -24,16 +24,16 @@ SEAM = 3.0
 """Largest distances between points that are merged, and between loops that are joined [voxels].
 
 The points and loops belong to two different parts of a surface. The first distance allows for
-rounding. The second one allows for the gap that clipping and half-full voxels leave; its value is
-chosen.
+rounding. The second distance allows for the space that clipping and half-full voxels leave between
+the two parts; this value is chosen.
 """
 NEAR = 0.5
 AGREE = 0.8
 """Limits for the use of normals from the file: largest distance [voxels] and smallest cosine.
 
-Where the distance and the angle between both normals are within these limits, a cut bone is shaded
-with the normals of its file. The voxel surface is within half a voxel of the surface in the file.
-Across an edge, the normals differ by more than 37 degrees.
+A cut bone is shaded with a normal of its file if the distance and the angle between this normal and
+the normal of the voxel surface are within these limits. The voxel surface is within half a voxel of
+the surface in the file. Across an edge, the normals differ by more than 37 degrees.
 """
 
 

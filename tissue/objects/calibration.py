@@ -87,9 +87,9 @@ def run(
     Parameters
     ----------
     answer
-        Function that answers a question. It is called with the question (a `Comparison` or a
-        `Magnitude`) and the number of the trial. ``simulated_answers(people, seed)`` returns such a
-        function. A function of your own may play the forces to a person.
+        Function that answers a question. The function is called with the question (a `Comparison`
+        or a `Magnitude`) and the number of the trial. ``simulated_answers(people, seed)`` returns
+        such a function. A function of your own may play the forces to a person.
     log
         File that receives every answer before the next question. The session continues after the
         last answer in this file.
@@ -146,9 +146,9 @@ def share_right(
     seed
         Seed of the noise, and of the magnitudes in a calibration.
     calibrated_by
-        Number of magnitudes that each observer reports in a calibration, from which the force is
-        scaled for the observer. With 0 the force is scaled with the true exponent; with None it is
-        not scaled.
+        Number of magnitudes that each observer reports in a calibration. The force is scaled for
+        the observer from this calibration. With 0 the force is scaled with the true exponent. With
+        None the force is not scaled.
     """
     commands = None
     if calibrated_by is not None:

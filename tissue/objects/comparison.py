@@ -51,22 +51,23 @@ FILES = ("compare.csv", *PLOTTED)
 KIND = "comparison"
 """Kind of output in the marker of the folder."""
 LONGEST_VALUE = 60
-"""Largest number of characters of a scene's entry in a line."""
+"""Largest number of characters that a line uses for the value of a scene key."""
 LONGEST_LABEL = 40
-"""Largest number of characters of a legend's entry that states the differences of a run."""
+"""Largest number of characters of a legend entry that shows how a run differs."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
 """Entries of a summary, other than the scene, that affect a run or its ticks."""
 
 
 class Comparison:
-    """Comparison of runs; the first run is the reference for the others.
+    """Comparison of runs; the first run is the reference for the other runs.
 
     Parameters
     ----------
     runs
         At least two runs, by name.
     are_named
-        Whether the user chose the names. Otherwise the legend of the figure states what differs.
+        Whether the user chose the names. Otherwise the legend of the figure shows the values that
+        differ between the runs.
 
     Attributes
     ----------
@@ -148,10 +149,10 @@ class Comparison:
         return table.rename_axis(index="figure")
 
     def plot(self, over: "Over | None" = None) -> "NDArray[np.object_]":
-        """Draw thrust, force across the tool and torque of all runs, with their 90 % bands.
+        """Draw thrust, force across the tool and torque of all runs, with 90 % uncertainty bands.
 
-        The legend states what differs between the runs. A panel of two runs has the difference of
-        their forces.
+        The legend shows the values that differ between the runs. For two runs, an additional panel
+        shows the difference of their forces.
 
         Parameters
         ----------
@@ -166,7 +167,7 @@ class Comparison:
         Raises
         ------
         InputError
-            If a run never touches, and so has no depth.
+            If a run never touches the tissue, so that its depth is undefined.
         """
         from tissue.objects.overlay import Curve, overlay
 
@@ -229,7 +230,9 @@ class Comparison:
         formats: Iterable[str] = (),
         overwrite: bool = False,
     ) -> list[Path]:
-        """Write ``compare.csv``, the figure and the traces of all runs into a folder; return them.
+        """Write ``compare.csv``, the figure and the traces of all runs into a folder.
+
+        The method returns the paths of the written files.
 
         Parameters
         ----------
@@ -305,7 +308,7 @@ class Comparison:
 
 @suggests_arguments
 def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comparison:
-    """Compare runs with the first of them.
+    """Compare runs with the first run.
 
     Parameters
     ----------
@@ -329,12 +332,12 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
 
 
 def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the formats of figures, png if there is none, and the formats of tables.
+    """Return the formats of figures (default png) and the formats of tables.
 
     Raises
     ------
     InputError
-        If a format is unknown, or its writer is not installed.
+        If a format is unknown, or the package that writes the format is not installed.
     """
     formats = tuple(dict.fromkeys(formats))
     known = (*PICTURE_FORMATS, *FORMATS)
@@ -385,7 +388,7 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
 
 
 def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
-    """Yield notes on incomplete runs, and on differences other than the scenes."""
+    """Yield notes on incomplete runs, and on differences that are not in the scenes."""
     for name, run in runs.items():
         if run.status != "complete":
             yield f"{name} did not reach its end: it is {run.status}"

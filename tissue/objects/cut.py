@@ -25,7 +25,7 @@ __all__ = ["Cut", "saved_table"]
 class Cut:
     """Force, torque and removed volume at every pose of a cut.
 
-    Forces act on the tool, torques about its tip.
+    The forces act on the tool. The torques are about the tip of the tool.
 
     Attributes
     ----------
@@ -93,8 +93,9 @@ class Cut:
 
     @property
     def force_N(self) -> Array:
-        """Force on the tool [N], shape (n, 3). It is 0 at the first pose, where the tool is at
-        rest.
+        """Force on the tool [N], shape (n, 3).
+
+        The force is 0 at the first pose, where the tool is at rest.
         """
         return self.trace.vectors("force", "N")
 

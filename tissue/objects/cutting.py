@@ -124,7 +124,7 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
 
     Returns
     -------
-    Tips [mm], shape (n, 3), and times [s], shape (n,). They are arguments of `Bone.cut`:
+    Tips [mm], shape (n, 3), and times [s], shape (n,). Both arrays are arguments of `Bone.cut`:
     ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
 
     Raises

@@ -38,8 +38,8 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on the constants that are determined, on those that are not, and on the next
-        measurement.
+        """Sentences on the constants that the data determine, on the other constants, and on the
+        next measurement.
         """
         if isinstance(self.fitted, ProbeFit):
             return probe_verdicts(self.fitted)
@@ -53,8 +53,9 @@ class Fit:
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.
 
-        For each constant, the table has the range before the fit (from the cited source), the 5, 50
-        and 95 % quantiles after the fit, and a state such as whether the data determine it.
+        For each constant, the table has the range before the fit (from the source of the constant),
+        the 5, 50 and 95 % quantiles after the fit, and a state. The state shows, for example,
+        whether the data determine the constant.
         """
         import pandas
 
@@ -124,8 +125,8 @@ def fit(
         ``feed_mm_per_turn``), the loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and
         optionally their standard deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or
         ``torque_pm_Nm``). A table of presses has ``depth_mm``, ``force_N`` and optionally
-        ``probe``, the number of the press. Its scene has a ball and a slab that is as thick as the
-        tissue.
+        ``probe``, the number of the press. The scene for such a table has a ball and a slab that is
+        as thick as the tissue.
     free
         Constants to fit, such as ``cutting.trabecular`` or ``cutting.edge``. The default is all
         constants of the touched tissue that have a range; see docs/guide/fit.md.

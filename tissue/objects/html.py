@@ -158,11 +158,15 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Figures that have a band on any path, and their places in the summary of a band."""
+"""Keys in the summary of an uncertainty band (load and figure), keyed by the name of the figure.
+"""
 
 
 def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
-    """Return the 90 % intervals of figures, keyed by names with units; empty without a band."""
+    """Return the 90 % intervals of figures, keyed by names with units.
+
+    The result is empty for a run without an uncertainty band.
+    """
     band = summary.get("band")
     if band is None:
         return {}

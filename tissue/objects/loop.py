@@ -66,8 +66,8 @@ class Loop:
 
     Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves the tool to a pose
     and returns the force and torque on it. The tool follows the given poses exactly. `snapshot`
-    copies the state of the loop; `restore` and `reset` return the loop to an earlier state. The
-    forces after a restore are the same to the last bit.
+    copies the state of the loop; `restore` and `reset` return the loop to an earlier state. After
+    `restore`, the loop computes the same forces to the last bit.
 
     With a device, use ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In each
     tick the loop reads the device, the tool follows the device through a spring, and the tissue
@@ -121,16 +121,16 @@ class Loop:
         reach_mm
             For bone: distance around the tool within which bone is prepared [mm]; default 5. More
             bone is prepared after the tool has moved by half of this distance; that tick takes
-            longer. For an organ: distance from the start within which it may be touched; default 5.
-            For a scene: distance to the sides of its path; default 2. No more tissue is then
-            prepared later.
+            longer. For an organ: distance from the start within which the organ may be touched;
+            default 5. For a scene: distance to the sides of its path; default 2. For an organ or a
+            scene, no further tissue is prepared later.
         longest_s, keep_clear
             Time for which rows of the trace are allocated [s]; and structures that a cutter must
-            not touch, as for `tissue.Bone.cut`. When all rows are used, the loop stops with a
-            device; without a device the newest rows replace the oldest ones.
+            not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
+            trace are used. Without a device, the newest rows then replace the oldest rows.
         step_ms
             Duration of a step without a device [ms], 1 to 1000. In a step of several ticks the tool
-            moves along a straight line. This shortens a curved path; see the guide.
+            moves along a straight line, which shortens a curved path; see the guide.
         cores
             Processor cores for a scene; default all. The result does not depend on their number.
         limits
@@ -291,21 +291,21 @@ class Loop:
         Parameters
         ----------
         pose
-            Pose of the tool at the end of the step, in the frame of the tissue. It is a tip [mm],
-            shape (3,), which keeps the orientation; a tip and a quaternion (x, y, z, w), shape
-            (7,); or a matrix, shape (4, 4), with z from tip to shank. Leave it out if there is a
-            device.
+            Pose of the tool at the end of the step, in the frame of the tissue. The pose is a tip
+            [mm], shape (3,), which keeps the orientation; a tip and a quaternion (x, y, z, w),
+            shape (7,); or a matrix, shape (4, 4), with z from tip to shank. Leave out the pose if
+            there is a device.
         velocity
-            Velocity of the tip [mm/s], shape (3,), or this and the angular velocity [rad/s], shape
-            (6,). The default is the change of the pose divided by the duration of the step. The
-            cutting force depends on the velocity, and is zero for a tool at rest.
+            Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
+            array, shape (6,). The default is the change of the pose divided by the duration of the
+            step. The cutting force depends on the velocity, and is zero for a tool at rest.
 
         Returns
         -------
         TickRow or array
-            Without a device: the wrench at the end of the step, shape (6,). It contains the force
-            on the tool [N] and the torque about its tip [N m], in the frame of the tissue. With a
-            device: the row of the trace, which is the same object in every tick.
+            Without a device: the wrench at the end of the step, shape (6,). The wrench contains the
+            force on the tool [N] and the torque about the tip [N m], in the frame of the tissue.
+            With a device: the row of the trace, which is the same object in every tick.
 
         Raises
         ------
@@ -408,7 +408,7 @@ class Loop:
         real_time: bool = False,
         on_tick: Callable[[int, TickRow], object] | None = None,
     ) -> Self:
-        """Hold the device, run for a duration of simulated time, and return the loop.
+        """Run for a duration of simulated time with the device open, and return the loop.
 
         Parameters
         ----------

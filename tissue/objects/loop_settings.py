@@ -66,7 +66,7 @@ REACH_MM = 5.0
 SCENE_REACH_MM = 2.0
 """Default reach [mm] around a tool, and around the path of a scene.
 
-Tissue along the path of a scene is prepared in any case.
+Tissue along the path of a scene is always prepared.
 """
 MOST_TICKS = 1000
 """Largest number of ticks in a step, which is a rate of 1 Hz."""

@@ -85,8 +85,8 @@ class Organ:
         part_names
             Names of parts that have numbers in the mesh.
         scale_mm
-            Millimetres per unit of the mesh. Without it the mesh must be in millimetres, and is
-            refused if its size contradicts that.
+            Millimetres per unit of the mesh. Without this factor the mesh must be in millimetres. A
+            mesh whose size contradicts this unit is refused.
         held
             Points that do not move: a side of the surface, the name of a part, a mask of the mesh's
             points, or their indices. A side is ``bottom`` (-z), ``top``, ``-x``, ``+x`` and so on.
@@ -322,8 +322,8 @@ class Organ:
         Parameters
         ----------
         edge_mm
-            Longest edge near the tool [mm]. Farther away, the longest edge increases by half of the
-            distance from there.
+            Longest edge near the tool [mm]. Away from the refined points, the longest edge
+            increases by half of the distance to these points.
         near_mm
             Points [mm], shape (k, 3) or (3,), near which the mesh is refined; default the whole
             surface. Each point is moved to the nearest point of the surface. Presses at these
@@ -368,8 +368,8 @@ class Organ:
         depth_mm
             Depth of the press from the first contact [mm].
         at_mm
-            Target point [mm]. The press goes to the nearest point of the surface, unless that point
-            is far away.
+            Target point [mm]. The press goes to the nearest point of the surface. A target far from
+            the surface is refused.
         along
             Direction of the tool's motion; default perpendicular to the surface, into the organ.
         speed_mm_s, hold_s

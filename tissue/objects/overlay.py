@@ -25,7 +25,7 @@ __all__ = ["Curve", "Over", "chosen_over", "overlay"]
 
 Over = Literal["time", "depth"]
 MOST_NAMED = 12
-"""Largest number of runs that a legend names: four lines above the panels."""
+"""Largest number of runs in a legend, which then has four lines above the panels."""
 LONG = 28
 """Number of letters of a name above which a line of the legend holds only two names."""
 SMALL = 0.05
@@ -38,7 +38,7 @@ THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
 LOW = 0
 HIGH = -1
-"""Rows of a band's quantiles: 5 % and 95 %."""
+"""Indices of the 5 % and 95 % quantiles in an uncertainty band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +52,10 @@ class Curve:
     trace
         Trace of the run.
     band
-        Band of the run; None draws none.
+        Uncertainty band of the run. With None, no band is drawn.
     is_path_given
-        Whether the tool follows a given path, so that all samples of a band have one depth at a
-        time.
+        Whether the tool follows a given path. All samples of a band then have the same depth at the
+        same time.
     """
 
     label: str
@@ -75,7 +75,7 @@ class Loads:
     values
         Thrust, two components across the tool's axis [N], and torque [N m], shape (rows, 4).
     low, high
-        Ends of the 90 % band at the first rows, shape (n, 4); None without a band.
+        Ends of the 90 % uncertainty band at the first n rows, shape (n, 4); None without a band.
     force
         Force in the world [N], shape (rows, 3).
     """
@@ -90,7 +90,7 @@ class Loads:
 def chosen_over(curves: Sequence[Curve]) -> Over:
     """Return depth if all tools mainly advance along their axis, else time.
 
-    Bands of tools that do not follow a given path are drawn over time.
+    Uncertainty bands of tools that do not follow a given path are drawn over time.
     """
     if any(each.band is not None and not each.is_path_given for each in curves):
         return "time"
@@ -106,7 +106,7 @@ def _mainly_descends(trace: "Table") -> bool:
 
 
 def _heights(trace: "Table") -> tuple[Flags, Array]:
-    """Return the rows in contact, and the tip's coordinate out of the tissue [mm]."""
+    """Return the rows in contact, and the tip's coordinate on the axis out of the tissue [mm]."""
     axis, outward = facing(trace)
     height = outward * trace.vectors("tool", "mm")[:, axis]
     return trace["contact_mm2"] > 0.0, height
@@ -118,8 +118,8 @@ def overlay(
 ) -> NDArray[np.object_]:
     """Draw thrust, force across the tool and torque of all runs in one figure.
 
-    A component across the tool that is small in all runs has no panel. The figure of two runs has
-    a last panel with the size of the difference of their forces at the same time or depth.
+    A component across the tool that is small in all runs has no panel. For two runs, the last panel
+    shows the magnitude of the difference of their forces at the same time or depth.
 
     Parameters
     ----------
@@ -129,7 +129,8 @@ def overlay(
         ``time``, or ``depth`` from the first contact in the first descent; see `chosen_over` for
         the default.
     about_axis
-        Whether the torque is that about the tool's axis; else it is the size of the torque vector.
+        Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
+        vector is drawn.
 
     Returns
     -------
@@ -165,7 +166,7 @@ def overlay(
 def _draw(
     axes: "Axes", curves: Sequence[Curve], loads: Sequence[Loads], at: int, *, scale: float = 1.0
 ) -> None:
-    """Draw one load of all runs with their bands."""
+    """Draw one load of all runs, with uncertainty bands."""
     widths = np.linspace(*WIDTHS, len(curves))
     for number, (curve, load) in enumerate(zip(curves, loads, strict=True)):
         colour = _colour(number, len(curves))
@@ -184,7 +185,10 @@ def _draw(
 
 
 def _legend(panels: NDArray[np.object_], curves: Sequence[Curve]) -> None:
-    """Put the names of the runs above all panels, evenly spaced ones if they are too many."""
+    """Write the names of the runs above all panels.
+
+    If there are too many names, an evenly spaced selection is written.
+    """
     handles, labels = panels[0].get_legend_handles_labels()
     every = -(-len(curves) // MOST_NAMED)
     title = []
@@ -226,11 +230,11 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
 def _band_ends(
     band: "Band | None", turns: Array, rows: slice, *, about_axis: bool
 ) -> tuple[Array | None, Array | None]:
-    """Return the ends of a band in the tool's frame, each of shape (n, 4).
+    """Return the ends of an uncertainty band in the tool's frame, each of shape (n, 4).
 
-    The quantiles of a band are given for the components in the world frame. They are valid for the
-    components in the tool's frame only if the axes of both frames are always parallel. Otherwise
-    the result is None.
+    The quantiles of the band are given for the components in the world frame. The quantiles are
+    valid for the components in the tool's frame only if the axes of both frames are always
+    parallel. Otherwise the result is None.
     """
     aligned = np.rint(turns[:1])
     # 1e-6: rounding of quaternions in a file
@@ -247,7 +251,7 @@ def _band_ends(
 
 
 def _difference(first: Loads, second: Loads) -> tuple[Array, Array]:
-    """Return the places that two runs share, and the size of the difference of their forces."""
+    """Return times or depths that two runs share, and the magnitude of the force difference."""
     place = first.place
     common = place[(place >= second.place[0]) & (place <= second.place[-1])]
     apart = _at(common, second.place, second.force) - _at(common, place, first.force)
@@ -273,7 +277,9 @@ def _at(places: Array, known: Array, vectors: Array) -> Array:
 
 
 def _colour(number: int, count: int) -> object:
-    """Return a colour: distinct for a few curves, along a scale for many."""
+    """Return the colour of a curve: a distinct colour if there are few curves, else one from a
+    scale.
+    """
     if count <= len(COLOURS):
         return COLOURS[number]
     from matplotlib import colormaps

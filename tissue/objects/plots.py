@@ -25,9 +25,11 @@ FORCE_AND_TORQUE = components("model_force", "N") + components("model_torque", "
 COLOURS = (*COMPONENTS, "#CC79A7", "#E69F00", "#56B4E9", "0.1")
 PANEL_IN = 2.3
 BAR: dict[str, Any] = {"linewidth": 5.0, "alpha": 0.3}
-"""Look of a bar for a 90 % interval."""
+"""Matplotlib style of a bar for a 90 % interval."""
 Point = tuple[object, Mapping[str, float], Mapping[str, tuple[float, float]]]
-"""Swept value of a run, its figures, and the 90 % intervals of figures that have a band."""
+"""Swept value of a run, its figures, and the 90 % intervals of figures that have an uncertainty
+band.
+"""
 
 
 @styled

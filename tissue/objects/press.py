@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
 
 SLOPE_SHARE = 0.1
-"""Last share of the depth, over which the stiffness is computed: ten of 100 steps."""
+"""Share of the depth, at its end, over which the stiffness is computed: the last 10 of 100 steps.
+"""
 FAR = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
@@ -43,14 +44,14 @@ NEAR_M = 1e-4
 """Distance below which a point counts as lying on the surface [m], for points with rounded digits.
 """
 TOOL_EDGES = 4.0
-"""Number of edges across the tool that scenes use."""
+"""Number of mesh edges across the diameter of the tool in scenes."""
 FALLS = 0.05
 """Share by which the force may decrease with depth, because nodes enter the contact in steps."""
 LONG = 1.25
-"""Ratio of edge length to wanted length above which a note reports the edges.
+"""Ratio of edge length to recommended length above which a note reports the long edges.
 
-The force error of a press is 4 % if the edges are twice as long as wanted, and 0.1 % if they have
-the wanted length.
+The force error of a press is 4 % if the edges are twice as long as recommended, and 0.1 % if they
+have the recommended length.
 """
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
 """Names of the caller's arguments, keyed by the names that the press uses."""
@@ -384,7 +385,7 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
 
 
 def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, str]:
-    """Return a note if the edges under the tool are too long for it."""
+    """Return a note if the mesh edges under the tool are too long for the size of the tool."""
     corners = mesh.nodes_m[mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
     radius = probe.size_m[0]
@@ -401,13 +402,14 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, s
 
 
 def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
-    """Return a note on the depth up to which the linear law is valid; this depth is known only for
-    balls.
+    """Return a note on the depth up to which the linear law is valid.
+
+    This depth is known only for balls.
     """
     from tissue.models.organ.model import LINEAR_ERROR
 
     if not isinstance(probe, SphereProbe):
-        return {"linear": "from which depth the linear law is off is known of balls alone"}
+        return {"linear": "the depth up to which the linear law is valid is known only for balls"}
     limits = [(1e3 * share * probe.radius_m, error) for share, error in LINEAR_ERROR]
     passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
     depth, error = passed[-1] if passed else limits[0]

@@ -59,10 +59,10 @@ class register:
     After registration, scenes, messages, the schema, charts and the stability check accept the name
     of the part.
 
-    Each method takes the class or function that makes a part. Without this argument, it returns a
-    decorator. A name that is in use is refused, and so is a part that lacks a required method. A
-    registered part is available in this process. An installed package can offer parts to all
-    processes through entry points, in groups such as ``tissue.predictors``.
+    Each method takes the class or function that makes a part. Without this argument, the method
+    returns a decorator. A name that is in use is refused. A part that lacks a required method is
+    also refused. A registered part is available in this process. An installed package can offer
+    parts to all processes through entry points, in groups such as ``tissue.predictors``.
     """
 
     @staticmethod
@@ -184,8 +184,8 @@ class register:
             Function that opens the device for `tissue.simulate` and ``tissue run``. It is called
             with the position [m] at which the tool starts in the scene, and returns a
             `tissue.haptics.device.device.Device`. Without this function, the simulated hand of the
-            scene holds a simulated device with these parameters. The same applies to the runs of
-            charts, studies and training.
+            scene holds a simulated device with these parameters. Charts, studies and training
+            always use this simulated hand and device.
 
         Returns
         -------
@@ -212,7 +212,7 @@ class register:
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
         """Register a simulated hand by values of `HandParameters` in SI units.
 
-        Values that are not given are those of the hand `like`.
+        Values that are not given are taken from the hand `like`.
         """
         from tissue.haptics.hand.hand import HandParameters
 
@@ -224,7 +224,8 @@ class register:
         """Register a rendering law, which has methods `render` and `pause`; ``make(loop)`` takes a
         `WallLoop`.
 
-        The stability check uses ``loop.stiffness_N_m``. It does not detect that a law is stiffer.
+        The stability check assumes the stiffness ``loop.stiffness_N_m``. It does not detect a law
+        that renders a higher stiffness.
         """
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
@@ -239,8 +240,9 @@ class register:
     ) -> Any:
         """Register a predictor of the force: a class with the methods `observe` and `predict`.
 
-        The predictor runs under the guard, which repeats the last force while that has the smaller
-        error; see `tissue.prediction.guard`. The stability check includes the predictor.
+        The predictor runs under the guard. The guard repeats the last force while the last force
+        has a smaller error than the prediction; see `tissue.prediction.guard`. The stability check
+        includes the predictor.
 
         Parameters
         ----------
@@ -345,8 +347,8 @@ def _added(
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every soft material has."""
 CAPSULE = "_capsule"
-"""End of the names of capsule materials; a capsule is a membrane on an organ, and no organ consists
-of it.
+"""End of the names of capsule materials; a capsule is a membrane on an organ and no material of an
+organ.
 """
 
 

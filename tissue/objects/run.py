@@ -75,10 +75,10 @@ class Run(engine.Run):
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
         """Return the tissue as a pyvista data set, in the frame of the scene [mm].
 
-        For a tissue of voxels, it is an image with the cell arrays ``start`` and ``remaining`` (255
-        = full), ``layer`` and ``density_kg_m3``. The cell array ``vtkGhostType`` hides voxels that
-        are less than half full, so ``run.dataset().plot()`` shows the bone. For a tissue of finite
-        elements, it is the mesh of the last frame with its fields.
+        For a tissue of voxels, the data set is an image with the cell arrays ``start`` and
+        ``remaining`` (255 = full), ``layer`` and ``density_kg_m3``. The cell array ``vtkGhostType``
+        hides voxels that are less than half full, so ``run.dataset().plot()`` shows the bone. For a
+        tissue of finite elements, the data set is the mesh of the last frame with its fields.
 
         Raises
         ------
@@ -134,8 +134,8 @@ class Run(engine.Run):
     def _folder(self) -> Path:
         """Return a folder that contains the files of this run.
 
-        It is the folder of the run; or a temporary folder, if the run was not saved or its folder
-        holds another run by now.
+        The result is usually the folder of the run. The result is a temporary folder if the run was
+        not saved, or if the folder of the run now holds another run.
         """
         if self._saved is not None:
             return self._saved.path
@@ -245,9 +245,9 @@ class Run(engine.Run):
         seed
             Seed of the samples; default the seed of the scene.
         workers
-            Number of processes that run samples in parallel. It has an effect only if each sample
-            is a run, as for a needle. A script that uses several processes must have its statements
-            below ``if __name__ == "__main__":``.
+            Number of processes that run samples in parallel. The number has an effect only if each
+            sample is a run, as for a needle. A script that uses several processes must have its
+            statements below ``if __name__ == "__main__":``.
         scheduler
             Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run
             the samples instead of processes on this machine.

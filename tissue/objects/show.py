@@ -136,7 +136,7 @@ def show_folder(
 
 
 def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
-    """Return the interactive view for a notebook; this process draws it."""
+    """Return the interactive view for a notebook; this process draws the view."""
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.window import Window
     from tissue.simulation.run_folder import SavedRun

@@ -52,14 +52,14 @@ def wall_loop(
 
 
 def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
-    """Compute the growth factor of a perturbation between 45 and 85 % of a run of the loop.
+    """Compute the growth factor of a perturbation between 45 and 85 % of the simulated duration.
 
     If the factor is above 1, the perturbation grows; if it is below 1, the perturbation decays.
 
     Parameters
     ----------
     loop
-        Loop from `wall_loop`. It is simulated sample by sample, as on a device.
+        Loop from `wall_loop`. The loop is simulated sample by sample, as on a device.
     seconds
         Duration of the run [s].
     """
@@ -74,8 +74,8 @@ class Knock(WallRun):
     Attributes
     ----------
     given_J
-        Total energy that the motors delivered to the hand, with the lag of the motors [J]. It is
-        negative if the motors absorbed energy.
+        Total energy that the motors delivered to the hand [J]. The lag of the motors is included.
+        The energy is negative if the motors absorbed energy.
     """
 
     given_J: float

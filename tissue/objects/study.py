@@ -75,7 +75,7 @@ def run(
 
 
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan; its figures are bit for bit those in the study.
+    """Run one trial of a plan; its figures equal those in the study bit for bit.
 
     Parameters
     ----------

@@ -47,19 +47,25 @@ FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 RECORD = "scenes.json"
 """File with the swept scenes that require a fidelity, by run.
 
-`simulate` replaces such a scene by one with chosen settings, and saves only the latter.
+`simulate` replaces such a scene by a scene with chosen settings, and saves only the second scene.
 """
 LONGEST_NAME = 24
-"""Letters of a value in a folder name; longer values, and lists, are numbered."""
+"""Largest number of letters of a value in a folder name.
+
+A number replaces longer values and lists.
+"""
 MOST_RUNS = 10_000
-"""Runs of a sweep: three hours at a second each, and a minute to check their scenes."""
+"""Largest number of runs of a sweep.
+
+At 1 s for each run, the sweep takes three hours. The check of the scenes takes a minute.
+"""
 LOST = "the process of this run was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
-"""Figures of the printed table; the file has all figures."""
+"""Figures of the printed table; ``sweep.csv`` has all figures."""
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
 """Figures of the machine's load, which vary between equal runs; `Sweep.plot` leaves them out."""
 SAME = 1e-9
-"""Relative difference of figures that rounding explains."""
+"""Largest relative difference of figures that is attributed to rounding."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +75,15 @@ class SweptRun:
     Attributes
     ----------
     name
-        Name of its folder, by the swept keys.
+        Name of the run's folder, formed from the swept keys.
     values
         Values of the swept keys.
     path
         Folder of the run.
     problem
-        Error that ended it or makes its scene invalid; empty for a finished run.
+        Error that ended the run or makes its scene invalid; empty for a finished run.
     scene
-        Scene; None if the values make none.
+        Scene; None if the values make no valid scene.
     """
 
     name: str
@@ -93,14 +99,14 @@ class SweptRun:
 
     @cached_property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """90 % intervals of the figures that have a band."""
+        """90 % intervals of the figures that have an uncertainty band."""
         return {} if self.problem else intervals_of(read_summary(self.path))
 
     @cached_property
     def note(self) -> str:
-        """Reason why the run did not finish its path; else empty.
+        """Reason why the run did not finish its path; empty if the run finished its path.
 
-        It is also empty for a run with a problem.
+        The reason is also empty for a run with a problem.
         """
         return "" if self.problem else path_note(read_summary(self.path))
 
@@ -131,12 +137,12 @@ class Sweep:
 
     @property
     def failures(self) -> dict[str, str]:
-        """Problems by run."""
+        """Problems, keyed by the name of the run."""
         return {each.name: each.problem for each in self.runs if each.problem}
 
     @property
     def notes(self) -> dict[str, str]:
-        """Reasons why runs did not finish their paths, by run."""
+        """Reasons why runs did not finish their paths, keyed by the name of the run."""
         return {each.name: f"the path is {each.note}" for each in self.runs if each.note}
 
     @property
@@ -176,15 +182,15 @@ class Sweep:
         return Comparison({each.name: each.open() for each in self.finished})
 
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
-        """Plot figures over the first swept key, with a line for each value of the second.
+        """Plot figures over the first swept key, with a line for each value of the second key.
 
-        Wide bars are the 90 % intervals of figures that have a band.
+        Wide bars are the 90 % intervals of figures that have an uncertainty band.
 
         Parameters
         ----------
         figures
-            Some of `figure_names`; default the figures that differ among the runs, without the
-            time of ticks, which varies between equal runs.
+            Names from `figure_names`. The default is the figures that differ between the runs,
+            except the duration of ticks, which varies between equal runs.
 
         Returns
         -------
@@ -193,7 +199,7 @@ class Sweep:
         Raises
         ------
         InputError
-            If there is nothing to plot, or not one or two keys were swept.
+            If there is nothing to plot, or the number of swept keys is not 1 or 2.
         """
         names = self._differing() if figures is None else figures
         known = self.figure_names
@@ -228,7 +234,7 @@ class Sweep:
         return differing
 
     def write(self, out: Path, formats: Sequence[str] = ()) -> None:
-        """Write ``sweep.csv``, and with several finished runs their figures and traces.
+        """Write ``sweep.csv`` and, for several finished runs, their figures and traces.
 
         The formats are those of `tissue.objects.comparison.Comparison.save`.
         """
@@ -289,20 +295,22 @@ def sweep(
         Folder for the runs, their figures in ``sweep.csv`` and ``sweep.png``, and their loads in
         ``compare.png``.
     workers
-        Number of parallel processes, each with one core unless ``cores`` states more; ticks then
-        take longer. A script that uses several must begin below ``if __name__ == "__main__":``. The
-        processes have the parts of installed packages, and the parts that the script registers
-        above that line.
+        Number of parallel processes, each with one core unless ``cores`` is larger. With several
+        processes, ticks take longer. A script that uses several processes must have its statements
+        below ``if __name__ == "__main__":``. The processes have the parts of installed packages,
+        and the parts that the script registers above that line.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
-        Whether each run draws its pictures, in the first of the pictures' formats.
+        Whether each run draws its pictures. The pictures have the first picture format in
+        `formats`.
     formats
         Formats of the pictures, png, svg or pdf (default png), and formats in which the traces of
         all runs are written as one table, ``traces.FORMAT``: parquet, npz, mat or h5.
     band
-        Samples of the constants in their ranges, as for `Run.band`: each run has a band, and
-        ``compare.png`` shows them. Finished runs without it are run again.
+        Number of samples of the constants in their ranges, as for `Run.band`. Each run then has an
+        uncertainty band, and ``compare.png`` shows the bands. Finished runs without a band are run
+        again.
     overwrite
         Run finished runs again.
     progress
@@ -311,9 +319,10 @@ def sweep(
     Raises
     ------
     InputError
-        If a value makes no scene in any combination, a file is missing, the folder holds runs of
-        other scenes under the same names, a format or the number of samples is invalid, or several
-        processes are requested with a part that they do not have.
+        If a value makes no valid scene in any combination, a file is missing, the folder holds runs
+        of other scenes under the same names, or a format or the number of samples is invalid. The
+        error is also raised if several processes are requested and the scene uses a registered part
+        that these processes do not have.
     """
     out = Path(out)
     formats = tuple(formats)
@@ -356,7 +365,7 @@ def planned(
     ------
     InputError
         If a key has no values, there are more than `MOST_RUNS` combinations, or a value makes no
-        scene in any combination.
+        valid scene in any combination.
     """
     listed = {key: _listed(key, values) for key, values in changes.items()}
     count = prod(len(values) for values in listed.values())
@@ -401,7 +410,7 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:
     """Return parts of folder names for the values of a key.
 
-    A part has the last word of the key, if that is unique, and the value.
+    A part consists of the last word of the key, if this word is unique, and the value.
     """
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key
@@ -417,7 +426,7 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
 def _unfinished(
     runs: list[SweptRun], out: Path, *, overwrite: bool, band: int | None = None
 ) -> list[tuple[SweptRun, bool]]:
-    """Return the remaining runs, and for each whether it may replace a run of the same scene.
+    """Return the remaining runs, each with a flag: whether it may replace a run of the same scene.
 
     Raises
     ------
@@ -484,7 +493,7 @@ def _recorded(out: Path) -> dict[str, str]:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the remaining runs; yield name and problem, or an empty text, of each that ends."""
+    """Run the remaining runs; yield the name and the problem (or an empty text) of each one."""
     total = len(left)
     if workers <= 1:
         for number, (each, replaces) in enumerate(left):

@@ -150,8 +150,8 @@ class GlenoidAnatomy(Glenoid, Drilled):
     subchondral_density_kg_m3: float = Field(1300.0, ge=200, le=2200)
     """Apparent density of the subchondral plate."""
     trabecular_density_below_plate_kg_m3: float = Field(450.0, ge=50, le=1200)
-    """Apparent density of the trabecular bone at the plate; it changes to the density of the vault
-    over 5 mm.
+    """Apparent density of the trabecular bone at the plate. Within 5 mm below the plate, the
+    density changes to the density of the vault.
     """
     trabecular_density_kg_m3: float = Field(300.0, ge=50, le=1200)
     """Apparent density of the trabecular bone in the vault."""

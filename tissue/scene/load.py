@@ -1,6 +1,6 @@
 """Loading of scenes by name or from TOML files, with overrides.
 
-Files of version 0.2 have the device's keys at the top level. They are converted.
+Files of version 0.2 have the device's keys at the top level. Such files are converted.
 """
 
 import tomllib
@@ -44,7 +44,7 @@ __all__ = [
 FORMAT = 2
 """Version of the scene file format.
 
-The version of a file that does not contain it is recognised from its keys.
+If a file does not contain its version, the version is recognised from the keys of the file.
 """
 OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
 """Keys of the table [device] that were at the top level in version 0.2.
@@ -192,8 +192,8 @@ def load_scene(
         Name of a scene, see `scene_names`, or path of a TOML file.
     overrides
         Values, keyed by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. Keys of the table
-        ``device`` may be given without its name: ``hand``, ``coupling.delay_ms``. Keys of the scene
-        that lose their effect through an override are removed.
+        ``device`` may be given without the name of the table: ``hand``, ``coupling.delay_ms``. Keys
+        of the scene that lose their effect through an override are removed.
     live
         True if a mouse moves the tool of a scene that names no device.
 
@@ -341,9 +341,9 @@ def _settled(
 ) -> tuple[Scene | InputError, set[str]]:
     """Remove keys that have no effect from a table; return its scene and the removed keys.
 
-    Another key may lose its effect when a key is removed, so the table is validated until no key is
-    removed. Keys that `keep` accepts are not removed. For an invalid table, the error of its first
-    fault is returned instead of a scene.
+    Another key may lose its effect when a key is removed. The table is therefore validated again
+    until no key is removed. Keys that `keep` accepts are not removed. For an invalid table, the
+    error of its first fault is returned instead of a scene.
     """
     left = _without_nothing(table)
     found = set[str]()
@@ -385,7 +385,7 @@ def names_file(key: str) -> bool:
 
 
 def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the table of a device; the file of a recorded device has an absolute path in it."""
+    """Return the table of a device, in which the file of a recorded device has an absolute path."""
     hardware = device.get("hardware")
     if device.get("kind") != RECORDED or not isinstance(hardware, Mapping):
         return device

@@ -88,7 +88,8 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> InputError:
     """Return the error for a key that the chosen table does not have.
 
-    It suggests keys of the same meaning, in this table, of another kind of it, or in another table.
+    The error suggests keys of the same meaning. These keys belong to this table, to another kind of
+    this table, or to another table.
     """
     if _holders(names, table, model):
         return _of_another_kind(names, names, table, model)
@@ -112,7 +113,8 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
 def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
     """Return the keys that an unknown key most likely means, best first.
 
-    Keys of its own table come first. A key without a table may be one of any table.
+    Keys in the table of the unknown key come first. A key that is written without a table may
+    belong to any table.
 
     Parameters
     ----------
@@ -136,10 +138,11 @@ def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
 def _keys(
     table: Table, model: type[BaseModel], inside: Key = (), *, present: Key = ()
 ) -> Iterator[tuple[Key, bool]]:
-    """Yield the full names of keys with a value, and whether the chosen tables have them.
+    """Yield the full names of keys that hold a value, and whether the chosen tables have these
+    keys.
 
-    Keys of other kinds are those of the table `present`, and those of a motion, which any scene can
-    have.
+    Keys of other kinds are yielded only for the table `present` and for the motion, because any
+    scene can have any motion.
     """
     for name, field in model.model_fields.items():
         full = (*inside, name)
@@ -165,7 +168,7 @@ def _of_another_kind(
     names
         Key that the user wrote.
     meant
-        Key that it means.
+        Key that the user probably meant.
     table, model
         The table of the scene, and its class.
     """
@@ -342,7 +345,7 @@ def _toml(value: object) -> str:
 
 
 def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:
-    """Return the field of the last key, in a scene or in a table of values in it."""
+    """Return the field of the last key, in a scene or in a table of values of the scene."""
     if len(names) > 2:
         values = _values(_model_at(names[:-2], table, model).model_fields[names[-2]])
         if values is not None:
@@ -419,8 +422,8 @@ def _without_tags(
 ) -> list[int | str]:
     """Return the location of a fault without the steps that pydantic adds.
 
-    Such a step is the class of a part, or, for a value of several types, a type that it does not
-    have.
+    Such a step is the class of a part. For a value that may have several types, it is a type that
+    the value does not have.
     """
     path = list(location)
     inner: type[BaseModel] | None = model

@@ -48,9 +48,9 @@ class AnatomyEntry:
     tool
         Class of the tools for this tissue.
     build, force_N, pictures, faces
-        Functions of a registered tissue, see `tissue.register`. They make the parts of a run,
-        estimate the largest force on the scripted motion [N], draw pictures of a run (a mapping
-        from file name to function), and return the faces that a window shows.
+        Functions of a registered tissue, see `tissue.register`. `build` makes the parts of a run.
+        `force_N` estimates the largest force on the scripted motion [N]. `pictures` maps file names
+        to functions that draw pictures of a run. `faces` returns the faces that a window shows.
     """
 
     parameters: tuple[type[Part], ...]

@@ -335,7 +335,8 @@ class ByKind:
 READ_BACK = {"written by": "tissue"}
 """Validation context that accepts keys without effect.
 
-It is needed because a live run sets the reach of the tool at a wall.
+The context is needed because a live run sets ``coupling.roam_mm`` at a wall, where this key has no
+effect.
 """
 LONGEST_PATH = 1000
 """Largest number of characters of a file path; a longer text is not treated as a path."""
@@ -444,8 +445,9 @@ class Part(BaseModel):
         return found
 
     def changed_entries(self, prefix: str = "") -> dict[str, object]:
-        """Return the dotted keys whose values differ from the defaults, with these values; kinds
-        are left out.
+        """Return the dotted keys whose values differ from the defaults, with these values.
+
+        The keys ``kind`` are left out.
         """
         found: dict[str, object] = {}
         for name, field in type(self).model_fields.items():

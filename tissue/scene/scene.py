@@ -88,37 +88,38 @@ class Voxels(Part):
     spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
     """Edge of a voxel."""
     removal: Literal["subvoxel", "binary"] = "subvoxel"
-    """Method of removal: `subvoxel` removes the part of a voxel inside the tool. `binary` removes a
-    whole voxel once its centre is inside.
+    """Method of removal: `subvoxel` removes the part of a voxel inside the tool.
+
+    `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
     """Thickness of the bone that is kept around the region that the tool can reach."""
 
 
 class Cutting(Part):
-    """Changes to the cited cutting coefficients of bone.
+    """Changes to the built-in cutting coefficients of bone.
 
-    Coefficients that are left out keep the built-in value from the cited source.
+    Coefficients that are left out keep their built-in values, which come from the cited sources.
     """
 
     material: Annotated[str, OneOf(CUTTING_MATERIALS)] = "bone"
-    """Material whose coefficients bone uses. The layers of a tooth keep their own material. The
-    coefficients below replace those of all layers, also of a tooth. A file of `materials` sets one
-    layer, such as dentin.
+    """Material whose cutting coefficients are used for bone. The layers of a tooth keep their own
+    materials. The keys below replace the coefficients of all layers, also of a tooth. A file given
+    by `materials` can replace the coefficients of one layer, such as dentin.
     """
 
     tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
-    """Chip force along the cutting speed, per area of the chip's section."""
+    """Chip force along the cutting velocity, divided by the area of the chip's cross-section."""
     radial_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[60.0])
-    """Chip force normal to the tool's surface, per area of the chip's section."""
+    """Chip force normal to the tool's surface, divided by the area of the chip's cross-section."""
     axial_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[0.0])
-    """Chip force along the edge, per area of the chip's section."""
+    """Chip force along the edge, divided by the area of the chip's cross-section."""
     tangential_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[5.0])
-    """Edge force along the cutting speed, per length of the edge."""
+    """Edge force along the cutting velocity, divided by the length of the edge."""
     radial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[4.0])
-    """Edge force normal to the tool's surface, per length of the edge."""
+    """Edge force normal to the tool's surface, divided by the length of the edge."""
     axial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[0.0])
-    """Edge force along the edge, per length of the edge."""
+    """Edge force along the edge, divided by the length of the edge."""
     density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
     """Exponent of the ratio of density to reference density. This power scales all coefficients."""
     size_exponent: float | None = Field(None, ge=0, lt=1, examples=[0.5])
@@ -149,7 +150,8 @@ class Output(Part):
 
 
 class Stress(Part):
-    """Displacement and stress of a tooth by particle finite elements.
+    """Displacement and stress of a tooth, computed with finite elements (cells) that contain
+    particles.
 
     Without this table, displacement and stress are not computed.
     """
@@ -170,7 +172,7 @@ def _without_stress(value: object) -> object:
 
 
 OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
-"""Mark of a table that the text none leaves out, such as ``--set stress=none``."""
+"""Mark of a table that the text ``none`` leaves out, as in ``--set stress=none``."""
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
@@ -237,8 +239,8 @@ class Scene(Part):
     organ: Organ = Organ()
     """Material of a soft organ, and the method of its solution."""
     materials: FileName = Field("", examples=["fitted.toml"])
-    """TOML file with constants, for example written by `tissue fit`. They replace the built-in
-    constants. If the text is empty, the built-in constants are used.
+    """TOML file with constants, for example written by `tissue fit`. These constants replace the
+    built-in constants. If the text is empty, the built-in constants are used.
     """
 
     fidelity: Fidelity | None = None

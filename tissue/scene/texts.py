@@ -115,7 +115,7 @@ def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) 
     Raises
     ------
     InputError
-        If the file cannot be changed so that nothing else in it does.
+        If the site cannot be written without a change of other content of the file.
     """
     with scene.open(encoding="utf-8", newline="") as file:
         text = file.read()
@@ -215,9 +215,9 @@ def schema_text() -> str:
 def scene_for_editors(name: str) -> str:
     """Return the TOML of a built-in scene with the schema named in its first line.
 
-    The schema is written to the cache for it. The line holds a ``file:`` URL. Taplo and editors
-    that use it resolve this URL from any folder and without a network. If the cache cannot be
-    written, the scene is returned without this line.
+    The schema is written to the cache, and the first line holds its ``file:`` URL. Taplo and
+    editors that use Taplo resolve this URL from any folder and without a network. If the cache
+    cannot be written, the scene is returned without this line.
 
     Raises
     ------

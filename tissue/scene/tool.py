@@ -122,8 +122,9 @@ class Tool(Shaped):
     shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(
         None, gt=0, le=10, examples=[0.2]
     )
-    """Distance between the elements of the cutter (small pieces of its surface). Default: the
-    distance that gives 6000 elements.
+    """Distance between the cutting elements (small pieces of the cutter's surface).
+
+    Default: the distance that gives 6000 cutting elements.
     """
 
     @property
@@ -280,7 +281,10 @@ class Motion(Part):
 
 
 class PathMotion(Motion):
-    """Motion of the tip along straight lines at a given feed. The tip then stays at the end."""
+    """Motion of the tip along straight lines at a given feed.
+
+    The tip then stays at the end of the path.
+    """
 
     drive: ClassVar[str] = "feed_mm_s"
     """Key that sets how fast the tool moves."""

@@ -27,8 +27,8 @@ class Used:
     name
         Name of the constant, with its unit.
     cited
-        Value, range, source and confidence, from the file of the scene if that contains the
-        constant.
+        Value, range, source and confidence, from the scene's file of constants if this file
+        contains the constant.
     full
         Full name ``TABLE.MATERIAL.NAME``. If a layer has a cutting constant of its own, MATERIAL is
         the layer.
@@ -73,7 +73,7 @@ def used_of_cutting(
 
 
 def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used]:
-    """Return the constants of a device and of the hand that holds it.
+    """Return the constants of a device and of the hand that holds the device.
 
     `device` is None if the caller gives the parameters of the device.
     """

@@ -57,14 +57,14 @@ __all__ = [
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Names of length units in NRRD, keyed by the length of the unit [mm]."""
 MOST_FRAMES = 40
-"""Largest number of times in a file of the carving, including the end.
+"""Largest number of frames in a file of the carving, including the last frame.
 
 This number and `MOST_TRIANGLES` limit the size of the files; both values are chosen.
 """
 MOST_TRIANGLES = 40_000
-"""Largest number of triangles at one time; a larger cut is drawn in blocks of voxels."""
+"""Largest number of triangles in a frame; a larger cut is drawn in blocks of voxels."""
 STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
-"""Possible intervals between two times in a file of the carving [s]."""
+"""Possible intervals between two frames in a file of the carving [s]."""
 
 
 def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":

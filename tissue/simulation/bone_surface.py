@@ -120,9 +120,9 @@ def with_depth(
 ) -> "pyvista.PolyData":
     """Add the point array ``removed_depth_mm``.
 
-    At a point that the tool exposed, this is the depth of bone removed from the column of voxels
-    through the point. It is 0 on the original surface of the bone, and on faces where the region
-    was cut out of a larger bone.
+    At a point that the tool exposed, the array holds the depth of bone removed from the column of
+    voxels through the point. The depth is 0 on the original surface of the bone, and on faces where
+    the region was cut out of a larger bone.
 
     Parameters
     ----------
@@ -369,8 +369,8 @@ class DepthMap:
     bone
         Columns that contained bone before the run.
     exposed
-        For each layer, the columns whose outer face shows this layer after the run and another
-        layer before.
+        For each layer, the columns whose outer face shows this layer after the run and showed
+        another layer before the run.
     """
 
     axis: int
@@ -440,8 +440,8 @@ def _face(fraction: Bytes, layer: Bytes, axis: int, outward: int) -> tuple[Flags
     """Return for each column whether it contains bone, and the height and layer of its outer face.
 
     The height counts voxels from the far end of the column. The face is at the first voxel from
-    outside that is half full, or in the voxel above it. The content of both voxels determines
-    where.
+    outside that is half full, or in the voxel above that voxel. The contents of both voxels
+    determine the height.
     """
     seen = np.flip(fraction, axis) if outward > 0 else fraction
     first = np.argmax(seen >= HALF, axis=axis)

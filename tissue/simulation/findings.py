@@ -29,7 +29,7 @@ TOLERANCE_MM = 0.05
 The value is half a voxel of the default size.
 """
 FORWARD = 0.5
-"""Smallest ratio of travel along the tool's axis to travel in a tick that counts as forward.
+"""Smallest ratio of travel along the tool's axis to total travel in a tick of forward motion.
 
 A tool that leaves the bone sideways does not break through.
 """
@@ -129,8 +129,9 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
     """Return the break-throughs: exits of the tool's tip from uncut bone, forward along its axis.
 
     The surface of the bone is where interpolated voxels are half full. The time of the exit within
-    a tick is interpolated too. Each hole counts as one break-through. A place belongs to an earlier
-    hole if it was inside the tool before: within the radius around the axis, and behind the tip.
+    a tick is interpolated too. Each hole counts as one break-through. An exit belongs to an earlier
+    hole if its place was inside the tool before: within the radius around the axis, and behind the
+    tip.
 
     Parameters
     ----------

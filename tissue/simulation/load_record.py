@@ -2,10 +2,10 @@
 
 The loads for new coefficients need no further run.
 
-The force on a cutter is the sum of the forces on its cutting elements; each element has a force per
-length of edge. On a given path of the tool, the engaged bone and the chip thickness do not depend
-on the coefficients. One run therefore records the loads of a unit force per length, at nodes of
-chip thickness, and::
+The force on a cutter is the sum of the forces on its cutting elements. The force on a cutting
+element is proportional to the length of its edge. On a given path of the tool, the engaged bone and
+the chip thickness do not depend on the coefficients. One run therefore records the loads of a unit
+force per length, at nodes of chip thickness, and::
 
     loads = sum over layers, density nodes and chip nodes h of
             strength * (K_tc, K_rc, K_ac) effective(h) + (K_te, K_re, K_ae) share(h) . unit loads
@@ -60,8 +60,8 @@ SENSITIVITIES = (
 MOST_BYTES = 1_000_000_000
 """Largest size of a record [bytes].
 
-This size is enough for 60 s with every tick in two layers of varying density, or for an hour in one
-layer of constant density.
+This size is enough to record every tick of 60 s in two layers of varying density, or of an hour in
+one layer of constant density.
 """
 
 

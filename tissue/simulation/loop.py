@@ -71,7 +71,7 @@ class PoseLog:
 class Stepper:
     """Step of motion and tissue response in a tick of 1 ms, without output and record.
 
-    All simulated ticks use `step`: those of runs, cuts of a bone, loops of a caller's program,
+    All simulated ticks use `step`: the ticks of runs, cuts of a bone, loops of a caller's program,
     reference forces and environments. The cutting force depends on the bone before the current
     pass, so it is the same before and after the removal of bone in a tick.
 
@@ -164,7 +164,7 @@ class Stepper:
         self.response = response
 
     def state(self) -> State:
-        """Copy the state of tool, response and tissue, but not that of the motion.
+        """Copy the state of tool, response and tissue, but not the state of the motion.
 
         Raises
         ------

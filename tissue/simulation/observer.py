@@ -31,7 +31,8 @@ __all__ = [
 LOOK_TICKS = 200
 """Interval between two checks of the load by ticks and of the processes of a live run [ticks].
 
-0.2 s is well below the second after which Linux stops a thread that leaves no time to others.
+The interval of 0.2 s is shorter than the 1 s after which Linux stops a thread that leaves no time
+to other threads.
 """
 FULL = 0.9
 """Largest share of the time that the ticks may use at a raised priority.
@@ -208,8 +209,8 @@ class Paced(RunObserver):
 class Prioritised(RunObserver):
     """Observer that raises the priority of the thread of the ticks, and restores it at the end.
 
-    The priority is restored earlier if the ticks leave no time to other threads. The system would
-    otherwise stop the ticks, for a longer time than an ordinary priority delays them.
+    The priority is restored earlier if the ticks leave no time to other threads. Otherwise the
+    system would stop the ticks, for longer than the delays at an ordinary priority.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ class Snapshot:
     time_s
         Simulated time [s].
     tissue
-        Class and layers of the tissue; they must be the same in the other session.
+        Class and layers of the tissue. Both must be equal in a session that restores the snapshot.
     state
         State of tool, tissue and structures to keep clear of.
     """
@@ -106,7 +106,7 @@ class _Widened(Motion):
         return self._turns
 
     def begin(self, motion: ToolMotion) -> None:
-        """Write the start of the motion of the scene."""
+        """Write the start pose of the scene's motion."""
         self._motion.begin(motion)
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -200,8 +200,8 @@ class PosedSession:
             As for `tissue.motion.posed.pose_in`. Without a rotation, the tool keeps its
             orientation.
         velocity
-            Velocity of the tip [mm/s], shape (3,), or this and the angular velocity [rad/s], shape
-            (6,). None for the change of the pose divided by the duration of the step.
+            Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
+            array, shape (6,). None for the change of the pose divided by the duration of the step.
         """
         loop = self.loop
         present = loop.tool

@@ -23,7 +23,7 @@ __all__ = ["write_formats", "write_recording"]
 
 DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
-"""Object names that the recorder uses by default, so that scripts for its files work."""
+"""Default object names of the recorder, so that scripts for the recorder's files work."""
 DENSEST_KG_M3 = 2000.0
 """Density of bone that is drawn white [kg/m3]; the densest cortical bone has 1800 to 2000."""
 ABOUT = (

@@ -97,10 +97,10 @@ def ideal_force_N(
     """Compute the force of the ideal loop along the device motion of a run [N], shape (n, 3).
 
     The ideal loop has no latency and the finest model; see `ideal_scene`. The device moves as in
-    the run, so the difference of forces does not include the reaction of a hand to the other force.
-    A simulated device provides its true motion; for other devices, the motion that the encoders
-    read is used. The ideal loop cuts the tissue itself, so the remaining tissue may differ from
-    that of the coarse model.
+    the run, so the force difference does not include the reaction of a hand to the ideal force. A
+    simulated device provides its true motion; for other devices, the motion that the encoders read
+    is used. The ideal loop cuts the tissue itself, so the remaining tissue may differ from the
+    remaining tissue of the coarse model.
 
     Raises
     ------

@@ -74,8 +74,8 @@ class Run:
     path
         Folder of the run; None before it is saved.
     scheduling
-        Data on kernel launches and background work, and scheduling gaps of the machine; None if
-        they were not recorded.
+        Data on kernel launches and background work, and scheduling gaps (times in which the system
+        did not run the thread); None if they were not recorded.
     draw
         Function that draws the pictures of the run into a folder in a given format. It returns a
         sentence for each picture that could not be drawn. `tissue.simulate` sets this attribute.
@@ -306,9 +306,9 @@ class Run:
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
         """Return the tissue as a pyvista data set, in the frame of the scene [mm].
 
-        For a tissue of voxels, it is an image with the cell arrays ``start`` and ``remaining`` (255
-        = full), ``layer`` and ``density_kg_m3``. For a tissue of finite elements, it is the mesh of
-        the last frame with its fields.
+        For a tissue of voxels, the data set is an image with the cell arrays ``start`` and
+        ``remaining`` (255 = full), ``layer`` and ``density_kg_m3``. For a tissue of finite
+        elements, the data set is the mesh of the last frame with its fields.
 
         Raises
         ------

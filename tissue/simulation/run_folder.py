@@ -172,7 +172,7 @@ class RunFolder:
         require_folder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
-        """Remove the files of a replaced run, and mark the folder as that of a running run."""
+        """Remove the files of a replaced run, and record in the folder that a run has begun."""
         self._owned.begin()
         placed = {} if placement is None else {"placement": placement.to_record()}
         written = {
@@ -274,9 +274,9 @@ class SavedRun:
     ------
     InputError
         If the folder holds no run, a run of another version, or a damaged summary, scene or trace.
-        Also if the run was made with a part that is not registered, such as a hand.
-        The trace of a complete run is damaged if its number of rows does not agree with the
-        duration of the run.
+        The error is also raised if the run was made with a part that is not registered, such as a
+        hand. The trace of a complete run counts as damaged if its number of rows does not agree
+        with the duration of the run.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -1,4 +1,7 @@
-"""Scheduling of a run: scheduling gaps of the machine, cores and kernel launches."""
+"""Scheduling of a run: scheduling gaps, processor cores and kernel launches.
+
+A scheduling gap is a time in which the system did not run the thread of the ticks.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,17 +47,17 @@ class MachineGaps:
         return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
 
     def expected(self, seconds: float) -> float:
-        """Return the expected number of gaps in a given time [s]."""
+        """Return the expected number of scheduling gaps in a given time [s]."""
         return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
 
     @property
     def lost_share(self) -> float:
-        """Share of the measurement time that was lost in gaps."""
+        """Share of the measurement time that was lost in scheduling gaps."""
         return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
 
     @property
     def longest_s(self) -> float:
-        """Duration of the longest gap [s]; 0 if there are no gaps."""
+        """Duration of the longest scheduling gap [s]; 0 if there are none."""
         return max(self.gaps_s, default=0.0)
 
 
@@ -84,7 +87,7 @@ def spin_time_s(simulated_s: float) -> float:
 
 
 class Scheduling:
-    """Scheduling of one run: made just before the first tick.
+    """Measurement of the scheduling of one run, made just before the first tick.
 
     Parameters
     ----------

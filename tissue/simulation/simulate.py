@@ -51,8 +51,7 @@ class RunObserver:
     """Base class of observers; each method does nothing until it is overridden."""
 
     timing_columns: tuple[str, ...] = ()
-    """Columns that the observer adds to the timing table; the observer fills them, at the end of a
-    row.
+    """Columns that the observer adds at the end of the timing table, and fills in each tick.
     """
     paces: bool = False
     """True if the observer starts the ticks according to the wall clock."""

@@ -41,7 +41,7 @@ __all__ = [
 FLUSH_EVERY_S = 0.1
 """Longest time between two flushes [s].
 
-If the process is killed, at most this wall time and one tick are lost.
+If the process is killed, at most the rows of this wall time and of one tick are lost.
 """
 NO_LAYER = "none"
 AGAIN = "run the scene again"
@@ -158,7 +158,7 @@ class TraceWriter:
             self._write(text)
 
     def _write(self, text: str) -> None:
-        """Write text to disk; in contrast to the error of the system, an error names the file."""
+        """Write text to disk; the error for a failed write names the file."""
         try:
             self._file.write(text)
             self._file.flush()

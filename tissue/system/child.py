@@ -45,7 +45,7 @@ CHECK_S = 1.0
 IDLE_S = 30.0
 """Longest idle time of a process that is waited for [s].
 
-It is 20 times the longest delay of a tick that was measured on an overloaded computer, 1.5 s
+This time is 20 times 1.5 s, the longest delay of a tick on an overloaded computer
 (`docs/performance.md`).
 """
 WORK_S = 0.05
@@ -129,9 +129,9 @@ def _await_end(parent: int) -> None:
 class HangDetector:
     """Detector for processes that are waited for and no longer work.
 
-    A process is given up when it was idle for too long, or has taken longer than a given time. Time
-    is measured by the number of checks, so that time in which this process was stopped is not
-    included.
+    The detector gives up a process that was idle for too long or has taken longer than a given
+    time. Time is measured by the number of checks, so that time in which this process was stopped
+    is not included.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Return the processor time of processes and their children [s]; True if one is stopped."""
+    """Return the processor time of processes and their children [s], and whether one is stopped."""
     import psutil
 
     work_s = 0.0
@@ -269,17 +269,17 @@ Job = Callable[[], None]
 class Helper:
     """Child Python process that receives pickled messages and answers them.
 
-    Messages are written to its standard input, and answers are read from its standard output. The
-    helper ends with this process, and uses one thread for linear algebra. Sending never blocks,
-    because a separate thread writes the message. This thread also reads the answer. The code that
-    runs in the meantime therefore keeps the interpreter lock.
+    Messages are written to the helper's standard input, and answers are read from the helper's
+    standard output. The helper ends with this process, and uses one thread for linear algebra.
+    Sending never blocks, because a separate thread writes the message. This thread also reads the
+    answer. The calling thread therefore keeps the interpreter lock between `send` and `receive`.
 
     Parameters
     ----------
     module
         Module that the helper runs.
     does
-        Description of its task for error messages: "the process that DOES ...".
+        Description of the helper's task for error messages: "the process that DOES ...".
 
     Attributes
     ----------
@@ -382,7 +382,7 @@ class Helper:
         return answer
 
     def end(self) -> None:
-        """Close the standard input of the helper, which ends it."""
+        """Close the standard input of the helper. The helper then ends."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.close()

@@ -87,7 +87,7 @@ def _plain_lines(text: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """Return the source expression with which a policy allows this inline text."""
+    """Return the source expression with which a content security policy allows an inline text."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode('ascii')}'"
 
 

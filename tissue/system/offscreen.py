@@ -60,9 +60,9 @@ def draw_apart(
     module, arguments
         Module to run and its arguments.
     prepare
-        Function that returns the data for the standard input of the process. It is called once,
-        while the process starts. The data are not passed in a file, because a file with a patient's
-        anatomy could stay on disk if the two processes were killed.
+        Function that returns the data for the standard input of the process. The function is called
+        once, while the process starts. The data are not passed in a file, because a file with a
+        patient's anatomy could stay on disk if the two processes were killed.
     longest_s
         Longest drawing time [s].
     drawn

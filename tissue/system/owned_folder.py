@@ -49,7 +49,10 @@ LONGEST_MARKER = 1 << 24
 LOCK = ".lock"
 """Name of the lock file in a folder, and suffix of the hidden lock file of an output file."""
 FAR = 1 << 30
-"""Locked byte on Windows. It is far behind the process id, because it cannot be read."""
+"""Position of the locked byte on Windows.
+
+The byte lies far behind the process id, because a locked byte cannot be read.
+"""
 LONGEST_LOCK = 32
 """Longest content of a lock file [characters]: a process id and a line end."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -80,7 +83,7 @@ class OwnedFolder:
     path
         Path of the folder.
     kind
-        Kind of output, such as ``run``. It is written to the marker and used in messages.
+        Kind of output, such as ``run``. The kind is written to the marker and used in messages.
     names
         Names of the files that may be written, relative to the folder. ``*`` and ``[0-9]`` have the
         meaning of `Path.glob`.

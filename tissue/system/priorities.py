@@ -195,8 +195,8 @@ class BackgroundPriority:
 
     While the ticks run, the main thread of the process has idle priority and does not use the core
     of the ticks. When the ticks wait for the process, this thread gets normal priority. If a thread
-    cannot leave the idle priority again, it gets the lowest ordinary priority instead. The reason
-    is that a process at idle priority hardly runs on a busy computer, while the ticks wait for it.
+    cannot leave the idle priority again, it gets the lowest ordinary priority instead. On a busy
+    computer, a process at idle priority would hardly run, even while the ticks wait for it.
     Settings that the system refuses or does not have are skipped.
 
     Parameters

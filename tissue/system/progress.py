@@ -91,7 +91,7 @@ class Remaining:
         """Return the remaining time for a completed share as text; empty if it is not known.
 
         The pace is measured from the first report of a stage, because a continued command does not
-        begin at zero. A stage begins where the share decreases.
+        begin at zero. A new stage begins when the completed share decreases.
         """
         now_s = perf_counter()
         if share < self._last:

@@ -26,15 +26,15 @@ STOPS = tuple(
     for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
     if hasattr(signal, name)
 )
-"""Signals that ask a process to end, as far as the operating system has them.
+"""Signals of this operating system that ask a process to end.
 
-SIGHUP is sent by a closed or lost terminal, SIGQUIT and SIGBREAK by a key.
+A closed or lost terminal sends SIGHUP. A key sends SIGQUIT or SIGBREAK.
 """
 
 AGAIN_S = 0.01
 """Delay after which a stop signal that Python dropped is sent again [s].
 
-The callback in which it was dropped has returned by then.
+After this delay, the callback in which Python dropped the signal has returned.
 """
 
 
@@ -61,8 +61,8 @@ def terminated_as_exception() -> Iterator[None]:
     In other threads the block has no effect. Native code that a signal interrupts may replace the
     exception with an error of its own, for example in pydantic. After a stop, including Ctrl-C, any
     error that leaves the block is therefore replaced with the exception of the stop. Python drops
-    an exception that is raised in some callbacks, such as that of a weak reference. The stop signal
-    is then sent again shortly after.
+    an exception that is raised in some callbacks, such as the callback of a weak reference. The
+    stop signal is then sent again shortly after.
     """
     received: list[KeyboardInterrupt] = []
 
@@ -116,7 +116,8 @@ def end_at_once(code: int) -> NoReturn:
 def interrupt_is_free() -> bool:
     """Return True if Ctrl-C raises KeyboardInterrupt.
 
-    This is the case if the handler is Python's default or that of `terminated_as_exception`.
+    This is the case if the handler is Python's default handler or the handler of
+    `terminated_as_exception`.
     """
     handler = signal.getsignal(signal.SIGINT)
     return handler is signal.default_int_handler or getattr(handler, "__module__", None) == __name__

@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """Start worker processes that end with this process, whatever the reason of its end is."""
+    """Start worker processes that end when this process ends for any reason."""
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
@@ -66,7 +66,9 @@ def worker_pool(workers: int) -> Iterator[Executor]:
 def first_done(
     pool: Executor, futures: Collection["Future[Result]"], report: Progress
 ) -> "set[Future[Result]]":
-    """Wait until some of the work is done; kill workers that hang, so that their work is lost.
+    """Wait until some of the work is done; kill workers that hang.
+
+    The work of killed workers is lost.
 
     Parameters
     ----------
@@ -142,9 +144,9 @@ def executor(
     workers
         Number of processes of this computer.
     scheduler
-        Address that a Dask scheduler prints, or None for local processes. It is ``tcp://HOST:PORT``
-        or ``tls://HOST:PORT``; ``dask://`` means ``tcp://``. For a ``tls`` address, the
-        certificates of Dask's configuration are used.
+        Address that a Dask scheduler prints, or None for local processes. The address is
+        ``tcp://HOST:PORT`` or ``tls://HOST:PORT``; ``dask://`` means ``tcp://``. For a ``tls``
+        address, the certificates of Dask's configuration are used.
     patience_s
         Longest wait for an answer of the scheduler [s].
 

@@ -6,7 +6,6 @@ Each of these gives one sentence and exit code 2.
 import subprocess
 import sys
 import tomllib
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -14,9 +13,7 @@ from coarse_run import COARSE
 
 import tissue
 from meshes.base.extras import install_command
-from tissue.cli import study
-from tissue.cli.main import arguments, main
-from tissue.evaluation.study import folder
+from tissue.cli.main import arguments
 from tissue.scene.load import scene_names
 
 
@@ -197,25 +194,3 @@ def test_a_list_that_begins_with_a_minus_is_the_value_of_its_option():
         "--out",
         "-x,y",
     ]
-
-
-def test_the_progress_of_a_continued_study_begins_at_its_trials(here, monkeypatch):
-    """The remaining time follows from the pace since the command began."""
-    shares = []
-
-    class EndedError(Exception):
-        pass
-
-    def runs(plan, out, *, report, **options):
-        report("a message before the first trial", 0.0)
-        report("a trial", 0.9)
-        raise EndedError
-
-    monkeypatch.setattr(folder, "run_study", runs)
-    monkeypatch.setattr(folder.StudyFolder, "has", lambda self, key: key.task == "T1")
-    monkeypatch.setattr(study, "progress", lambda **_: nullcontext(lambda _, at: shares.append(at)))
-    monkeypatch.setattr(sys, "argv", ["tissue", "study", "run"])
-    with pytest.raises(EndedError):
-        main()
-    begun, message, trial = shares
-    assert 0.0 < begun == message < trial == 0.9

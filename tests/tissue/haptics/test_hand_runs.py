@@ -94,8 +94,8 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
 def test_a_thrust_beyond_the_force_of_the_device_is_noted():
     overrides = {"device": "touch", "coupling.force_scale": 0.2, "duration_s": 0.1}
     scene = load_scene("pedicle", overrides)
-    note = hand_motion(scene, motion_of(scene, step_s=1e-3), allow_unstable=True)[1]
+    note = hand_motion(scene, motion_of(scene), allow_unstable=True)[1]
     assert re.search(r"presses with [\d.]+ of motion.thrust_N = 30, .* lower coupling", note)
     scene = load_scene("pedicle", overrides | {"motion.thrust_N": 5.0})
-    note = hand_motion(scene, motion_of(scene, step_s=1e-3), allow_unstable=True)[1]
+    note = hand_motion(scene, motion_of(scene), allow_unstable=True)[1]
     assert "motion.thrust_N" not in note

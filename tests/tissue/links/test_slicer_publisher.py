@@ -42,7 +42,9 @@ class Stage:
             "counts": ("int64", (4,)),
         }
         self.arrays = SharedArrays(folder, layout | shared.layout)
-        start = {"port": 0, "start_turn": np.eye(3), "drives": drives, **shared.start}
+        names = np.array(run.parts.tissue.layer_names)
+        start = {"port": 0, "start_turn": np.eye(3), "drives": drives, "layer_names": names}
+        start |= shared.start
         start |= {"low_m": np.array([-9e-3, -9e-3, -4e-3]), "high_m": np.array([9e-3, 9e-3, 20e-3])}
         if run.parts.volume is not None:
             start["density_kg_m3"] = run.volume.density_kg_m3

@@ -209,7 +209,7 @@ def test_ctrl_c_is_given_back(monkeypatch):
 def test_a_missing_process_is_refused_before_the_run_and_leaves_no_folder(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.await_display", lambda: None)
-    monkeypatch.setattr("tissue.system.child.entry_points", lambda **_: ())
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: ())
     with pytest.raises(InputError, match="tissue-sim must have the process window"):
         LiveSettings().check(load_scene("wall"))
     monkeypatch.setattr("tissue.simulation.live.window._new_folder", None)

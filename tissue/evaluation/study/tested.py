@@ -215,6 +215,9 @@ def _sizes_picture(sizes: Sequence[tuple[str, Effect]]) -> bytes:
     axes.axvline(0.0, color="black")
     # sizes reach from a fraction to tens of standard deviations, of both signs
     axes.set_xscale("symlog", linthresh=1.0)
+    low, high = axes.get_xlim()
+    ticks = (-50, -20, -10, -5, -2, -1, 0, 1, 2, 5, 10, 20, 50)
+    axes.set_xticks([tick for tick in ticks if low <= tick <= high])
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(sizes)), [name for name, _ in sizes])
     axes.invert_yaxis()

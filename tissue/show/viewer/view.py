@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
+from typing import IO
 
 from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.progress import Progress, silent
@@ -314,14 +315,7 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
     why = "this machine has no OpenGL library"
     for environment in drawing_environments():
         with TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
-            child = subprocess.Popen(
-                child_command(PAGE, str(folder), json.dumps(asdict(choice))),
-                env=os.environ | environment,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=output,
-                text=True,
-            )
+            child = _start(folder, choice, environment, output)
             try:
                 address, problem = await_ready(child, longest_s=OPENS_S, closes_s=CLOSES_S)
                 if problem is None:
@@ -341,6 +335,19 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
                 child.communicate()
     # the last line of a driver's output may be long
     raise InputError(f"--web must serve a page, but {why[:200]}. {REMEDY[:1].upper()}{REMEDY[1:]}")
+
+
+def _start(
+    folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]
+) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        child_command(PAGE, str(folder), json.dumps(asdict(choice))),
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=output,
+        text=True,
+    )
 
 
 if __name__ == "__main__":

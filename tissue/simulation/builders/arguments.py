@@ -1,4 +1,4 @@
-"""Validation of a caller's arguments and files of constants, like the keys of a scene."""
+"""Validation of a caller's arguments and files of constants, by the rules for scene keys."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike

@@ -1,4 +1,4 @@
-"""Build the heat of bone, and the stress and heat of a tooth, around the voxels that are cut."""
+"""Build the thermal model of bone, or the stress and thermal models of a tooth, around the cut."""
 
 import numpy as np
 

@@ -64,16 +64,16 @@ SAME = 1e-9
 SCATTER = 0.7
 """Largest relative error of the force of N cutting elements, multiplied by N ** 0.75.
 
-The comparison with numerical quadrature gave 0.57. It covers balls of 3 to 8 mm diameter in slots
-0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees. The value 0.7 contains a margin: the
-error is 0.9 % if 1 % is requested.
+The comparison with numerical quadrature gave 0.57. The comparison covers balls of 3 to 8 mm
+diameter in slots 0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees. The value 0.7 contains
+a margin: the error is 0.9 % if 1 % is requested.
 """
 MARGIN_VOXELS = 4
 """Margin around a tool within which carving and force computation read voxels [voxels]."""
 MOST_ELEMENTS = 1_000_000
 """Largest number of cutting elements of a cutter.
 
-This number takes about 1 GB, and 0.1 s for each pose on one core.
+A million cutting elements take about 1 GB of memory, and 0.1 s for each pose on one core.
 """
 
 
@@ -207,7 +207,7 @@ def _filled_layers(volume: VoxelVolume) -> list[str]:
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
-    """Return a note if keys of the scene replace coefficients of layers that differ."""
+    """Return a note if keys of the scene replace coefficients of layers of several materials."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
     if not given or len(set(cut_as)) < 2:
@@ -343,9 +343,10 @@ class VoxelBone:
         return cls(voxels, coefficients, compute=compute)
 
     def reach(self, boxes: Boxes) -> bool:
-        """Make the bricks that the given boxes touch (corners in m).
+        """Make the bricks (blocks of 8 x 8 x 8 voxels) that the given boxes touch.
 
-        The method returns whether models must record their kernel launches again.
+        The boxes are given by their corners [m]. The method returns whether models must record
+        their kernel launches again.
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
@@ -367,7 +368,8 @@ class VoxelBone:
         return self.store.volume, self.store.fraction()
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut: the volume before any cut, and the bone left in it.
+        """Yield the parts that tools have cut: the volume before any cut, and the bone left in each
+        voxel.
 
         The method is available only for bone that is made near the tool.
         """
@@ -428,7 +430,9 @@ class VoxelBone:
         model = self.model(cutter)
 
         def keep_ready(tip_m: Array) -> None:
-            """Make more bone when the tool has moved by half of the reach; this takes longer."""
+            """Make more bone when the tool has moved by half of the reach; such a call takes
+            longer.
+            """
             moved = tip_m - made_at
             # At half of the reach, the tool cannot yet be in bone that is not made.
             if moved.dot(moved) > (0.5 * reach_m) ** 2:

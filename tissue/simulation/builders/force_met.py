@@ -49,7 +49,8 @@ FINE_POSES = 3000
 
 The first number is for a cutter. The second one is for a needle, which breaks through within tenths
 of a millimetre. With four times as many poses, the largest force of the built-in scenes changes by
-less than 0.2 %. Only in `milling`, which has a short peak at a corner, it changes by 21 %.
+less than 0.2 %. The exception is `milling`, whose force has a short peak at a corner: its largest
+force changes by 21 %.
 """
 ACROSS = 8.0
 """Number of voxels across the diameter of a cutter.
@@ -59,7 +60,8 @@ With up to 32 voxels, the largest force of the built-in scenes changes by less t
 ELEMENTS = 1500
 """Number of cutting elements of a cutter.
 
-Between 400 and 6000 elements, the largest force of the built-in scenes changes by at most 1 %.
+Between 400 and 6000 cutting elements, the largest force of the built-in scenes changes by at most
+1 %.
 """
 SLOT_VOXELS = 10
 SLOT_M_S = 2e-3
@@ -94,12 +96,12 @@ class Met(NamedTuple):
     force_N
         Largest force.
     stiffness_N_m
-        Slope of the force over the depth of the tool, at the depth of the scripted motion. It is 0
-        for a tissue that is cut or pierced. For a tissue that is graded along the scripted motion,
-        it is the geometric mean of the slopes at both ends.
+        Slope of the force over the depth of the tool, at the depth of the scripted motion. The
+        slope is 0 for a tissue that is cut or pierced. For a tissue that is graded along the
+        scripted motion, the value is the geometric mean of the slopes at both ends.
     depth_m
-        Force divided by slope, at the same depth. With Hertz's law it is two thirds of the depth of
-        the scripted motion.
+        Force divided by slope, at the same depth. With Hertz's law, the result is two thirds of the
+        depth of the scripted motion.
     """
 
     force_N: float
@@ -118,9 +120,9 @@ class Series(NamedTuple):
 
     A person notices force changes of at least kappa (F + F0). The low-force term F0 contains the
     friction of the device, because friction also hides forces. The sensitivity is therefore
-    proportional to F / (F + F0) / (1 + c K s). It is largest at c K = (F0 / s / (D + F0 s))^(1/2).
-    At a smaller scale, friction and threshold hide the force. At a larger scale, the force moves
-    the hand back.
+    proportional to F / (F + F0) / (1 + c K s). The sensitivity is largest at c K = (F0 / s / (D +
+    F0 s))^(1/2). At a smaller scale, friction and threshold hide the force. At a larger scale, the
+    force moves the hand back.
 
     Attributes
     ----------
@@ -188,10 +190,10 @@ class ForceScale(NamedTuple):
 def chosen_scale(scene: Scene) -> ForceScale:
     """Return the given force scale of a scene, or choose it.
 
-    The chosen scale is the one with the largest sensitivity (see `Series`). It is limited so that
-    the largest force on the scripted motion is above the friction of the device and well below the
-    force limit of the device. The scale has two digits. It is 1 without a device, or if no force is
-    known before the run.
+    The chosen scale is the one with the largest sensitivity (see `Series`). The scale is limited:
+    the largest force on the scripted motion must be above the friction of the device and well below
+    the force limit of the device. The scale has two digits. It is 1 without a device, or if no
+    force is known before the run.
 
     Raises
     ------
@@ -280,7 +282,7 @@ def _met(table: str, _inputs: tuple[object, ...]) -> Met:
 def cut(scene: Scene) -> Met:
     """Return the largest force of a cutter on the scripted motion, in coarse voxels.
 
-    For a tool that is pushed by a thrust, it is the thrust.
+    For a tool that is pushed by a thrust, the result is the thrust.
     """
     assert isinstance(scene.tool, Tool)
     if isinstance(scene.motion, ThrustMotion):
@@ -308,9 +310,9 @@ def pressed(scene: Scene) -> Met:
     """Return the force of a probe on a half space, at the depth of the scripted motion.
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
-    a cylinder. The modulus is that of the stiffest tissue on the scripted motion, without a nodule.
-    A hyperelastic law of the organ is ignored; the exponential law of `liver-press` has 1.3 times
-    the force. For a probe of another shape the result is 0.
+    a cylinder. The modulus of the stiffest tissue on the scripted motion is used; a nodule is
+    ignored. A hyperelastic law of the organ is ignored. With the exponential law of `liver-press`,
+    the force is 1.3 times the result. For a probe of another shape the result is 0.
     """
     organ = scene.organ
     tool = scene.tool

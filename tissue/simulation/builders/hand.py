@@ -65,7 +65,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
 
     def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
-        """Return the device in the hand of the scene, which makes the scripted motion."""
+        """Return the device in the simulated hand, which makes the scripted motion."""
         path, push = _aims(scene, scripted, tool, settings, stiffness_N_m)
         turn = _turn(scripted) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
@@ -199,7 +199,7 @@ def device_motion(
     Forces are scaled by f, and motions by m: the tool moves m times as far as the device. A
     stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so that the
     work at the device is f / m times the work at the tool. The stiffness of the coupling is given
-    at the device, whatever the scales. The stability check uses this value.
+    at the device; the scales do not change it. The stability check uses this value.
 
     Parameters
     ----------

@@ -56,13 +56,13 @@ Contact = Literal["cuts", "touches", "presses", "springs"]
 """Kind of contact of a tool.
 
 A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue that reports its
-stiffness (`Response.stiffness_N_m`), such as the test wall.
+stiffness (`Response.stiffness_N_m`), such as the virtual wall of a scene.
 """
 SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
 
 The ratio is used if no stiffness is given. Half of the critical stiffness without a hand would be
-only a seventh to a ninth of this stiffness. With either of both stiffnesses, a device that is
+only a seventh to a ninth of this stiffness. With each of these two stiffnesses, a device that is
 released on a wall leaves the wall within some hundredths of a second; see
 tests/stability/test_wall_laws.py.
 """
@@ -98,7 +98,7 @@ class LoopSettings:
         Name of the scene for which a predictor was trained.
     own_predictor
         Function that makes a new predictor, used instead of the predictor that the device table
-        names; None to use that predictor.
+        names. With None, the predictor of the device table is used.
     """
 
     held: Device
@@ -177,7 +177,7 @@ class LoopSettings:
 
 
 def sampled(limits: DeviceParameters) -> DeviceParameters:
-    """Return the parameters of a device as the loop samples it, at most once per tick."""
+    """Return the parameters of a device with a sample rate of at most one sample per tick."""
     return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
 
 
@@ -247,7 +247,7 @@ def release_note(loops: Sequence[JudgedLoop]) -> str:
 def judged_loops(
     settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """Return the checked loop of translation and, if the device plays torque, that of rotation.
+    """Return the checked loop of translation and, if the device plays torque, the loop of rotation.
 
     The check of rotation includes the coupling of both loops by a contact at a lever arm.
 
@@ -294,7 +294,8 @@ def _usable_share(position: Verdict) -> float:
     coupled loops may be unstable. If one loop has at most `SHARE` of its critical stiffness, the
     other loop may use its full critical stiffness. Otherwise, the sum of both shares is limited to
     1 + `SHARE`. The smallest sum of shares at which an oscillation grew is 1.76. In this case, bone
-    blocks a cutter 55 mm from its tip, on a sigma-7; see tests/stability/test_judged_loops.py.
+    blocks a cutter 55 mm from its tip, and the device is a sigma-7; see
+    tests/stability/test_judged_loops.py.
     """
     return min(max(SHARE + position.margin, SHARE), 1.0)
 
@@ -309,11 +310,12 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of a coupling, with its total delay.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force answers the sample in the same tick. For any other tissue, the tool estimates the
+    force responds to a device sample in the same tick. For any other tissue, the tool estimates the
     stiffness from the last motion. While the tool slides along the surface, this estimate is the
-    stiffness along the surface, and the balance of the tool is found a tick later. For a guarded
-    predictor, the loop contains the predictor or its fallback, whichever has the lower critical
-    stiffness. The played vibration of a cutter's teeth counts in proportion to the force.
+    stiffness along the surface, and the force balance of the tool is found a tick later. For a
+    guarded predictor, the loop contains the predictor or its fallback, whichever has the lower
+    critical stiffness. The check includes the played vibration of a cutter's teeth, which is
+    proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -382,7 +384,8 @@ def device_path(limits: DeviceParameters) -> WallLoop:
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     """Return linearised models of the predictor and of its fallback.
 
-    Both are linearised at a contact at rest, under a share of the device's largest force.
+    Both models are linearised at a contact at rest, under the share `REST_SHARE` of the device's
+    largest force.
     """
     predictor = settings.predictor()
     chosen = settings.coupling
@@ -414,8 +417,8 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 def _turning_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of the rotational coupling.
 
-    A pressing tool estimates the rotational stiffness of the tissue, so its balance may be found a
-    tick later.
+    A pressing tool estimates the rotational stiffness of the tissue, so the force balance of the
+    tool may be found a tick later.
     """
     limits = settings.limits
     chosen = settings.coupling

@@ -78,7 +78,8 @@ OF_ORGAN = {
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock.
 
-The error of linear tetrahedra in a cantilever is 32 % at 0.3 and 72 % at 0.49 (Aycock 2020).
+The error of linear tetrahedra in a cantilever is 32 % at a Poisson's ratio of 0.3, and 72 % at 0.49
+(Aycock 2020).
 """
 
 
@@ -86,11 +87,11 @@ REGION = 2.0
 """Ratio of the radius of the region in which a hyperelastic law is solved to the radius of the
 tool.
 
-With a Yeoh law that doubles the linear force, the error of the force at rest is 2.0 %, and 5.2 %
-with a ratio of 1.5. The error is measured against Newton's method at a depth of 0.8 of the radius
-(`tests/verification/test_organ_laws.py`). In `liver-press` with a neo-Hookean law, the error is 0.5
-% with a ratio of 1.5 and 1.3 % with 1.0 (RMS over ticks), against the law in the whole liver:
-`python tests/bench/bench_law_region.py`.
+With a Yeoh law that doubles the linear force, the error of the force at rest is 2.0 % with this
+ratio, and 5.2 % with a ratio of 1.5. The error is measured against Newton's method at a depth of
+0.8 of the radius (`tests/verification/test_organ_laws.py`). In `liver-press` with a neo-Hookean
+law, the error is 0.5 % with a ratio of 1.5 and 1.3 % with 1.0 (RMS over ticks), against the law in
+the whole liver: `python tests/bench/bench_law_region.py`.
 """
 NOT_WITH = ("gravity", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support."""
@@ -402,7 +403,7 @@ def hindrance(organ: Organ) -> str | None:
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ with the rate of its exponential law, from the scene or built in."""
+    """Return an organ with the rate of its exponential law, given in the scene or built in."""
     if organ.law != "exponential" or organ.exponential_rate is not None:
         return organ
     cited = constants.constants("soft", organ.material).get("exponential_rate")

@@ -68,7 +68,7 @@ class SoftMaterial:
         Coulomb friction coefficient between tool and organ.
     capsule, capsule_poisson_ratio
         Thickness [um] and Young's modulus [kPa] of a membrane on the surface, None for no membrane;
-        and Poisson's ratio of the membrane, default that of the organ.
+        and Poisson's ratio of the membrane, default Poisson's ratio of the organ.
     density_kg_m3
         Density [kg/m3]. If it is given, gravity acts on the organ.
     relaxation
@@ -78,7 +78,7 @@ class SoftMaterial:
         from the smallest x, where the modulus is `modulus_kPa`.
     fibre_direction, fibre_modulus_ratio
         Direction of fibres, None for no fibres; and ratio of Young's modulus along the fibres to
-        that across the fibres.
+        Young's modulus across the fibres.
 
     Raises
     ------

@@ -31,8 +31,7 @@ __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a hyperelastic law that a caller gives as a mapping."""
 ENVELOPE = 0.1
-"""Largest allowed overlap of inclusions, and distance beyond the organ, relative to the edge
-length.
+"""Largest overlap of inclusions, and largest extent beyond the organ, relative to the edge length.
 
 The mesher moves a surface by up to this distance.
 """
@@ -44,8 +43,8 @@ The value is chosen.
 TOUCHED_EDGES = 3.0
 """Radius around a point, in edge lengths, within which a tool is expected to touch the surface.
 
-The expected tool has a diameter of four edges. A press that touches a larger region takes more
-time; see `SoftOrgan.expect`.
+The expected tool has a diameter of four edge lengths. A press that touches a larger region takes
+more time; see `SoftOrgan.expect`.
 """
 
 

@@ -43,11 +43,11 @@ KEPT = 0.01
 Corners are omitted because a log has one corner per tick.
 """
 HAND_M = 0.01
-"""Largest distance of a hand's entry from the planned track for which fields are drawn [m].
+"""Largest distance of a hand's entry point from the planned track at which fields are drawn [m].
 
 The fields are drawn as if the needle were on the planned track.
 
-It is an eighth of the size of the block of tissue around the track.
+The distance is an eighth of the size of the block of tissue around the track.
 """
 
 

@@ -61,7 +61,9 @@ Corners = tuple[Array, Array]
 POSES_TRIED = 300
 """Number of poses along a motion at which contact is searched for; chosen."""
 MUCH_MORE = 2.0
-"""Ratio of the tool's volumes inside bone above which the other quaternion order is suggested.
+"""Ratio of the tool's volumes inside bone with both quaternion orders.
+
+Above this ratio, the quaternion order with the smaller volume is suggested.
 
 A tool that starts in contact overlaps some bone with both orders. The value is assumed.
 """
@@ -187,8 +189,8 @@ def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
 def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
     """Return poses along a motion at which contact is searched for.
 
-    The result is tips [m], shape (p, 3), and rotations, shape (p, 3, 3). It contains `count` poses
-    with equal distances, and the chosen corners of the motion.
+    The result is tips [m], shape (p, 3), and rotations, shape (p, 3, 3). The result contains
+    `count` poses with equal distances, and the chosen corners of the motion.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()
@@ -346,7 +348,7 @@ def opened_device(scene: Scene) -> Device | None:
     Raises
     ------
     InputError
-        If the object that was made has no `read` or `command` method.
+        If the device object has no `read` or `command` method.
     """
     if not opens_device(scene):
         return None
@@ -360,7 +362,7 @@ def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | No
     Raises
     ------
     InputError
-        If the object that was made has no `read` or `command` method.
+        If the device object has no `read` or `command` method.
     """
     entry = DEVICES[kind]
     if entry.has_adapter:

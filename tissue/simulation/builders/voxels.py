@@ -56,11 +56,11 @@ DENSE_BYTES_PER_VOXEL = 18
 The peak occurs while bricks (blocks of voxels) are made and results are written.
 """
 BRICK = 8
-"""Edge of a brick [voxels].
+"""Edge of a brick (cubic block of voxels) [voxels].
 
 A region consists of whole bricks of a fixed lattice, so a voxel has the same position in every
 region. Where a tool only grazes voxels, results in single ticks can still depend on the region,
-because float32 coordinates are relative to its origin.
+because float32 coordinates are relative to the origin of the region.
 """
 
 
@@ -210,7 +210,7 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
 
 
 def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
-    """Return a box of whole bricks [m] around the bone within a region.
+    """Return a box of whole bricks (blocks of voxels) around the bone within a region [m].
 
     The box includes some air next to the bone.
     """

@@ -167,8 +167,8 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
     Raises
     ------
     InputError
-        If the port does not exist or another program uses it, or if the link should move the tool
-        and a page or a real device also moves it.
+        If the port does not exist or another program uses the port. The error is also raised if the
+        link should move the tool and a page or a real device also moves the tool.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:

@@ -50,12 +50,13 @@ ROAM_MM = 8.0
 ROAM_ON_WALL_MM = 40.0
 """Largest distance of the tool from the scripted path when the pointer moves it [mm].
 
-The second value is for the test wall, which has no edge. With the first value, the number of voxels
-and the size of the compliance increase; it is chosen.
+The second value is for the test wall, which has no edge. The number of voxels and the size of the
+compliance matrix increase with the first value, which is chosen.
 """
 LOOK_S = 0.01
-"""Time between two checks while the run waits [s]: too short to feel, and long enough to use no
-processor time.
+"""Time between two checks while the run waits [s].
+
+The user does not feel this time, and the checks use almost no processor time.
 """
 STALLED_S = 3.0
 HELD_S = 60.0
@@ -73,13 +74,13 @@ class LiveSettings:
     Attributes
     ----------
     duration_s
-        Duration of a run that the mouse moves [s]. None: until the window is closed, at most 600 s.
-        The scene sets the duration of a scripted run.
+        Duration of a run that the mouse moves [s]. With None, the run lasts until the window is
+        closed, at most 600 s. The scene sets the duration of a scripted run.
     opened
         If given, a page in a browser shows the run instead of a window. The function is called once
         with the address of the page. The ticks wait until the page is open. The user of the page
         can reset the run: the same scene is then simulated again from its start. The rows of the
-        previous run are kept until those of the next run replace them.
+        previous run are kept until the rows of the next run replace them.
     slicer
         Settings for publication to 3D Slicer, see `docs/guide/slicer.md`. No window opens if a
         client of 3D Slicer moves the tool.
@@ -127,8 +128,9 @@ class LiveSettings:
         ------
         InputError
             If the display does not respond, a page cannot be served or is requested with a real
-            device, the port for 3D Slicer is in use, 3D Slicer and another source would move the
-            tool, ROS 2 is not installed, or the installed package lacks a process of the live run.
+            device, or the port for 3D Slicer is in use. The error is also raised if 3D Slicer and
+            another source would move the tool, ROS 2 is not installed, or the installed package
+            lacks a process of the live run.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)
@@ -157,12 +159,12 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     """Simulate a scene in real time, with the mouse as device; without a display, run the script.
 
     If the scene names a real device that can be opened, that device is used without a window.
-    Otherwise the mouse replaces the device of the scene, and the same spring couples the tool to
-    it. The trace and the window contain the forces that the device would play. In a scene without a
-    device, the mouse replaces a device of kind ``touch``. A tick misses its deadline if it is not
-    complete within 1 ms of its due time. See `WallClock` for late ticks. The priority of the ticks
-    is raised as far as the system allows; see the note ``priority``. Ctrl-C or closing the window
-    ends the run. The result is a run like any other.
+    Otherwise the mouse replaces the device of the scene, and the spring of the coupling connects
+    the tool to the mouse. The trace and the window contain the forces that the device would play.
+    In a scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
+    deadline if it is not complete within 1 ms of its due time. See `WallClock` for late ticks. The
+    priority of the ticks is raised as far as the system allows; see the note ``priority``. Ctrl-C
+    or closing the window ends the run. The function returns a run, as `simulate` does.
 
     Parameters
     ----------

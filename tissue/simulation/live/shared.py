@@ -50,7 +50,7 @@ On other systems the folder for temporary files is used.
 TRIES = 20
 """Number of attempts to read an array.
 
-A write takes some microseconds. If it never ends, the writing process has ended.
+A write takes some microseconds. If all attempts fail, the writing process has ended.
 """
 ALIGNED = 64
 """Alignment of each array [bytes]: one cache line."""
@@ -63,7 +63,9 @@ the bricks.
 MOVED_TICKS = 33
 """Ticks between two pictures of an organ's surface; a window draws 30 pictures per second."""
 MOST_SHOWN = 600_000
-"""Largest number of blocks of voxels that the window shows; for more blocks, larger ones are used.
+"""Largest number of blocks of voxels that the window shows.
+
+A bone with more blocks is shown in larger blocks.
 
 The larger blocks have four by four by four voxels instead of two by two by two. The surface of
 600,000 blocks takes 29 ms, less than the 33 ms between two pictures.
@@ -276,7 +278,9 @@ def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSu
 
 
 class BoneSurface:
-    """Surface of a bone in blocks of voxels, from the bricks that the ticks copy.
+    """Surface of a bone in blocks of voxels, computed from the bricks that the ticks copy.
+
+    A brick is a block of 8 x 8 x 8 voxels.
 
     Parameters
     ----------
@@ -337,7 +341,8 @@ class BoneSurface:
 class OrganSurface:
     """Surface of a soft organ, displaced where the displacement is known.
 
-    The shown displacement decreases with the distance from there.
+    Elsewhere, the shown displacement decreases with the distance from the nodes of known
+    displacement.
 
     Parameters
     ----------
@@ -388,7 +393,7 @@ class OrganSurface:
         return True
 
     def _spread(self, known: Flags) -> None:
-        """Find for each point the nearest point with known displacement, and its share of it."""
+        """Find the nearest point with known displacement, and the share of it, for each point."""
         from scipy.spatial import cKDTree
 
         self._known = known

@@ -1,4 +1,4 @@
-"""Window of a live run in a process of its own, which receives rows and returns the pointer."""
+"""Window of a live run, in a separate process that receives rows and returns pointer positions."""
 
 import json
 import os
@@ -104,7 +104,10 @@ def push(
     *,
     turn: Quaternion = UPRIGHT,
 ) -> None:
-    """Move a mouse so that the tool goes to a position [m]; the tool moves `scale` times as far."""
+    """Move a mouse so that the tool goes to a position [m].
+
+    The tool moves `scale` times as far as the mouse.
+    """
     x, y, z = (start_m + (np.array(pointed_m) - start_m) / scale).tolist()
     mouse.push((x, y, z), turn)
 
