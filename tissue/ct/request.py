@@ -419,8 +419,8 @@ def plain_names(names: Sequence[str]) -> list[str]:
 class ImportedPath:
     """Path on a bone.
 
-    It contains the poses in the frame of the site, the depth below the surface, and a sentence that
-    describes the path.
+    The object contains the poses in the frame of the site, the depth below the surface, and a
+    sentence that describes the path.
     """
 
     table: ReplayTable

@@ -369,8 +369,8 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def snapshot(self) -> State:
         """Return a copy of the state, which can be pickled.
 
-        The state contains the tissue, the tool, the episode and the random generator. It can be
-        restored in an environment that was made with equal arguments.
+        The state contains the tissue, the tool, the episode and the random generator. The state can
+        be restored in an environment that was made with equal arguments.
         """
         self._require_episode("snapshot")
         return {

@@ -184,7 +184,7 @@ class Milling(ContactEnvironment):
     def _shares(self) -> tuple[float, float]:
         """Return the volumes removed from the target and beyond the tolerance.
 
-        Both are relative to the volume of the target.
+        Both volumes are divided by the volume of the target.
         """
         target, _, spared = (1e9 * self.bone.model.removed_m3 / self._target_mm3).tolist()
         return target, spared

@@ -35,7 +35,7 @@ HYPER = (
 )
 """Parameters of the population.
 
-They are the means and the standard deviations over people, and the mean of sigma squared.
+The parameters are the means and the standard deviations over people, and the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma distribution of sigma squared over people.

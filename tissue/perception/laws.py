@@ -234,8 +234,8 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
 NODES = 4097
 """Number of nodes of a table.
 
-Over five decades of force, log-linear interpolation has an error below 1e-6. This was computed for
-observers whose exponent has a standard deviation of at most 0.5.
+Over five decades of force, log-linear interpolation has an error below 1e-6. The error was computed
+for observers whose exponent has a standard deviation of at most 0.5.
 """
 
 

@@ -131,7 +131,7 @@ class DelayOperator:
 def coordinates(position_m: Array, stretch_m: Array) -> Array:
     """Return the coordinates from positions and stretches at `DELAYS`, (COORDINATES, ...).
 
-    Both arguments have shape (delays, ...), newest first.
+    Both arguments have shape (delays, ...), with the newest value first.
     """
     return np.concatenate((position_m[:-1] - position_m[1:], stretch_m))
 

@@ -38,7 +38,7 @@ excess error of the zero-order hold, was computed with weights of 0.5, 0.8 and 1
 JUMP_M = 5e-4
 """Change of a force in a tick, divided by the coupling's stiffness, that is a jump [m].
 
-It corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand is that fast.
+The value corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand moves so fast.
 """
 UNKNOWN = 1.0
 """Variance of an unknown slope; the slope of a tissue as stiff as the coupling is 1."""

@@ -18,7 +18,7 @@ This weight makes the fit solvable at rest. The fit then returns to the initial 
 SMOOTHED = 8
 """Number of ticks on each side over which a parabola smooths the target position.
 
-This removes most of the effect of encoder steps on the target.
+The smoothing removes most of the effect of encoder steps on the target.
 """
 INTERVAL = 32
 """Number of ticks between two solves of the fit. A solve takes 30 us in its tick."""

@@ -169,7 +169,7 @@ LONGEST_WINDOW = 1000
 JERKINESS = 1e-3
 """Variance of the force's third difference divided by the variance of its noise.
 
-It is the best of the values from 1e-8 to 1e-2 in recordings of `wall`.
+In recordings of `wall`, this value gave the smallest error of the values from 1e-8 to 1e-2.
 """
 
 

@@ -24,8 +24,8 @@ SHIPPED = Path(__file__).parent / "trained"
 VALIDATED_AT = 6
 """Prediction horizon in whole ticks at which predictors are compared in training.
 
-It is the horizon for 4 ms of latency. On a Touch, including the path to the motor, this is 6.11
-ticks, see `tissue.simulation.builders.loop.lead_ticks`.
+The value is the horizon for 4 ms of latency. On a Touch, this horizon is 6.11 ticks including the
+path to the motor, see `tissue.simulation.builders.loop.lead_ticks`.
 """
 FORMAT = "tissue predictor"
 VERSION = 4

@@ -42,7 +42,8 @@ In the network protocol, a device removes its force by itself after the same tim
 GIVE_UP_S = 1.0
 """Longest duration of a read or a command before the device is treated as lost [s].
 
-The force is already removed after `STALL_S`. This longer time only ends the wait of the user.
+The force is already removed after `STALL_S`. After this longer time, the user no longer has to wait
+for the device.
 """
 OPENING_S = 10.0
 """Longest duration of opening a device, including search, connection and wake-up [s].

@@ -18,7 +18,8 @@ __all__ = ["CompensatedPath", "FeltDrop", "PushingHand", "Thrust"]
 THRESHOLDS = 2.0
 """Drop of the felt force to which a participant reacts [discrimination thresholds] (assumed).
 
-At one threshold, 75 % of answers are right. This is too unreliable to end a push.
+At a drop of one threshold, 75 % of answers are right. Such an answer is too unreliable to end a
+push.
 """
 
 

@@ -28,7 +28,7 @@ The position is 1 % of the depth of the contact, so that the response is linear.
 LONGEST = 512
 """Largest number of ticks for which the response to a change is recorded.
 
-It is five times the longest memory of the built-in predictors, 102 ticks.
+The value is five times the longest memory of the built-in predictors, which is 102 ticks.
 """
 FADED = 1e-3
 """Ratio of a response to the largest response below which the response has decayed.
@@ -45,7 +45,7 @@ be rigid.
 SETTLING = 300
 """Number of ticks of a contact at rest before a predictor is probed.
 
-It is three times the longest memory of the built-in predictors.
+The value is three times the longest memory of the built-in predictors.
 """
 
 

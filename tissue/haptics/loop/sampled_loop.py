@@ -305,7 +305,7 @@ class ForecastMemory:
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
         """Return the force to play at a tick of the model step.
 
-        It is computed from the position, the filtered speed and the model force.
+        The force is computed from the position, the filtered speed and the model force.
         """
         forecast = self._loop.forecast
         if forecast is None:

@@ -166,8 +166,8 @@ def growth_while_running(
 def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Array:
     """Return the stiffness above which the amplitude of a run grows [N/m], shape (n,).
 
-    It is computed by bisection for all loops at once. It is zero if the amplitude grows even with
-    the softest wall (0.1 N/m).
+    The stiffness is computed by bisection for all loops at once. The result is zero if the
+    amplitude grows even with the softest wall (0.1 N/m).
     """
     low = np.full(len(loops), SOFTEST_N_M)
     high = np.full(len(loops), STIFFEST_N_M)

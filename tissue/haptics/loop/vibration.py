@@ -136,8 +136,8 @@ class PlayedVibration:
 CUE_HZ = 125.0
 """Frequency of the transient of a cue [Hz].
 
-It lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan, 2009). It is
-an eighth of the tick rate, so that it is played smoothly.
+The frequency lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan,
+2009). The frequency is an eighth of the tick rate, so that the transient is played smoothly.
 """
 PERIODS = 5
 """Number of periods of a transient under a Hann window."""

@@ -40,7 +40,7 @@ LEVERS = np.outer(LEVER, LEVER)
 TOLERANCE = 1e-6
 """Largest residual of the force balance, relative to the force that drives the tool.
 
-This is the rounding error of forces in single precision.
+The value is the relative rounding error of forces in single precision.
 """
 LEAST_N = 1e-4
 """Residual that is always accepted [N]; a tool at rest on its spring then needs no step.

@@ -85,7 +85,7 @@ tool therefore does not jump between free space and contact between two encoder 
 LEAST_M = 2e-6
 """Smallest displacement for an estimate of the tissue stiffness [m].
 
-It is far below an encoder step (55 um on a Touch), and far above the rounding error.
+The value is far below an encoder step (55 um on a Touch), and far above the rounding error.
 """
 
 
@@ -148,7 +148,7 @@ class HeldTool(ABC):
     def lands(self, response: Response) -> bool:
         """Return True if the response at the new position requires another step in this tick.
 
-        This is the case if a free tool has entered the tissue.
+        Another step is required if a free tool has entered the tissue.
         """
         return False
 

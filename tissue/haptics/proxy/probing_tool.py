@@ -20,8 +20,9 @@ __all__ = ["ProbedBone", "ProbingTool"]
 RIGID_LEVER_M = 10.0
 """Lever of the rotational spring for a device that imposes its rotation [m].
 
-It is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2, so that
-contacts turn the tool only by 1e-4 of the rotation with the tool's own lever.
+The value is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2.
+Contacts therefore turn the tool only by 1e-4 of the rotation that they cause with the tool's own
+lever.
 """
 
 

@@ -49,7 +49,7 @@ PERIOD_S = 1e-3
 ANSWER_S = 0.02
 """Longest wait for an answer [s].
 
-It equals the default of ``hardware.watchdog_ms``. The vendor does not give a time.
+The value equals the default of ``hardware.watchdog_ms``. The vendor does not publish such a time.
 """
 LOST_S = 0.5
 """Time without answers after which late answers are treated as lost [s].
@@ -61,12 +61,12 @@ PATIENCE_S = 0.01
 HOLD_S = 0.03
 """Longest time for which a force is repeated without a new command of the loop [s].
 
-It allows for late ticks, and the force is still removed within 50 ms.
+The value allows for late ticks, and the force is still removed within 50 ms.
 """
 GIVE_UP_S = 3.0
 """Longest time for which a run continues without a sample [s].
 
-It is longer than `AGAIN_S`, so that the attempts to reconnect end first.
+This time is longer than `AGAIN_S`, so that the attempts to reconnect end first.
 """
 AGAIN_S = 2.5
 """Longest time for attempts to reconnect to the service, for example after a restart [s]."""

@@ -32,7 +32,7 @@ USUAL = "udp://127.0.0.1:24930"
 MOST_READS = 256
 """Largest number of packets read per poll.
 
-These are the packets of a quarter of a second. Reading them takes about 2 ms.
+At 1 kHz, so many packets arrive in a quarter of a second. Reading these packets takes about 2 ms.
 """
 LONGEST_PACKET = 1024
 """Number of bytes read of a datagram.
@@ -58,7 +58,7 @@ device that does not close.
 SEND_S = 0.25
 """Longest time in which a device may receive no packets before its connection is ended [s].
 
-It is half of the silence after which the session gives up the device.
+The value is half of the silence after which the session gives up the device.
 """
 HANDSHAKE_S = 2.0
 """Longest time for a connection to become a WebSocket [s].

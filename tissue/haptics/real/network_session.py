@@ -157,7 +157,8 @@ missing.
 KEPT = 1024
 """Number of wrenches whose send time is stored to measure round trips, about a second at 1 kHz.
 
-It is a power of two, so that the storage places stay consecutive when the sequence numbers restart.
+The value is a power of two, so that the storage places stay consecutive when the sequence numbers
+restart.
 """
 MOST_WORDS = 400
 """Largest length of the sentence of a refusal [bytes]."""

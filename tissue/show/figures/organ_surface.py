@@ -36,7 +36,7 @@ MOST_PASSES = 10
 """Longest edge of the triangles of a section, relative to the diagonal of the organ, and largest
 number of divisions.
 
-This edge is about ten pixels of a picture long.
+In a picture, the longest edge is about ten pixels long.
 """
 
 

@@ -141,8 +141,8 @@ def columns(trace: Table) -> Record:
 def charts(trace: Table, scene: Scene | None) -> list[Record]:
     """Return the charts of a report.
 
-    They show force, torque, removal rate or contact area, force at a device, depth, and a chosen
-    column.
+    The charts show force, torque, removal rate or contact area, force at a device, depth, and a
+    chosen column.
     """
     shown, factor = torque_unit(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0))
     torque = ("torque", "Nm", f"torque / {shown}", factor)

@@ -309,7 +309,8 @@ class Window:
     def _add_controls(self) -> None:
         """Add the controls of a window.
 
-        They are the list of fields, point values, clip plane, and factor of the displacement.
+        The controls are the list of fields, point values, clip plane, and factor of the
+        displacement.
         """
         fields = self.fields
         series = self._shown.series
