@@ -12,9 +12,9 @@ Expected for a glenoid reamed 2 mm deep:
 - the torque peaks at 0.90 N m.
 
 These values depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). The
-values are plausible, not validated. If the coefficients are drawn from their cited ranges, 90 % of
-the peak thrusts lie between 41 and 361 N, and 90 % of the peak torques between 0.38 and 3.5 N m
-(`tissue run glenoid --band 4096`).
+values are plausible, not validated. If the coefficients are drawn from the ranges of the cited
+sources, 90 % of the peak thrusts lie between 41 and 361 N. The interval for 90 % of the peak
+torques is 0.38 to 3.5 N m (`tissue run glenoid --band 4096`).
 """
 
 from pathlib import Path

@@ -14,9 +14,9 @@ Expected:
 - At the end, 0.60 mm of dentin are left above the pulp. The run gives a warning at 1 mm.
 
 These values depend on cutting coefficients of low confidence (`tissue/materials/cutting.toml`). The
-values are plausible, not validated. If the coefficients are drawn from their cited ranges, 90 % of
-the forces lie between 0.3 and 5.4 N in enamel, and between 0.05 and 0.6 N in dentin
-(`bench_band.py --published`).
+values are plausible, not validated. If the coefficients are drawn from the ranges of the cited
+sources, 90 % of the forces lie between 0.3 and 5.4 N in enamel, and between 0.05 and 0.6 N in
+dentin (`bench_band.py --published`).
 """
 
 from pathlib import Path

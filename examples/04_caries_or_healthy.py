@@ -3,9 +3,9 @@ Carious or healthy by the force alone
 =====================================
 
 A round bur moves straight down the fossa of two molars. One of them has a lesion 3 mm deep. A
-threshold on the axial force classifies each tick as carious or sound. The example computes the best
-share of correct classifications, and the probability that the force in a carious tick is smaller
-than the force in a sound tick. Then the sound tooth is drilled at half the feed.
+threshold on the axial force classifies each tick as carious or sound. The example computes the
+largest share of correct classifications, and the probability that the force in a carious tick is
+smaller than the force in a sound tick. Then the sound tooth is drilled at half the feed.
 
 Expected:
 

@@ -14,9 +14,9 @@ Expected:
 - The von Mises stress is largest within one radius below the ball.
 
 The cells of the mesh are quadratic, and small only under the ball. If the small cells or the large
-cells are halved in size, the force changes by about 1 %. The run reports the depth from which the
-error of linear elasticity is 5 %. The cited range of the modulus is 2 to 15 kPa. The force is
-proportional to the modulus, so nine of ten livers have a force between 0.11 and 0.79 N.
+cells are halved in size, the force changes by about 1 %. The run reports the depth above which the
+error of linear elasticity exceeds 5 %. In the cited sources, the modulus is 2 to 15 kPa. The force
+is proportional to the modulus, so nine of ten livers have a force between 0.11 and 0.79 N.
 """
 
 from pathlib import Path

@@ -6,8 +6,8 @@ A simulated hand touches a rigid virtual wall of 2 kN/m, presses the wall, and i
 is done with three renderers (laws that compute the force from the penetration). The device has six
 degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers of 300 Hz), and a simulated
 expert holds it. According to the eigenvalues, the loop with this hand is stable up to a wall
-stiffness of 2906 N/m, so the wall is stable with a margin of 31 %. Without a hand the device would
-be stable up to 262 N/m only, and the wall would be refused.
+stiffness of 2906 N/m. The stiffness of this wall is 31 % below this limit. Without a hand the
+device would be stable up to 262 N/m only, and the program would refuse the wall.
 
 Expected:
 

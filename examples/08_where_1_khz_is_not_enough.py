@@ -12,8 +12,8 @@ Expected for the six-degree-of-freedom device (75 g, 0.4 N s/m):
 - With half a millisecond of delay and an amplifier of 300 Hz, the device is stable up to 262 N/m at
   1 kHz and 371 N/m at 10 kHz. No rate is enough.
 - In a hand, the device is stable up to 2906 N/m at 1 kHz, because of the damping of the hand.
-- If a tissue model responds at 100 Hz and its force is held in the meantime, the device in that
-  hand is stable up to 770 N/m only, at any rate of the loop.
+- If a tissue model responds at 100 Hz, its force is held between two responses. The device in the
+  hand is then stable up to 770 N/m only, at any rate of the loop.
 
 Each of these stiffnesses is a critical stiffness, computed from eigenvalues. In a simulation,
 oscillations grow at a stiffness 5 % above the critical stiffness, and decay at 5 % below it. A wall

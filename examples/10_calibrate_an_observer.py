@@ -8,12 +8,12 @@ number.
 
 Expected:
 
-- A simulated person with a Weber fraction of 7 % and a Stevens exponent of 1.7 is estimated at 7.7
-  % and 1.71. Both true values are in the 95 % intervals.
+- A simulated person with a Weber fraction of 7 % and a Stevens exponent of 1.7 is estimated at
+  7.7 % and 1.71. Both true values are in the 95 % intervals.
 - A session that is interrupted after 50 trials and continued from its log ends with the same
   observer, bit for bit.
-- In sessions with 200 such people, the error of one session is about 15 %. This is the limit of 120
-  answers, because the answer to a comparison is one bit.
+- In simulated sessions with 200 such people, the error of the Weber fraction is about 15 %. This is
+  the limit of 120 answers, because the answer to a comparison is one bit.
 """
 
 import tempfile

@@ -10,7 +10,7 @@ Expected:
 
 - The mean force on the needle is 2.1 N in the tenth of a second before the puncture, and 1.6 N in
   the tenth of a second after the puncture. 100 simulated people of each group discriminate the two
-  forces with an error below 10 %.
+  forces with an error rate below 10 %.
 - To scale the force for a person, the person first rates 24 forces with a number. Scaling changes
   the share of correct answers by less than 3 %.
 

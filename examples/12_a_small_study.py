@@ -7,9 +7,9 @@ This example tests whether a prediction of the force hides the latency during co
 Expected from two trials of each group:
 
 - Without prediction, the error of the played force is 5 %, relative to the force without latency.
-- Prediction by a Koopman operator reduces this error to less than 0.85 of its size, and removes
-  more than two of six milliseconds of lag.
-- A trial that runs alone gives the same numbers to the last bit.
+- Prediction by a Koopman operator reduces this error to less than 85 % of its value, and the lag of
+  6 ms by more than 2 ms.
+- A trial that runs alone gives bitwise equal results.
 
 All people in this study are simulated.
 """

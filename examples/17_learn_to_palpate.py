@@ -30,7 +30,7 @@ TOP_MM_S = np.array([60.0, 60.0, 30.0])
 STEP_S = 0.02
 LOW = np.array([-2.5, 4.0, 5.0, 0.0])
 HIGH = np.array([-0.3, 20.0, 60.0, 0.9])
-"""Bounds of the tip's height [mm], the radius [mm], the speed [mm/s] and the share of the radius.
+"""Bounds of the tip's height [mm], the radius [mm], the speed [mm/s] and the radial share.
 """
 
 # %%
@@ -41,7 +41,7 @@ HIGH = np.array([-0.3, 20.0, 60.0, 0.9])
 
 
 def hardest(felt: list[Floats]) -> Floats:
-    """Return the mean of the touched places, weighted by their excess hardness [mm]."""
+    """Return the weighted mean position of the hardest quarter of the touched places [mm]."""
     x, y, hard = np.array(felt).T
     # only the hardest quarter counts; 1e-12 avoids a division by zero if all places are equal
     weight = np.clip(hard - np.quantile(hard, 0.75), 0.0, None) ** 2 + 1e-12
@@ -49,7 +49,7 @@ def hardest(felt: list[Floats]) -> Floats:
 
 
 def score(env: Any, policy: Floats, seed: int) -> float:
-    """Return the score of an episode by a policy: height, radius, speed and share of radius."""
+    """Return the score of an episode under a policy (height, radius, speed, radial share)."""
     height, radius, speed, share = np.clip(policy, LOW, HIGH)
     observation, _ = env.reset(seed=seed)
     # corners at steps of 15 degrees, back to the first corner

@@ -3,7 +3,7 @@ A robot drills a pedicle
 ========================
 
 A robot arm in MuJoCo drills the pedicle of a lumbar vertebra. `tissue.Loop` gives the force on the
-drill in every millisecond, and MuJoCo moves the arm under it.
+drill in every millisecond, and MuJoCo moves the arm under this force.
 
 The arm is under admittance control, which computes the feed of the drill from the thrust. The arm
 pauses when the drill breaks through the cortex, and then continues to a depth of 15 mm. The arm
@@ -130,7 +130,7 @@ THRUST_N = 30.0
 DAMPING_N_S_M = 8e3
 MASS_KG = 40.0
 FASTEST_M_S = 2.5e-3
-"""Largest feed [m/s]: chips of 0.075 mm, where the cutting law holds up to 0.1 mm."""
+"""Largest feed [m/s]. The chips are 0.075 mm thick; the cutting law holds up to 0.1 mm."""
 LOW_PASS = 1.0 - np.exp(-1.0 / 5.0)
 FALLS_TO = 0.4
 HOLD_TICKS = 300

@@ -3,7 +3,7 @@ A robot palpates soft tissue
 ============================
 
 A SCARA robot in MuJoCo slides a fingertip over soft tissue under a constant force. The robot finds
-a stiff nodule, because the finger sinks less deep above the nodule. MuJoCo and `tissue.Loop` both
+a stiff nodule, because the finger sinks in less above the nodule. MuJoCo and `tissue.Loop` both
 take steps of 2 ms.
 
 Needs ``pip install mujoco``.

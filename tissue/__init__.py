@@ -1,5 +1,4 @@
-"""Simulate the cutting of bone, the drilling of teeth and the pressing of soft organs, and the
-forces that a hand feels.
+"""Simulate bone cutting, tooth drilling and soft-organ pressing, and the forces that a hand feels.
 
 >>> import tissue
 >>> run = tissue.simulate(tissue.load_scene("glenoid"))  # doctest: +SKIP
@@ -129,7 +128,7 @@ _MODULES = {
 
 
 def _require_siblings() -> None:
-    """Refuse a foreign ``meshes`` or ``kernels`` package that hides the one of this project."""
+    """Raise an error if a foreign package ``meshes`` or ``kernels`` hides the project's package."""
     root = Path(__file__).resolve().parent.parent
     for name in ("meshes", "kernels"):
         spec = find_spec(name)

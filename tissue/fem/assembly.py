@@ -14,9 +14,9 @@ pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)``, with the thickness t a
 `kernels.tetrahedra`.
 
 Prefer linear cells under a stiff capsule on a curved body. Quadratic cells with straight edges have
-nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners
-are displaced inwards too far. The error of their displacement is 8 % if capsule and body are
-equally stiff, with 7 cells a quadrant. The error of the mean displacement is 2 %.
+nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners are
+displaced inwards too far. The error of their displacement is 8 % if capsule and body are equally
+stiff, with 7 cells per quadrant. The error of the mean displacement is 2 %.
 """
 
 from functools import cache
@@ -53,12 +53,11 @@ __all__ = [
 SOFTENED_RATIO = 1.0
 """Part of the first Lame constant that is not softened, divided by the shear modulus.
 
-The errors are measured above the nodule of `palpation`, for the force and for the excess, the
-additional force caused by the nodule. With edges of 4 mm, the error of the excess is 2.5 % with 1
-and 3.5 % with 2, and the error of the force is -0.1 % and +0.4 %. Without softening and with edges
-of 5 mm, these errors are 10 % (excess) and 3.6 % (force): `python tests/bench/bench_nodule.py
---parts meshes`. With 0 and edges of 5 mm, the displacement under Hertz's pressure is up to 5 % too
-large.
+The errors are measured above the nodule in the scene `palpation`. The excess is the additional
+force caused by the nodule. With edges of 4 mm and a ratio of 1, the error is 2.5 % for the excess
+and -0.1 % for the force. With a ratio of 2, the errors are 3.5 % and +0.4 %. Without softening and
+with edges of 5 mm, they are 10 % and 3.6 %: `python tests/bench/bench_nodule.py --parts meshes`.
+With a ratio of 0 and edges of 5 mm, the displacement under Hertz's pressure is up to 5 % too large.
 """
 
 

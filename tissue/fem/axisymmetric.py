@@ -44,13 +44,13 @@ GROWTH = 1.22
 CONTACT = 0.9
 """Radius within which the surface cells have equal length, divided by the ball's radius."""
 PENALTY = 100.0
-"""Contact stiffness per area, divided by shear modulus / cell length at the surface."""
+"""Contact stiffness per area, divided by the ratio of shear modulus to surface cell length."""
 CORRECTIONS = 30
 """Largest number of corrections of the contact pressures."""
 TOLERANCE = 1e-4
 """Largest depth of a point in contact inside the ball, divided by the ball's radius."""
 TRUSTED = 1.5
-"""Ratio of pressure to multiplier to which the pressure is limited in the contact's tangent."""
+"""Upper limit of the ratio of pressure to multiplier in the tangent of the contact."""
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
 """Components rr, rz, zr, zz and hoop of the identity, the undeformed state."""
 NEWTON_STEPS = 40
@@ -164,7 +164,7 @@ def _graded(count: int, edge: float, end: float) -> Array:
 def press_forces(mesh: LayerMesh, law: Hyperelastic | LinearLaw, depths_m: Array) -> Array:
     """Compute the force of a ball on a layer at rising depths [N], shape of the depths.
 
-    From the first depth without an equilibrium on, the forces are NaN.
+    At the first depth without an equilibrium, and at all larger depths, the forces are NaN.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ class _Layer:
         self.force_N = 0.0
 
     def advance(self, depth_m: float) -> bool:
-        """Move the ball to a depth [m]; return False and keep the state without an equilibrium."""
+        """Move the ball to a depth [m]; without an equilibrium, keep the state and return False."""
         before = self._u.copy(), self._pressure.copy(), self._centre
         self._centre = self._mesh.radius_m - depth_m
         for _ in range(CORRECTIONS):

@@ -114,8 +114,8 @@ def conjugate_gradients(
 ) -> Solution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The factor of the last direction is that of Polak and Ribiere. It allows a preconditioner that
-    is slightly unsymmetric, or in single precision (Golub and Ye 1999, SIAM J. Sci. Comput.
+    The factor of the last direction follows Polak and Ribiere. This factor allows a preconditioner
+    that is slightly unsymmetric, or in single precision (Golub and Ye 1999, SIAM J. Sci. Comput.
     21:1305).
 
     Parameters

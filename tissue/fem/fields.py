@@ -118,7 +118,7 @@ def group_stress(
 ) -> StressState:
     """Return the mean stress of groups of cells at points in the cells, weighted by cell volume.
 
-    The parameters are those of `kernels.tetrahedra.group_stress`, the errors those of
+    The parameters are described in `kernels.tetrahedra.group_stress`, and the errors in
     `cell_stress`.
     """
     rows = elasticity_rows(elasticity, space.cell_count)

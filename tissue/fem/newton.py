@@ -83,7 +83,7 @@ class RigidSphere:
         return float(energy), -pressed[:, None] * outward
 
     def blocks(self, positions_m: Array) -> Array:
-        """Return the second derivative of the energy by the positions [N/m], shape (s, 3, 3)."""
+        """Return the second derivatives of the energy for each node [N/m], shape (s, 3, 3)."""
         pressed, outward, distance = self._pressed(positions_m)
         along = outward[:, :, None] * outward[:, None]
         stiff = np.where(pressed > 0.0, self._penalty, 0.0)
@@ -92,7 +92,7 @@ class RigidSphere:
         )
 
     def settled(self, positions_m: Array) -> bool:
-        """Return True if the nodes satisfy the contact conditions; else correct the multipliers."""
+        """Return True if the contact conditions are satisfied; if not, correct the multipliers."""
         pressed, _, distance = self._pressed(positions_m)
         violation = np.maximum(self.radius_m - distance, -self._multiplier / self._penalty)
         if np.abs(violation).max() <= self._tolerance_m:
@@ -110,7 +110,7 @@ class RigidSphere:
 
 
 HALVINGS = 30
-"""Number of halvings of a step, down to 1e-9 of it, before the solve has stalled."""
+"""Number of halvings of a step, to 1e-9 of its length, after which the solve has stalled."""
 ARMIJO = 1e-4
 """Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-12
@@ -223,9 +223,10 @@ class NewtonSolver:
         return NewtonSolution(now, outcome, steps, residual, force_N=force, tool_force_N=push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
-        """Return the start with moved held components; free components follow to first order.
+        """Return the start displacement after a motion of the held components.
 
-        If this motion inverts a cell, only the held components move.
+        The free components follow to first order. If this motion inverts a cell, only the held
+        components move.
         """
         tangent = self.body.stiffness(start)
         # The tolerance of 1e-3 is far below the error of this first-order guess.
@@ -344,7 +345,7 @@ def press_at(
 ) -> tuple[NewtonSolution, RigidSphere, float]:
     """Solve for the equilibrium with a rigid sphere that moves in a straight line.
 
-    The body is at rest before.
+    The body is at rest at the start.
 
     Parameters
     ----------

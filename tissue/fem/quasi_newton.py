@@ -1,7 +1,7 @@
 """Equilibrium of a nonlinear body under slowly changing nodal forces, solved by L-BFGS.
 
 Each step needs one evaluation of the internal forces and one solve with a factor. The first factor
-is that of the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
+belongs to the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
 Program. 45:503) depend on the body and not on the forces. They therefore stay valid when the load
 changes. When a solve needs many steps, the stiffness at the present displacement is factorised.
 
@@ -37,7 +37,8 @@ ROUNDING = 1e-12
 SMALL = 1e-3
 """Smallest reference force of the residual, as a share of the largest load so far.
 
-The residual of a smaller load is relative to this share, so such a load need not be balanced.
+The residual of a smaller load is divided by this reference force, so such a load need not be
+balanced.
 """
 MANY = 8
 """Number of steps after which the stiffness at the present displacement is factorised anew."""
@@ -107,7 +108,7 @@ class Springs:
         return cls(root, solve_triangular(lower, target_m.ravel(), lower=True))
 
     def at(self, share: float, start_m: Array) -> "Springs":
-        """Return springs whose targets are moved from a displacement towards these targets.
+        """Return springs with targets between a displacement and the targets of these springs.
 
         Parameters
         ----------
@@ -170,7 +171,7 @@ class _State:
 
 @dataclass(eq=False)
 class _Tangent:
-    """Factor of the stiffness at a displacement [m], made definite or not.
+    """Factor of the stiffness at a displacement [m]; the stiffness may be made definite first.
 
     A pickled tangent has no factor. The factor is computed again at the first use.
     """
@@ -297,7 +298,7 @@ class QuasiNewton:
         return {"last": self._last, "memory": list(self._memory), "tangent": self._tangent}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Return to an earlier state, of this solver or of an equal one."""
+        """Return to an earlier state, of this solver or of an equal solver."""
         tangent: _Tangent | None = state["tangent"]
         factor = self.at_rest
         if tangent is not None:
@@ -344,7 +345,7 @@ class QuasiNewton:
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
         """Take a step, shortened until the energy decreases.
 
-        Return False if the step decreases the energy at no length.
+        Return False if no length of the step decreases the energy.
         """
         if slope <= 0.0:
             return False
@@ -375,8 +376,8 @@ class QuasiNewton:
     def take_stiffness(self) -> None:
         """Factorise the tangent at the present displacement.
 
-        A tangent that is not positive definite is replaced by one with positive eigenvalues at
-        each quadrature point.
+        A tangent that is not positive definite is replaced by a tangent with positive eigenvalues
+        at each quadrature point.
         """
         at_m = self.displacement_m
         is_definite = False

@@ -37,9 +37,9 @@ With 24 to 96 modes the forces of `liver-press` differ by at most 0.2 % (`python
 tests/bench/bench_law_region.py --modes 24 48 96`).
 """
 LOADS = 80
-"""Number of random loads from which the modes are computed: 32 more than modes."""
+"""Number of random loads from which the modes are computed: `MODES` plus 32."""
 SMALLEST = 1e-6
-"""Ratio to the largest singular value below which a mode is a rounding error."""
+"""Singular value, relative to the largest, below which a mode is a rounding error."""
 SEED = 0
 """Seed of the random loads."""
 

@@ -11,8 +11,8 @@ with 1 = sum l_i. For the middle of edge ij it is ``4 (l_i g_j + l_j g_i)``. Pro
 exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so no quadrature is
 needed.
 
-The block pattern has the positions of the 3x3 blocks of an assembled matrix, and the cells that
-contribute to each block.
+The block pattern contains the positions of the 3x3 blocks of an assembled matrix, and the cells
+that contribute to each block.
 
 Pairs of nodes are grouped by two stable counting sorts, whose time is linear in the number of
 pairs. SciPy's conversion of one compressed row into columns is such a sort. Each pair is summed

@@ -67,11 +67,10 @@ class _Breach:
 class KeepClear:
     """Distance of a tool's whole body from each of several structures.
 
-    The body is that of the simulated cutter, including peg, flank and back; the shaft behind the
-    cutter is not included. At each point of space the signed distances from the tool and from the
-    structure are added. The distance is the smallest of these sums. It is the clearance if tool and
-    structure are apart. If they overlap it is negative, and its magnitude is the depth of the
-    overlap.
+    The body is the simulated cutter, including peg, flank and back; the shaft behind the cutter is
+    not included. At each point of space the signed distances from the tool and from the structure
+    are added. The distance is the smallest of these sums. It is the clearance if tool and structure
+    are apart. If they overlap it is negative, and its magnitude is the depth of the overlap.
 
     Parameters
     ----------
@@ -98,8 +97,8 @@ class KeepClear:
         Names of the columns in a trace: ``distance_NAME_mm``, negative inside.
     measures
         Distances in the last tick [mm], shape (structures,). A value is never larger than the true
-        distance. It is smaller by at most the slack of the structure plus 0.001 mm if tool and
-        structure are apart, and plus 0.01 mm if they overlap.
+        distance. The error is at most the slack of the structure plus 0.001 mm if tool and
+        structure are apart, and at most the slack plus 0.01 mm if they overlap.
     notices
         Events, a sentence each; the loop removes them as it logs them.
     """

@@ -89,10 +89,10 @@ class Response:
         Derivative of force [N s/m] and torque [N s] with respect to the speed along the direction
         of motion, at the speed of the linearisation, shape (6,).
     edge
-        Force [N] and torque [N m] that the tangent has at zero speed, shape (6,). For a law that is
-        linear in the speed, this is the force at the onset of motion.
+        Force [N] and torque [N m] of the linearised response at zero speed, shape (6,). For a law
+        that is linear in the speed, this is the force at the onset of motion.
     wrench
-        Force [N] and torque [N m] that the tangent has at the motion's speed, shape (6,).
+        Force [N] and torque [N m] of the linearised response at the motion's speed, shape (6,).
     removal_rate_m3_s
         Rate at which the cutting elements of the tool sweep filled volume [m3/s].
     engaged_m2
@@ -230,7 +230,7 @@ class HasHeat(Protocol):
     def heat_balance_J(self) -> dict[str, float] | None:
         """Energy of cutting and its distribution [J], as a dictionary.
 
-        It is None if the scene has no heat.
+        The value is None if the scene has no heat.
         """
 
 
@@ -315,8 +315,8 @@ class WallModel:
     stiffness_N_m
         Stiffness of the wall [N/m].
     radius_m
-        Radius of the ball [m]. The tip is one radius from the centre, in the direction against the
-        tool's axis.
+        Radius of the ball [m]. The tip lies one radius from the centre, in the negative direction
+        of the tool's axis.
     """
 
     layer_names: tuple[str, ...] = ("wall",)

@@ -7,7 +7,7 @@ memory, W is computed by back-substitutions.
 The touchable unknowns t are eliminated last, after the other unknowns r. The last block of ``K = L
 L^T`` then is the Schur complement ``S = K_tt - K_tr K_rr^-1 K_rt = L_tt L_tt^T``, and ``W = S^-1``.
 No back-substitution is needed. With 36,000 unknowns, of which 1,350 are touchable,
-back-substitutions took twenty times as long.
+back-substitutions take twenty times as long.
 """
 
 from collections import OrderedDict, deque

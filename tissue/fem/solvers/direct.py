@@ -237,7 +237,7 @@ class DirectSolver:
         return moved.reshape(load_N.shape)
 
     def displacements_m(self, loads_N: Array) -> Array:
-        """Return displacements [m] under several loads [N], each of shape (3n, k), unchecked."""
+        """Return displacements [m] under several loads [N], shapes (3n, k), without any check."""
         moved = np.zeros_like(loads_N)
         for start in range(0, loads_N.shape[1], TOGETHER):
             several = np.ascontiguousarray(loads_N[self._order.unknowns, start : start + TOGETHER])

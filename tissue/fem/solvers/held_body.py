@@ -25,8 +25,8 @@ __all__ = [
 LEAST_HOLD = 1e-6
 """Relative motion of the held components below which a rigid motion is free.
 
-It is the ratio of the motion of the held components to the motion of the whole body. The rounding
-error of this ratio is 1e-8.
+The relative motion is the ratio of the motion of the held components to the motion of the whole
+body. The rounding error of this ratio is 1e-8.
 """
 
 

@@ -50,8 +50,8 @@ class MultigridSolver:
         with the residual r, a multigrid cycle B, and the smallest eigenvalue l of B K that the
         iterations have found (Meurant and Strakos 2006, Acta Numer. 15:471).
     limit
-        Largest number of iterations. A liver takes 20. If a body needs many more, the multigrid
-        cycle is not suitable for this body.
+        Largest number of iterations. A liver takes 20 iterations. If a body needs many more
+        iterations, the multigrid cycle is not suitable for this body.
     """
 
     def __init__(self, body: HeldBody, *, tolerance: float = 1e-8, limit: int = 500) -> None:

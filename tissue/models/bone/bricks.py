@@ -1,4 +1,4 @@
-"""Voxels in bricks, blocks of 8 x 8 x 8 voxels; only bricks that hold bone are stored."""
+"""Sparse voxel store: only bricks (blocks of 8 x 8 x 8 voxels) that hold bone are stored."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,8 +21,8 @@ __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickState", "BrickStore", "voxels_o
 BYTES_PER_VOXEL = 14
 """Bytes stored per voxel of a brick.
 
-The arrays take 2 bytes (`remaining`, `swept`, `middle`, `older`, `nearby`) or 4 bytes (`material`)
-each.
+Each of the arrays `remaining`, `swept`, `middle`, `older` and `nearby` takes 2 bytes. The array
+`material` takes 4 bytes.
 """
 NEVER_SWEPT = 65535
 """Stored value of `swept`, `middle` and `older` for a voxel that the tool has never reached."""
@@ -34,7 +34,7 @@ CHANGED = ("remaining", "swept", "middle", "older", "alive")
 
 @dataclass(frozen=True, eq=False)
 class BrickGrid:
-    """Lattice of the bricks of a bone. Most bricks may be empty or not made yet.
+    """Lattice of bricks (blocks of voxels) that covers a bone; most places may hold no brick yet.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class BrickGrid:
     spacing_m
         Edge of a voxel [m].
     counts
-        Bricks along x, y and z.
+        Number of bricks along x, y and z.
     layer_names
         Name of each layer.
     """
@@ -54,7 +54,7 @@ class BrickGrid:
     layer_names: tuple[str, ...]
 
     def agrees(self, other: "BrickGrid") -> bool:
-        """Return True if a brick position means the same place on another lattice."""
+        """Return True if a brick position refers to the same point in space on another lattice."""
         return (
             self.spacing_m == other.spacing_m
             and self.counts == other.counts
@@ -64,18 +64,19 @@ class BrickGrid:
 
 @dataclass(frozen=True, eq=False)
 class BrickState:
-    """Copy of the bricks that a tool has reached since `BrickStore.keep_base`.
+    """Copy of the bricks that a tool has reached since the last call of `BrickStore.keep_base`.
 
     Attributes
     ----------
     grid
         Lattice that the places refer to.
     places
-        Grid position of each of these bricks, shape (n, 3).
+        Grid position of each copied brick, shape (n, 3).
     rows
-        Rows of these bricks in the arrays that carving changes, as a dictionary by array name.
+        Values of the copied bricks in the arrays that carving changes, as a dictionary by array
+        name.
     flags
-        Flags of these bricks, see `BrickStore.touched`.
+        Flags of the copied bricks, see `BrickStore.touched`.
     """
 
     grid: BrickGrid
@@ -113,8 +114,8 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     middle
-        Copy of `swept`, made the last time that the cuts in the voxel's block became older cuts,
-        uint16, shape (capacity, 512).
+        Copy of `swept`, uint16, shape (capacity, 512). It is made when the cuts in a voxel's block
+        become older cuts, see `kernels.carving`.
     older
         Distance to the solid that older cuts have swept, uint16, shape (capacity, 512), see
         `kernels.carving`.
@@ -170,8 +171,8 @@ class BrickStore:
         at
             Position of the volume's first brick on the grid.
         margin
-            Number of layers of bricks at each face of the volume that are not stored. They only
-            show how the bone continues.
+            Number of outer layers of bricks, at each face of the volume, that are not stored. These
+            layers only show how the bone continues beyond the stored bricks.
 
         Returns
         -------
@@ -236,7 +237,8 @@ class BrickStore:
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
         """Write rows after the stored rows, and return True if the arrays had to grow.
 
-        The first rows fit exactly; later the arrays grow to twice the needed length.
+        For the first rows, the arrays get exactly the needed length. Later they grow to twice the
+        needed length.
         """
         first = len(self.places)
         last = first + len(rows["alive"])
@@ -260,7 +262,7 @@ class BrickStore:
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return row and remaining fraction of the bricks that lost material since the last call.
 
-        The cost is proportional to the number of these bricks, so that a tick can afford it.
+        The cost is proportional to the number of these bricks, which is small in one tick.
         """
         flags = self.touched.numpy()
         rows = np.flatnonzero(flags[: len(self.places)] & LOST)
@@ -278,12 +280,12 @@ class BrickStore:
             array.assign(host)
 
     def begin(self, owner: object) -> None:
-        """Allow only this cutter to copy states; the next call of `state` keeps the base."""
+        """Allow only this cutter to copy states; the next call of `state` stores a new base."""
         self._owner = owner
         self._base = None
 
     def _require_owner(self, owner: object) -> None:
-        """Raise an error if a later cutter has replaced this one: it may have cut the bone."""
+        """Raise an error if another cutter has called `begin` later: it may have cut the bone."""
         if self._owner is not owner:
             raise InputError(
                 "bone",
@@ -293,7 +295,7 @@ class BrickStore:
             )
 
     def keep_base(self) -> None:
-        """Keep the present bricks as the base; states store the differences from it."""
+        """Store the present bricks as the base from which states store the differences."""
         count = len(self.places)
         self._base = {name: getattr(self, name).numpy()[:count].copy() for name in CHANGED}
         flags = self.touched.numpy()
@@ -301,14 +303,14 @@ class BrickStore:
         self._send("touched", flags)
 
     def state(self, owner: object) -> BrickState:
-        """Copy the bricks that a cutter has reached since the base was kept.
+        """Copy the bricks that a cutter has reached since the base was stored.
 
-        The first call keeps the base. The cost is proportional to the number of these bricks.
+        The first call stores the base. The cost is proportional to the number of these bricks.
 
         Raises
         ------
         InputError
-            If another cutter began later.
+            If another cutter has called `begin` later.
         """
         self._require_owner(owner)
         if self._base is None:
@@ -324,8 +326,8 @@ class BrickStore:
         Raises
         ------
         InputError
-            If another cutter began later, if the state belongs to another lattice of voxels, or if
-            it has bricks that this store does not hold.
+            If another cutter has called `begin` later, if the state belongs to another lattice of
+            voxels, or if it has bricks that this store does not hold.
         """
         self._require_owner(owner)
         if not self.grid.agrees(state.grid):
@@ -359,7 +361,7 @@ class BrickStore:
     def sample(self, points_m: Array) -> Singles:
         """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.
 
-        It is 0 where nothing is stored.
+        The fraction is 0 where no brick is stored.
         """
         voxels = (np.asarray(points_m, np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
@@ -381,7 +383,7 @@ class BrickStore:
     def fraction(self) -> Bytes:
         """Return the remaining fraction of every voxel of the grid, 255 = full.
 
-        For a volume it has the volume's shape.
+        If the store was made from a volume, the array has the shape of the volume.
         """
         whole = self.part((0, 0, 0), self.grid.counts)
         if self.volume is None:
@@ -391,7 +393,7 @@ class BrickStore:
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> Bytes:
         """Return the remaining fraction of the voxels of some bricks, 255 = full.
 
-        It is 0 where no brick is stored.
+        The fraction is 0 where no brick is stored.
 
         Parameters
         ----------
@@ -420,7 +422,7 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
     """Return the indices and values of the voxels whose values are not 0.
 
     ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
-    positions of the store's bricks, and ``rows`` names some of these bricks.
+    positions of the store's bricks. ``rows`` are the row numbers of some of these bricks.
     """
     row, column = np.nonzero(steps)
     # A row holds block after block, see `_rows`.
@@ -432,7 +434,7 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
 
 
 def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
-    """Return stored 16-bit fractions as 8-bit fractions."""
+    """Return stored 16-bit fractions, rounded to 8-bit fractions."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
@@ -441,8 +443,8 @@ def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored surface distance padded to whole bricks.
 
-    The padding at a face is one voxel farther outside than the voxels at that face. It is outside
-    the bone even where those voxels are inside.
+    A padded voxel has the distance of the nearest voxel at the face plus the length of one voxel.
+    Padded voxels are always outside the bone.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")

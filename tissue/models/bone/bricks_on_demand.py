@@ -1,6 +1,6 @@
 """Bone whose bricks (blocks of voxels) are made when a tool first reaches them.
 
-A whole tibia would have 2e9 voxels of 0.1 mm.
+The method saves memory: a whole tibia would have 2e9 voxels of 0.1 mm.
 """
 
 from collections.abc import Iterator
@@ -20,23 +20,23 @@ __all__ = ["Boxes", "BricksOnDemand"]
 Boxes = tuple[Array, Array]
 """Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4
-"""Number of bricks along the edge of a patch; a patch is made in one call. The value is chosen."""
+"""Number of bricks along the edge of a patch, the block of bricks made in one call; chosen."""
 MARGIN = 1
 """Number of bricks around a patch that are voxelised but not kept.
 
-This margin is wider than the distances that the voxels of the patch store.
+This margin is wider than the largest distance that a voxel of the patch stores.
 """
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
 """Bytes of memory per voxel while a patch is made.
 
-They are for the stored voxel, space for growth, and the source arrays.
+The bytes hold the stored voxel, space for growth, and the source arrays.
 """
 MOST_BRICKS = 2.5e8
 """Largest number of bricks of the lattice; its index array then takes 1 GB."""
 
 
 class BricksOnDemand:
-    """Bricks of an anatomy, made in patches.
+    """Bricks of an anatomy, made patch by patch when a tool first reaches them.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class BricksOnDemand:
     Raises
     ------
     InputError
-        If the lattice alone would not fit memory.
+        If the lattice would not fit into memory, even without voxels.
     """
 
     def __init__(self, anatomy: Anatomy, *, spacing_m: float) -> None:
@@ -73,7 +73,7 @@ class BricksOnDemand:
         self._made = np.zeros(self._patches, bool)
 
     def make(self, boxes: Boxes) -> bool:
-        """Make all bricks that some boxes touch; return True if launches have to be recorded again.
+        """Make all bricks that boxes touch; return True if kernel launches must be recorded again.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class BricksOnDemand:
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut: bone before any cut, and remainder, 255 = full.
+        """Yield the parts that tools have cut: original bone, and remaining fraction (255 = full).
 
         The parts are boxes. Neighbouring boxes share one layer of voxels, so that a surface between
         voxel centres continues from one part to the next.
@@ -163,7 +163,7 @@ class BricksOnDemand:
             yield volume, left
 
     def _voxels(self, low: Ints, high: Ints) -> VoxelVolume:
-        """Return the voxels of the bricks from one position to another, before any cut."""
+        """Return the uncut voxels of the bricks between two positions on the lattice."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m

@@ -1,9 +1,9 @@
 """Removal of the bone that a moving tool reaches, during a run and in its replay.
 
 The bone at any tick of a run follows from the tool's poses. A replay carves these poses again with
-the kernel of the run, so that the bricks (blocks of 8 x 8 x 8 voxels) are bitwise equal. The bricks
-are divided into groups. A tick visits some of the groups in turn: it carves their bricks at the
-present pose.
+the kernel of the run. The bricks (blocks of 8 x 8 x 8 voxels) of run and replay are bitwise equal.
+The bricks are divided into groups. A tick visits some of the groups in turn: it carves their bricks
+at the present pose.
 """
 
 from math import ceil, sqrt
@@ -45,17 +45,17 @@ Removal = Literal["subvoxel", "binary"]
 CARVE_LAG_M = 2.0e-5
 """Largest motion of the tool between two visits of a brick [m]; chosen.
 
-It is limited to a quarter of a voxel. A fast tool may move by up to `FAST_LAG_VOXELS`. The force
-hardly depends on the time of a visit, see `STEADY_GROUPS`.
+The motion is also limited to a quarter of a voxel. For a fast tool, the limit is `FAST_LAG_VOXELS`.
+The force hardly depends on the time of a visit, see `STEADY_GROUPS`.
 """
 STEADY_GROUPS = 16
 """Number of groups of bricks that a tick visits, unless `FAST_LAG_VOXELS` requires more; chosen.
 
-A group takes 20 us under the drill of `pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires 25
-groups a tick. The force was compared with the force when every tick visits all groups, in the first
-2.5 s of `pedicle` with a simulated expert on a Touch. The RMS difference is 0.05 % with 25 groups,
-0.12 % with 16 groups and 0.15 % with 12 groups. In `milling` the differences are 0.012, 0.007 and
-0.006 %.
+Carving one group takes 20 us in the scene `pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires
+25 groups a tick. The reference is the force with visits of all groups in every tick, in the first
+2.5 s of `pedicle` with a simulated expert on a Touch. The RMS difference from the reference is
+0.05 % with 25 groups, 0.12 % with 16 groups and 0.15 % with 12 groups. In `milling` the differences
+are 0.012, 0.007 and 0.006 %.
 """
 FAST_LAG_VOXELS = 0.4
 """Largest motion of a fast tool between two visits of a brick [voxel]; chosen.
@@ -68,17 +68,16 @@ LONGEST_STEP_VOXELS = 0.5
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-The last poses of the tool that are kept cover more than this motion, see
-`tissue.models.bone.recent_poses`.
+The stored last poses of the tool cover a longer motion, see `tissue.models.bone.recent_poses`.
 """
 TURN = 0.9
-"""Cosine of the smallest angle that counts as a change of direction, 26 degrees; chosen.
+"""Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After a change of direction, bone in front of the tool may have been cut before.
+After such a change, some bone in front of the tool may already be cut.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Number of workers that share a carving launch on a GPU; chosen."""
+"""Number of GPU workers that share one launch of the carving kernel; chosen."""
 
 
 STATE = ("_motions", "_marks", "_travelled", "_turned", "_next_group", "_debt", "_behind")
@@ -100,8 +99,8 @@ class Carver:
     device
         Warp device name.
     cores
-        Number of processor cores to split large kernel launches over; default all. The result does
-        not depend on it.
+        Number of processor cores that share large kernel launches; default: all cores. The result
+        does not depend on it.
 
     Attributes
     ----------
@@ -226,7 +225,7 @@ class Carver:
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _turns(self, group: int, motion: Array) -> bool:
-        """Return True if a motion deviates from that at the group's last change of direction."""
+        """Return True if a motion deviates from the motion at the group's last turn."""
         before = self._motions[group]
         travelled = self._travelled - self._marks[group]
         return float(motion.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
@@ -311,7 +310,7 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
 
 
 class CarvingReplay:
-    """Bone at the end of any tick, bitwise equal to the bone of a run that stops there.
+    """Bone at the end of any tick, bitwise equal to the bone of a run that ends then.
 
     Parameters
     ----------
@@ -322,8 +321,8 @@ class CarvingReplay:
     poses
         Poses of the run, see `tissue.simulation.loop.PoseLog`.
     device
-        Warp device name. The results are bitwise equal to the run's if this is the device of the
-        run.
+        Warp device name. On the device of the run, the results are bitwise equal to the results of
+        the run.
 
     Attributes
     ----------
@@ -355,7 +354,7 @@ class CarvingReplay:
     def at(self, tick: int) -> Bytes:
         """Return the bone at the end of a tick, see `fraction`.
 
-        A tick before the last one restarts the replay at the first pose.
+        A tick earlier than the tick of the last call restarts the replay at the first pose.
         """
         last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
         if last < self._next:
@@ -381,8 +380,8 @@ class CarvingReplay:
         """Return the voxels whose fraction falls below half during the run, and the tick of each.
 
         The indices have shape (n, 3), and the ticks increase. A voxel that was below half before
-        the first cut is not included. Under a slow tool the bricks are carved in turn, so that a
-        voxel may be removed late, by up to 20 µm of the tool's path.
+        the first cut is not included. Under a slow tool the bricks are carved in turn. A removal
+        may therefore be recorded late, after up to 20 µm of further tool motion.
         """
         self._carver.restore(self._start)
         self._store.take_touched()

@@ -26,15 +26,15 @@ __all__ = [
 ]
 
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
-"""Indices of the load components that are not 0 on every element.
+"""Indices of the load components that are nonzero on at least one cutting element.
 
-An element has a tangential, a radial and an axial load, each with three components of force and of
-torque.
+A cutting element has a tangential, a radial and an axial load, each with three components of force
+and of torque.
 """
 
 
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
-    """Return the cutter's point shell on a device."""
+    """Return the cutting elements (points on the cutter's surface) as device arrays."""
     bend = cutter.table(spacing_m=spacing_m).bend_at(
         shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m
     )
@@ -59,16 +59,16 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 
 
 def _in_lanes(rows: Array) -> Array:
-    """Return values of elements, shape (n, k), as groups of lanes, shape (groups, k, LANES).
+    """Arrange values of cutting elements, shape (n, k), in lanes, shape (groups, k, LANES).
 
-    Missing elements of the last group are 0: elements without a normal do not cut.
+    The last group is filled up with zeros. An element without a normal does not cut.
     """
     padded = np.pad(rows, ((0, -len(rows) % LANES), (0, 0)))
     return padded.reshape(-1, LANES, rows.shape[1]).transpose(0, 2, 1)
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
-    """Return the directions and moments of the three loads on each element, shape (n, 18).
+    """Return directions and moments of the three loads on each cutting element, shape (n, 18).
 
     The loads are tangential, radial and axial. Each direction is multiplied by its load factor, see
     `Cutter.load_factors`, and is followed by its moment about the tip [m].
@@ -88,9 +88,9 @@ def levers_of(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
-    """Return the mean length of cutting edge in each element [m], shape (n,).
+    """Return the mean length of cutting edge in each cutting element [m], shape (n,).
 
-    It is N A / (2 pi r), with N flutes, the element's area A and its radius r.
+    The length is N A / (2 pi r), with N flutes, the element's area A and its radius r.
     """
     return cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
 
@@ -117,10 +117,10 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
 
 
 CREEP_M_S = 5e-5
-"""Upper limit of the speed at which an element reaches its full edge force [m/s].
+"""Largest speed at which a cutting element reaches its full edge force [m/s]; chosen.
 
-It applies to a tool on a haptic device. The value is chosen. A tool that is pressed with a fraction
-of its edge force creeps at this fraction of the speed.
+The limit applies to a tool on a haptic device. A tool that is pressed with a fraction of its full
+edge force moves slowly, at the same fraction of this speed.
 """
 
 
@@ -135,7 +135,7 @@ class CuttingForces:
     store, tool
         Bone, and the tool's distance table on the device.
     elements, coefficients
-        Elements of the tool and cutting coefficients on the device.
+        Cutting elements of the tool, and cutting coefficients, on the device.
     pose, recent
         Present pose and last poses, in the layout that `kernels.engagement.find_bone` reads.
     motion
@@ -143,12 +143,12 @@ class CuttingForces:
     chip_per_speed_s
         Chip thickness divided by the feed speed along the normal [s].
     cores
-        Number of processor cores to split large kernel launches over; default all.
+        Number of processor cores that share large kernel launches; default: all cores.
 
     Attributes
     ----------
     found
-        Bone in front of the elements, shape (eights, FOUND, LANES).
+        Bone in front of the cutting elements, shape (eights, FOUND, LANES).
     find_bone
         Kernel launch of the search on the present arrays of the store.
     slopes

@@ -11,8 +11,9 @@ The interpolation of exp(a x) on [-1, 1] by n points has an error of about 4 I_n
 Approximation Theory and Approximation Practice, ch. 3). n is the smallest number of points whose
 error is below `ERROR` times the smallest value, exp(-a).
 
-The force per length of edge depends on the chip thickness. It is interpolated linearly between the
-nodes of chip thickness. The interpolation is exact for a law that is linear in the thickness.
+The force per length of edge depends on the chip thickness. This force is interpolated linearly
+between the nodes of chip thickness. The interpolation is exact for a law that is linear in the
+thickness.
 """
 
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ MIDDLE = 0.5 * HIGHEST_EXPONENT
 ERROR = 1e-8
 """Largest relative error of an element's interpolated density factor.
 
-It is a hundredth of the tolerance for loads that are computed again from stored nodes.
+The value is a hundredth of the tolerance for loads that are recomputed from stored nodes.
 """
 MOST_NODES = 64
 """Upper limit of the search for n; densities of 1 to 20,000 kg/m3 need 38 nodes."""
@@ -106,7 +107,7 @@ class DensityNodes:
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
         """Return ln(factor density / reference) at the nodes, shape (k,).
 
-        The derivative with respect to the exponent has this factor.
+        The derivative of the strength with respect to the exponent contains this factor.
         """
         return np.log(factor * self.densities_kg_m3 / reference_kg_m3)
 
@@ -143,7 +144,7 @@ THINNEST = 1e-3
 
 
 LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])
-"""Nodes of chip thickness [m] for a law that is linear in the thickness: any two are exact."""
+"""Nodes of chip thickness [m] for a law linear in the thickness: any two nodes are exact."""
 
 
 def chip_nodes(thickest_m: float) -> Array:
@@ -180,7 +181,7 @@ class EngagedElements:
         self._edges = edge_lengths_m(bone.shell, bone.cutter)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return each element's share that cuts, advance per unit speed, layer and density.
+        """Return the cutting share, advance per unit speed, layer and density of each element.
 
         Each array has a value for every element.
         """
@@ -251,9 +252,9 @@ class EngagedBone:
         Densities of each layer at which loads are computed.
     unit_loads
         Array of shape (nodes, 3 k, 6) for each layer, computed in the last `respond`: force [N] and
-        torque about the tip [N m] on the tool, in the world frame. They belong to a force per
-        length of edge of 1 N/m at each node of chip thickness, in each of the `DIRECTIONS`.
-        `DensityNodes` gives the weights by density.
+        torque about the tip [N m] on the tool, in the world frame. The loads result from a force of
+        1 N per metre of cutting edge, at each node of chip thickness and in each of the
+        `DIRECTIONS`. `DensityNodes` gives the weights by density.
     asked
         True if `respond` computes `unit_loads`.
     """
@@ -335,7 +336,7 @@ class EngagedBone:
 
 
 def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
-    """Return the loads of elements, summed for each density node, shape (nodes, 3 k, 6).
+    """Return the loads on cutting elements, summed for each density node, shape (nodes, 3 k, 6).
 
     `weights` at the nodes of chip thickness have shape (k, n). `levers` have shape (n, 18).
     `shares` at the nodes of density have shape (n, nodes).
@@ -348,18 +349,18 @@ def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) 
 
 
 PLUNGE_ELEMENTS = 40_000
-"""Number of elements of a cutter in a plunge.
+"""Number of cutting elements of a cutter in a plunge.
 
-It is four times the number that gives an error of 0.1 % in a run.
+This is four times the number that gives an error of 0.1 % in a run.
 """
 LEAST_ADVANCE = 1e-6
-"""Advance per unit of feed below which an element is part of the cutter's side."""
+"""Advance per unit of feed below which a cutting element is part of the cutter's side."""
 
 
 def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, Array]:
     """Return the steady unit loads of a fully engaged cutter that is fed along its axis, z.
 
-    The unit loads are those of `EngagedBone.unit_loads`.
+    The unit loads are defined in `EngagedBone.unit_loads`.
 
     Parameters
     ----------

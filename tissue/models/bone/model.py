@@ -23,7 +23,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["BoneModel", "Removal"]
 
 SHELL_ELEMENTS = 6000
-"""Number of elements over the cutting surface; on a ball they are a twentieth of the radius apart.
+"""Number of cutting elements of a cutter; on a ball their distance is 1/20 of the radius.
 
 The error of the force in a slot in flat bone is below 0.5 % at a depth of 0.5 mm, and below 3 % at
 a depth of 0.1 mm, see `tests/verification`.
@@ -46,18 +46,18 @@ class BoneModel:
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
         their centres.
     shell_spacing_m
-        Distance between the cutter's elements [m]; the default gives 6000 elements.
+        Distance between the cutting elements [m]; the default gives 6000 elements.
     device
         Warp device name.
     cores
-        Number of processor cores to split large kernel launches over; default all. The result does
-        not depend on it.
+        Number of processor cores that share large kernel launches; default: all cores. The result
+        does not depend on it.
 
     Attributes
     ----------
     limits
-        Check of the cutting law's validity. It reports chips that are too thick and smooth surfaces
-        in bone.
+        Check of the cutting law's validity. It reports smooth surfaces in bone, and chips that are
+        too thick.
     """
 
     def __init__(
@@ -207,7 +207,7 @@ class BoneModel:
             Pose of the tool.
         velocity
             Velocity of the tip [m/s] and angular velocity [rad/s] along the tool's axes, shape
-            (6,). With it the tool would reach the pose in one step.
+            (6,). A tool with this velocity reaches the pose in one step.
         step_s
             Length of the step [s].
         """
@@ -239,10 +239,10 @@ class BoneModel:
         Returns
         -------
         tuple
-            Force [N] and torque about the tip [N m] that the tangent has at zero velocity, shape
-            (6,), and their derivatives, shape (6, unknowns). This value plus derivatives times
-            velocity is the wrench at the velocity. With 3 unknowns the torque has no derivatives;
-            the value is then the torque at the velocity.
+            Force [N] and torque about the tip [N m] of the linearised law at zero velocity, shape
+            (6,), and their derivatives, shape (6, unknowns). The wrench at the given velocity is
+            this value plus the derivatives times the velocity. With 3 unknowns the torque has no
+            derivatives; the value is then the torque at the velocity.
         """
         rows = self._motion.host
         rows[:2] = velocity.reshape(2, 3)
@@ -258,7 +258,7 @@ class BoneModel:
         return sums[:RATE], sums[self._forces.slopes :].reshape(unknowns, 6).T
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the cutting force at the motion's pose, and its derivative by the speed."""
+        """Return the cutting force at the motion's pose, and its derivative by speed."""
         response = self._response
         speed = motion.speed_m_s
         is_new = True
@@ -329,7 +329,7 @@ class BoneModel:
 
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
-    """Return cutting coefficients on a device, one entry a layer."""
+    """Return cutting coefficients on a device, one entry for each layer."""
     density = np.arange(DENSITIES)
     strength = [
         (density / layer.reference_density_kg_m3) ** layer.density_exponent

@@ -97,7 +97,7 @@ class RecentPoses:
         return pose
 
     def seen_from(self, tip_m: Array, rotation: Array) -> None:
-        """Write the last poses, relative to a given pose, to `mirror`; the present one is first."""
+        """Write the last poses, relative to a given pose, to `mirror`, present pose first."""
         rows = self.mirror.host
         np.dot(self._poses[:, :3] - tip_m, rotation, out=self._moved)
         rows[1:, :3] = self._moved

@@ -20,7 +20,7 @@ SMOOTH_ELEMENTS = 500
 BLOCKED = 0.25
 """Share of the smooth end's area in bone above which a warning is reported; chosen.
 
-It is not zero, because a peg touches the rim of its pilot hole.
+The share is not zero, because a peg touches the rim of its pilot hole.
 """
 SINK_M_S = 2e-3
 """Speed at which a smooth surface reaches its full pressure [m/s]; chosen.
@@ -33,7 +33,7 @@ HARDNESS_Pa = 5e8
 """Pressure under which a smooth surface sinks into bone of the reference density [Pa]; assumed.
 
 The value has no source: it is of the order of the hardness of wet bone. The pressure on the smooth
-surfaces of tools is far below it.
+surfaces of tools is far below this value.
 """
 FRICTION = 0.3
 """Friction coefficient (Coulomb) of smooth metal on bone; the range is 0.2 to 0.6.
@@ -107,6 +107,6 @@ class SmoothSurface:
 
     @property
     def is_blocked(self) -> bool:
-        """True if too much of the surface is inside bone, so its missing force matters."""
+        """True if so much of the surface is in bone that its missing force matters."""
         self.forces.find_bone()
         return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2

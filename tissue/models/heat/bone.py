@@ -23,29 +23,32 @@ DOSE_LIMITS_MIN = {
 """Limits of the thermal dose [min at 43 degC], each with its meaning.
 
 Eriksson and Albrektsson 1983, doi 10.1016/0022-3913(83)90174-9: 47 degC for 1 min impairs the
-regeneration of bone. 240 min is the usual limit for soft tissue; the dose is that of Sapareto and
-Dewey 1984, doi 10.1016/0360-3016(84)90379-1.
+regeneration of bone. 240 min is the usual limit for soft tissue; the dose is defined by Sapareto
+and Dewey 1984, doi 10.1016/0360-3016(84)90379-1.
 """
 NEGLIGIBLE_C = 39.0
-"""Temperature below which the dose is neglected [degC]. The dose rate there is 0.004 min/min."""
-FRONT_M = 1e-3
-"""Margin around the points where the tool cuts; the dose inside it raises no event [m].
+"""Temperature below which the dose is neglected [degC].
 
-The tool removes most of this bone next. Heat reaches ahead of the tool by a / v, thermal
-diffusivity divided by feed speed. This is 0.5 mm at 0.5 mm/s.
+The dose rate at this temperature is 0.004 min/min.
+"""
+FRONT_M = 1e-3
+"""Margin around the points where the tool cuts [m]; a dose inside the margin raises no event.
+
+The tool removes most of this bone next. Heat reaches ahead of the tool by a distance a / v, the
+thermal diffusivity divided by the feed speed. The distance is 0.5 mm at 0.5 mm/s.
 """
 THERMOCOUPLE_M = 0.5e-3
 """Distance from the cut surface at which the rise is reported [m].
 
-Most published measurements place their thermocouples there.
+Most published measurements use thermocouples at this distance.
 """
 
 
 def dose_rate(temperature_C: Array) -> Array:
     """Return the rate of the thermal dose, minutes at 43 degC per minute.
 
-    It is R ** (43 - T), with R = 0.5 at 43 degC and above, and R = 0.25 below (Sapareto and Dewey
-    1984).
+    The rate is R ** (43 - T), with R = 0.5 at 43 degC and above, and R = 0.25 below (Sapareto and
+    Dewey 1984).
     """
     return np.where(temperature_C >= 43.0, 0.5, 0.25) ** (43.0 - temperature_C)
 
@@ -54,10 +57,10 @@ class HeatedBone:
     """Bone under a cutter: carving and forces of the bone model, and the temperature of the bone.
 
     The trace has the largest present temperature rise of the bone. The summary describes the bone
-    that remains after the run. It has the largest temperature rise so far, and the largest rise at
-    0.5 mm from the cut surface. For each limit of the dose, it has the volume beyond the limit and
-    the largest distance of this volume from the cut surface. An event reports that the dose exceeds
-    a limit in bone that the tool has left behind.
+    that remains after the run. The summary has the largest temperature rise so far, and the largest
+    rise at 0.5 mm from the cut surface. For each limit of the dose, the summary has the volume
+    beyond the limit and the largest distance of this volume from the cut surface. An event reports
+    that the dose exceeds a limit in bone that the tool has left behind.
 
     Parameters
     ----------
@@ -197,7 +200,7 @@ class HeatedBone:
     def _depths_m(self) -> Array:
         """Return the distance of each cell's centre from the material that was cut [m].
 
-        It is infinite if nothing was cut, and outside the voxels.
+        The distance is infinite outside the voxels, and everywhere if nothing was cut.
         """
         volume = self.milling.store.volume
         assert volume is not None, "the bone under a scene's cutter is one volume"
@@ -218,7 +221,7 @@ class HeatedBone:
 def _largest_at(depth_m: Array, wanted_m: float, values: Array, is_left: Flags) -> float:
     """Return the largest of the values at a depth, interpolated between neighbouring cells.
 
-    It is 0 if no two neighbours lie on opposite sides of the depth.
+    The result is 0 if no two neighbours lie on opposite sides of the depth.
     """
     largest = 0.0
     is_known = is_left & np.isfinite(depth_m)

@@ -34,7 +34,7 @@ RECEIVES = 0.5
 
 An emptier cell would not conduct well. With cells of 0.25 mm, the peak temperature rise of the pulp
 in the molar scene is 0.52, 0.61 and 0.76 K for fractions of 0.1, 0.5 and 0.9. With two finer grids
-it is 0.73 and 0.75 K for 0.5 (docs/models.md).
+and a fraction of 0.5, the rise is 0.73 and 0.75 K (docs/models.md).
 """
 DEPTHS = 4
 """Number of positions, half a cell apart, in the search for the cell that receives the heat.
@@ -47,11 +47,11 @@ The search goes inward from the surface. The peak temperature rise of the pulp i
 class CuttingHeat:
     """Heat of cutting in bone or a tooth.
 
-    A share of the cutting power flows into the tissue through the surface that the tool cuts. It is
-    distributed in proportion to the power of the cutting elements there. The rest leaves with
-    chips, spray and tool. Material that is removed later carries away the heat that it has received
-    by then. The share is a prior of low confidence; the temperature rise is proportional to the
-    share.
+    A share of the cutting power flows into the tissue through the surface that the tool cuts. This
+    share is distributed over the surface in proportion to the power of the cutting elements. The
+    rest of the power leaves with chips, spray and tool. Material that is removed later carries away
+    the heat that it has received until its removal. The share is a prior of low confidence; the
+    temperature rise is proportional to the share.
 
     The heat is computed in intervals. `begin` takes the energy and the cuts of the last interval.
     `go_to` spreads the time steps over the ticks of the next interval. The temperature therefore
@@ -222,7 +222,7 @@ class CuttingHeat:
         self._done = 0
 
     def go_to(self, share: float) -> None:
-        """Run the steps up to a share of the interval; remove the cut material in its middle."""
+        """Run the steps up to a share of the interval; remove the cut material halfway."""
         until = ceil(share * self._steps)
         while self._done < until:
             # In the middle, because the tool cuts during the whole interval.
@@ -294,7 +294,7 @@ class CuttingHeat:
     def _remove(self) -> None:
         """Remove the cut material from the cells.
 
-        From then on the heat enters at the final position of the tool.
+        After the removal, the heat enters at the final position of the tool in the interval.
         """
         cells = np.flatnonzero(self._lost)
         if len(cells):

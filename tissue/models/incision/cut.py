@@ -13,7 +13,8 @@ COLUMNS = 512
 """Number of columns across a blade that store the cut.
 
 A column stores one mean depth. The relative error of the area cut by a pointed blade is therefore
-about half a column's width divided by the depth. It is 0.2 % if the depth equals the blade's width.
+about half a column's width divided by the depth. The error is 0.2 % if the depth equals the blade's
+width.
 """
 CHUNK = 4 * COLUMNS
 """Number of columns by which the stored part of a cut grows."""
@@ -33,7 +34,7 @@ class Cut:
     the tissue. The blade covers everything above its straight edge, so the cut is the region above
     a depth profile along s. Columns of equal width store the mean depth of the cut, and the mean
     depth over which its walls still touch the blade. The walls touch the blade as soon as they are
-    cut. They part when the blade no longer covers them, and then stay apart.
+    cut. The walls part when the blade no longer covers them, and then stay apart.
 
     Only the blade holds the tissue, as in `tissue.models.needle.model.Insertion`. Let q be the
     position of the blade relative to the tissue, and u the vector from q to the tool, in the plane
@@ -57,7 +58,7 @@ class Cut:
     pull_N
         Force of the tissue on the blade in the plane, along the surface and out of it [N].
     area_m2
-        Area cut so far, one side [m2].
+        Area cut so far [m2]; the two walls are counted once.
     touching_m2
         Area of each wall that touches the blade [m2].
     friction_J
@@ -192,9 +193,9 @@ class Cut:
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
         """Return the gaps, the travels of the edge to uncut tissue, in rising order [m].
 
-        The second array has the width of the part of the edge with each gap; it is zero for gaps
-        beyond the reach. Some columns are left out: those that the tip or the end of the edge would
-        pass in this step if the blade moved as in the last step.
+        The second array has the widths of the parts of the edge that have these gaps. The width is
+        zero for gaps beyond the reach. Columns that the tip or the end of the edge passes in this
+        step are left out. For this purpose, the blade is assumed to move as in the last step.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -278,8 +279,8 @@ class Cut:
     def _passed(self, along_m: float, depth_m: float) -> float:
         """Cut the columns that the deepest point of the edge has passed.
 
-        They are cut down to the depth of this point, because the blade itself never covers a whole
-        column down to it. Return the sum of the added mean depths [m].
+        The columns are cut down to the depth of this point, because the blade itself never covers a
+        whole column down to this depth. Return the sum of the added mean depths [m].
         """
         start_s, start_l = self.place_m
         deepest = self.width_m if self._slope > 0.0 else 0.0

@@ -1,12 +1,12 @@
 """Opening of a cut, for display: displacement, strain and stress of a block with this cut.
 
 The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
-not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free.
-There the stress across the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a traction
-that pulls the faces apart. The tissue below the block and at its sides along the cut does not move.
-The opening of a long cut is then close to that of an edge crack, 5.8 times prestrain and depth
-(Tada, Paris and Irwin 2000). The pressure of the blade, other cuts and contact of the faces are not
-shown. No force depends on the block.
+not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free. On
+these faces the stress across the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a
+traction that pulls the faces apart. The tissue below the block and at its sides along the cut does
+not move. The opening of a long cut is then close to the opening of an edge crack, 5.8 times
+prestrain and depth (Tada, Paris and Irwin 2000). The pressure of the blade, other cuts and contact
+of the faces are not shown. No force depends on the block.
 """
 
 from collections.abc import Sequence
@@ -30,15 +30,15 @@ __all__ = ["IncisionFields", "Track"]
 SIDE_M = 0.02
 """Size of the tissue next to the cut, beyond its ends and below it [m].
 
-The block is a picture. No force depends on its size or its edges, which are chosen.
+The block is only for display. Its size and its mesh edges are chosen; no force depends on them.
 """
 ALONG = 40
 DEEP = 5
-"""Numbers of mesh edges along a cut and down a cut; chosen."""
+"""Number of mesh edges along the length of a cut, and along its depth; chosen."""
 GROWTH = 1.4
-"""Ratio of the length of a mesh edge to that of its neighbour nearer to the cut; chosen."""
+"""Ratio of the length of a mesh edge to the length of the next edge towards the cut; chosen."""
 LARGEST_RATIO = 0.45
-"""Largest Poisson's ratio of the block: linear cells lock at larger ones."""
+"""Largest Poisson's ratio of the block: linear cells lock at larger ratios."""
 NEAR_M = 0.01
 """Largest distance from the planned cut at which a cut by a simulated hand is drawn [m].
 
@@ -210,7 +210,7 @@ class IncisionFields:
         return forces
 
     def _whole(self, half: FieldSeries) -> FieldSeries:
-        """Return the whole block in the world, without frames."""
+        """Return the mesh of the whole block in world coordinates, without results."""
         cut = self._track.cut
         sideways = np.array([-cut.along[1], cut.along[0], 0.0])
         # Columns of the block are parallel to the blade's axis.

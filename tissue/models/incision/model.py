@@ -18,23 +18,23 @@ __all__ = ["IncisionModel"]
 PLAY_M = 1e-3
 """Distance from a cut's plane within which a blade enters the cut without a sideways force [m].
 
-About half the width of an open cut; chosen. With a larger distance the blade can move further
-sideways without a force. With a smaller distance, a second pass by a simulated hand starts another
-cut next to the first.
+The distance is about half the width of an open cut; chosen. With a larger distance the blade can
+move further sideways without a force. With a smaller distance, a second pass by a simulated hand
+starts another cut next to the first.
 """
 
 
 class IncisionModel:
     """Tissue under the plane z = 0 that a blade cuts.
 
-    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. Plane and
-    direction of a cut are those of the blade at its entry. Rotation of a blade inside the tissue
-    has no resistance and no effect. A blade does not cut across its plane. If it is farther than
-    `PLAY_M` from the plane, the tissue pushes it back elastically. This stiffness increases with
-    the depth, up to a depth equal to the blade's width. A blade that enters within `PLAY_M` of an
-    earlier cut moves in that cut, if this holds along its whole width and the blade points in the
-    direction of the cut. Elsewhere the tissue is intact, also where cuts cross. The force acts at
-    the tip, without a torque.
+    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. A cut keeps the
+    plane and the direction of the blade at its entry. Rotation of a blade inside the tissue has no
+    resistance and no effect. A blade does not cut across its plane. If it is farther than `PLAY_M`
+    from the plane, the tissue pushes it back elastically. The stiffness of this force increases
+    with the depth, up to a depth equal to the blade's width. A blade moves in an earlier cut if it
+    enters within `PLAY_M` of that cut along its whole width, and points in the direction of the
+    cut. Elsewhere the tissue is intact, also where cuts cross. The force acts at the tip, without a
+    torque.
 
     Relaxation, dependence on speed, weight, a blade whose back does not cut, fibres and layers are
     not modelled.
@@ -85,7 +85,7 @@ class IncisionModel:
 
     @property
     def area_m2(self) -> float:
-        """Area of all cuts, one side [m2]."""
+        """Area of all cuts [m2]; the two walls of a cut are counted once."""
         return sum(cut.area_m2 for cut in self.cuts)
 
     @property

@@ -68,7 +68,8 @@ class IncisedTissue:
     young_Pa, poisson_ratio
         Young's modulus [Pa] and Poisson's ratio of the drawn block.
     prestrain
-        Strain across the cut that relaxes when it opens. It only widens the drawn cut.
+        Strain of the uncut tissue across the plane of the cut. It relaxes when the cut opens, and
+        only widens the drawn cut.
     """
 
     name: str
@@ -90,8 +91,8 @@ class IncisedTissue:
 def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) -> float:
     """Return the stiffness of a half space under the blade's lower end [N/m].
 
-    The punch is rigid and elliptical with half axes a and b: pi E* a / K(e), with e² = 1 - b²/a²
-    and K the complete elliptic integral (Johnson 1985).
+    The end is modelled as a rigid elliptical punch with half axes a and b. Its stiffness is pi E* a
+    / K(e), with e² = 1 - b²/a² and K the complete elliptic integral (Johnson 1985).
     """
     modulus = young_Pa / (1.0 - poisson_ratio**2)
     flat = 1.0 - (blade.thickness_m / blade.width_m) ** 2

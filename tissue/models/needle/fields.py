@@ -4,8 +4,8 @@ The needle's own model (`tissue.models.needle.model`) is one-dimensional. It com
 of the organ at the needle and the inserted length. Here this deflection is applied to a
 linear-elastic block around the first track. The nodes along the inserted shaft are displaced by the
 deflection along the needle's axis; before the puncture, only the node at the entry is displaced.
-The nodal forces that this requires are solved for. The force on the needle never comes from this
-block.
+The solver finds the nodal forces that cause these displacements. The force on the needle never
+comes from this block.
 """
 
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ __all__ = ["NeedleFields", "Track", "needle_block"]
 SIDE_M = 0.08
 """Side of the block across the needle [m].
 
-The block is a picture. No force depends on its size or its edges, which are chosen.
+The block is only for display. Its size and its mesh edges are chosen; no force depends on them.
 """
 BELOW_M = 0.03
 """Thickness of the tissue between the deepest position of the tip and the base [m]."""
@@ -68,7 +68,8 @@ class Track:
     def first_of(cls, tips_m: Array, outward: Array, *, diameter_m: float) -> "Track | None":
         """Return the first track of a motion.
 
-        It is None if the needle stays outside, starts inside or lies flat.
+        The result is None if the needle stays outside the tissue, starts inside it or lies flat on
+        it.
 
         Parameters
         ----------

@@ -236,9 +236,9 @@ class NeedleModel:
     track is stored. A needle that leaves the organ and re-enters within a diameter of its last
     entry moves in the open track. Elsewhere the organ is intact.
 
-    The response's ``edge`` is the pull of the organ. It also acts at rest and does not depend on
-    speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is the
-    cross-section of the tip, in the layer that it touches. The measures are the inserted length
+    The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
+    depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is
+    the cross-section of the tip, in the layer that it touches. The measures are the inserted length
     [mm], the deflection of the organ [mm] and three parts of the axial force [N]: the holding force
     of membranes, the cutting force of the tip and the friction along the shaft. These parts add up
     to the axial force, positive against insertion.
@@ -378,7 +378,7 @@ class NeedleModel:
     def _travel_m(self, motion: ToolMotion) -> float:
         """Return the depth of the tip beyond the surface, along the needle's axis [m].
 
-        It is negative outside the organ.
+        The depth is negative outside the organ.
         """
         below = -float(motion.tip_m[2])
         cosine = float(motion.rotation[2, 2])
@@ -402,7 +402,7 @@ class NeedleModel:
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
         """Return the track at the point where the needle intersects the surface.
 
-        It is the last track if that track is at this point, otherwise a new track.
+        The last track is returned if it starts at this point, otherwise a new track.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         # The comparison is also true for the first entry, because the entry before it is NaN.

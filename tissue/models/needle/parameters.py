@@ -33,7 +33,7 @@ class Membrane:
     depth_m
         Depth [m] along the needle's axis from the undeformed surface; 0 for the organ's capsule.
     puncture_N
-        Force of the tip at which it breaks [N].
+        Force of the tip at which the membrane breaks [N].
     hold_N
         Force with which the edge of the hole holds the shaft [N], inwards or outwards. It is the
         elastic force that remains after the puncture.
@@ -134,9 +134,9 @@ class NeedleTissue:
     Raises
     ------
     InputError
-        If a number is not plausible or membranes are out of order. Also if friction grows faster
-        with the inserted length than the organ's pull: a needle that is withdrawn would then jump
-        out.
+        If a number is not plausible, if membranes are out of order, or if friction increases faster
+        with the inserted length than the organ's pull. In the last case a needle that is withdrawn
+        would jump out.
     """
 
     linear_N_m: float
@@ -237,7 +237,7 @@ def needle_tissue(
     Raises
     ------
     InputError
-        If a membrane does not lie below the capsule, or below the membrane before it.
+        If a membrane does not lie below the capsule, or below the previous membrane.
     """
     liver = constants.values("needle", "liver")
     keys = {f"{name} of the capsule": f"capsule_{name}" for name in ("puncture_N", "hold_N")}

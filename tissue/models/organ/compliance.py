@@ -1,7 +1,7 @@
 """Compliance of the surface nodes that a tool may touch.
 
-The matrix is complete, or its columns are computed near the tool during the run, or it comes from a
-reduced basis.
+There are three methods: the complete matrix is computed, its columns are computed near the tool
+during the run, or the matrix is computed from a reduced basis.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -244,7 +244,7 @@ STATE_ARRAYS = {
 OUTCOMES = tuple(ContactOutcome)
 """Outcomes in the order of the kernel's state numbers."""
 START_M = 1e-6
-"""Largest penetration at the start of a tool [m], for rounding of a first touch."""
+"""Penetration allowed at the first pose of a tool [m], because of rounding errors."""
 REACH_M = 1e-4
 """Distance that is added to the largest displacement in the search for near triangles [m].
 
@@ -255,8 +255,8 @@ A tool with a speed of 100 mm/s moves by this distance in a tick.
 class SurfaceContact:
     """Contact between a tool and the surface of an organ with a given compliance.
 
-    A solve is one tick. Slip and stick depend on the tool's path since the last solve. The contact
-    is unilateral with Coulomb friction, and implicit over the whole tick.
+    Each solve advances the contact by one tick. Slip and stick depend on the tool's path since the
+    last solve. The contact is unilateral with Coulomb friction, and implicit over the whole tick.
 
     Parameters
     ----------
@@ -265,22 +265,22 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is not copied. It may
-        then be filled block by block during contacts, with NaN in missing blocks; filled blocks
-        must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU the matrix is not copied.
+        It may then be filled block by block during contacts, with NaN in missing blocks. Filled
+        blocks must not change.
     probe
         The tool.
     friction
         Coulomb's coefficient.
     tolerance
-        Change in the last sweep, relative to the largest displacement. On a slab under a sphere the
-        error of the force is 1 % with 1e-3 and 0.2 % with 1e-4.
+        Allowed change in the last sweep, relative to the largest displacement. On a slab under a
+        sphere the error of the force is 1 % with 1e-3 and 0.2 % with 1e-4.
     sweeps
         Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
         Largest spacing of contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores
-        Warp device name, and number of cores that share a shell's projection (default all).
+        Warp device name, and number of cores that share a shell's projection (default: all cores).
 
     Raises
     ------
@@ -417,7 +417,7 @@ class SurfaceContact:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state of a contact with as many nodes."""
+        """Return to a copied state of a contact with an equal number of nodes."""
         arrays = self._arrays()
         require_shapes({name: each.numpy() for name, each in arrays.items()}, state["arrays"])
         for name, array in arrays.items():
@@ -441,7 +441,8 @@ class SurfaceContact:
     def scale_compliance(self, factor: float) -> None:
         """Multiply the compliance by a factor.
 
-        Example: the part of a viscous organ's compliance that acts within a tick.
+        For a viscous organ, for example, the factor is the part of the compliance that acts within
+        a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 for no change")
         self._body.scale = wp.float64(factor)
@@ -453,8 +454,8 @@ class SurfaceContact:
         """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
 
         With the new compliance the present forces displace the nodes by a different amount. This
-        difference is added to the positions without contact, so that the nodes do not move for the
-        friction. Include this difference in the next call of `shift`.
+        difference is added to the positions without contact, so that the friction law registers no
+        motion of the nodes. Include this difference in the next call of `shift`.
         """
         before = self.result.displacement_m()
         self.use_compliance(compliance_m_N)
@@ -462,7 +463,7 @@ class SurfaceContact:
         self._body.last_free.assign(self._body.last_free.numpy() + less)
 
     def use_compliance(self, compliance_m_N: Array) -> None:
-        """Write a compliance [m/N], shape (3s, 3s), and leave the positions without contact."""
+        """Write a compliance [m/N], shape (3s, 3s); the positions without contact do not change."""
         self.result.compliance_m_N[:] = compliance_m_N
         if not self._on_host:
             self._body.compliance.assign(compliance_m_N)
@@ -470,7 +471,7 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacement of nodes without contact in the next solve, by creep [m], (s, 3)."""
+        """Set the displacement that nodes have without contact in the next solve [m], (s, 3)."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())

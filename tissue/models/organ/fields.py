@@ -20,12 +20,12 @@ TOLERANCE = 1e-3
 STEPS = 100
 """Allowed residual, and allowed number of steps, of a frame under a hyperelastic law.
 
-The residual is the largest unbalanced force divided by the largest force of the load. It is smaller
-than in the solves between ticks (`tissue.models.organ.law`), because frames are solved after the
-run.
+The residual is the largest unbalanced force divided by the largest force of the load. The allowed
+residual is smaller than in the solves between ticks (`tissue.models.organ.law`), because frames are
+solved after the run.
 """
 BATCH = 16
-"""Number of frames that are solved at once. It limits the memory for their displacements."""
+"""Number of frames that are solved at once. The number limits the memory for displacements."""
 
 
 class OrganFields:
@@ -231,8 +231,8 @@ def cauchy_stress(
 ) -> StressState:
     """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
 
-    The means are taken over the quadrature points: in an equilibrium no cell is inverted there. The
-    centre of a quadratic cell may be inverted.
+    The means are taken over the quadrature points, because no cell is inverted there in an
+    equilibrium. A quadratic cell may be inverted at its centre.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def _edge_ends(space: Space) -> Ints:
 def _equivalent_strain(strain: Array) -> Array:
     """Return the von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6).
 
-    It is sqrt(2/3 e : e), with e the deviator.
+    The result is sqrt(2/3 e : e), with e the deviator.
     """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean

@@ -9,20 +9,20 @@ equilibrium u_k, f_k::
 
 A contact that is solved with W and this offset is therefore in equilibrium with the law when the
 acting forces are f_k. At the end of every interval the equilibrium under the present forces is
-solved. The offset then changes to the new offset during the next interval, without a jump. It also
-depends linearly on the depth of the tool: the slope is computed from the last two equilibria. W is
-the compliance at rest as long as the equilibria are close to its prediction. After that, W is the
-compliance of the tangent stiffness at the present displacement (Newton's method).
+solved. The offset then changes to the new offset during the next interval, without a jump. The
+offset also depends linearly on the depth of the tool: the slope is computed from the last two
+equilibria. W is the compliance at rest as long as the equilibria are close to its prediction. After
+that, W is the compliance of the tangent stiffness at the present displacement (Newton's method).
 
 A run without a real device waits for a solve. With a real device a second thread solves, and the
 ticks continue with the last offset until the solve is done.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
-7). Its nodal forces are the hereditary integral of the elastic nodal forces, with one reduced
-relaxation function. The inverse integral of the nodal forces f, with the creep function, is called
-the crept forces (`tissue.models.organ.model`). The displacement is the response of the elastic law
-to the crept forces. In the equations above, f then stands for the crept forces. The integral keeps
-the directions of the forces fixed, so tissue must not rotate much while it relaxes.
+7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
+reduced relaxation function. The inverse integral of the nodal forces f, with the creep function, is
+called the crept forces (`tissue.models.organ.model`). The displacement is the response of the
+elastic law to the crept forces. In the equations above, f then stands for the crept forces. The
+integral keeps the directions of the forces fixed, so tissue must not rotate much while it relaxes.
 """
 
 from collections.abc import Callable
@@ -54,7 +54,7 @@ docs/decisions.md need at most 9 steps. With a limit of 5 steps, one solve in ei
 the tolerance.
 """
 MISSED = 0.01
-"""Deviation of an equilibrium from the predicted one above which the compliance is computed anew.
+"""Deviation from the predicted equilibrium above which the compliance is computed anew.
 
 The deviation is relative to the displacement. If a compliance is kept too long, the force depends
 on the interval in which the compliance was computed. With 0.05 the force of a deep press decreases
@@ -127,7 +127,7 @@ class _Equilibrium:
     def is_aside(self, other: "_Equilibrium") -> bool:
         """Return True if the tool moved farther sideways than along its axis between equilibria.
 
-        The result is False if one is the equilibrium at rest, whose tip position is NaN.
+        The result is False if one of the two is the equilibrium at rest, whose tip position is NaN.
         """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
@@ -288,8 +288,8 @@ class LawOffset:
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset at which a replaced compliance moves no node [m], shape (t, 3); None if the
-            compliance was not replaced.
+            Offset with which the change of the compliance moves no node [m], shape (t, 3); None if
+            the compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -306,8 +306,9 @@ class LawOffset:
     def solve(self, depth_m: float, contact: TickState) -> TickState:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
-        If the organ does not relax, the crept forces are the contact forces. Linear algebra uses
-        one thread, so another number of threads gives equal forces.
+        Crept forces are the contact forces after creep of the tissue. If the organ does not relax,
+        they are the contact forces. The linear algebra always uses one thread, so the forces do not
+        depend on the number of available threads.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -372,9 +373,9 @@ class LawOffset:
 
         The springs have the compliance of the contact. Let w be the stiffness of the contact, k the
         stiffness of the tissue and s the stiffness of the springs. Each solve multiplies the error
-        of the contact force by (k - w) / (k + s) if the tool prescribes the displacement, and by s
-        (k - w) / w (k + s) if it prescribes the force. With s = w the two factors are equal: (k -
-        w) / (k + w). Their magnitude is below 1 for any tissue.
+        of the contact force by a factor. The factor is (k - w) / (k + s) if the tool prescribes the
+        displacement, and s (k - w) / w (k + s) if the tool prescribes the force. With s = w the two
+        factors are equal: (k - w) / (k + w). Their magnitude is below 1 for any tissue.
         """
         window = self.windows.now
         inside_N = np.zeros_like(crept_N)
@@ -396,12 +397,12 @@ class LawOffset:
         return offset
 
     def _change_compliance(self, contact: TickState) -> None:
-        """Replace the contact's compliance by that of the last factorised stiffness."""
+        """Replace the contact's compliance by the compliance of the last factorised stiffness."""
         self._factor = self.windows.now.follower.factor
         contact.change_compliance(self._compliance(contact.compliance_m_N))
 
     def _compliance(self, present_m_N: Array) -> Array:
-        """Return the compliance [m/N] of the factor in use, from the compliance so far."""
+        """Return the compliance [m/N] of the factor in use, based on the present compliance."""
         if self._at_rest is None:
             self._at_rest = present_m_N.copy()
         window = self.windows.now
@@ -419,8 +420,8 @@ class LawOffset:
     def restore(self, state: State, present_m_N: Array) -> Array | None:
         """Return to a copied state.
 
-        Return the compliance of the contact in that state [m/N], shape (3t, 3t), or None if it is
-        the present one.
+        Return the compliance of the contact in that state [m/N], shape (3t, 3t), or None if the
+        present compliance stays in use.
         """
         before = self._factor
         put_back(self, state["own"])

@@ -35,9 +35,10 @@ stiffens to twice the linear force, the error of the force at rest is 3.3 % with
 0.5.
 """
 LOADED = 1e-3
-"""Smallest crept force of a node that gets a spring, relative to the largest one; chosen.
+"""Smallest crept force of a node that gets a spring, relative to the largest force; chosen.
 
-At earlier contacts of a tool, crept forces decay but never reach zero.
+Crept forces are the contact forces after creep of the tissue. At earlier contacts of a tool, they
+decay but never reach zero.
 """
 
 TOUCHED = 2.0 / 3.0
@@ -79,7 +80,7 @@ class LawWindow:
         return load
 
     def nodal_into(self, nodal_m: Array, unknowns_m: Array) -> None:
-        """Copy the displacements of the window's nodes [m] into those of the organ, (nodes, 3)."""
+        """Copy the displacements of the window's nodes [m] into the organ's array, (nodes, 3)."""
         if self.region is None:
             nodal_m[:] = unknowns_m
         else:
@@ -97,7 +98,8 @@ class LawWindow:
         Parameters
         ----------
         crept_N, held_m
-            Crept forces [N] and displacements [m] of all touchable nodes, each of shape (t, 3).
+            Crept forces (contact forces after creep) [N] and displacements [m] of all touchable
+            nodes, each of shape (t, 3).
         compliance
             Function that returns the compliance of the springs [m/N], shape (3l, 3l). Its arguments
             are this window and the loaded nodes, as indices into `inside`, shape (l,).
@@ -158,9 +160,9 @@ class LawWindows:
         Parameters
         ----------
         nodal_forces_N, crept_N
-            Contact forces, and crept forces [N], each of shape (t, 3). The new window starts from
-            the displacement of the last window. Nodes outside the last window start from the
-            displacement by the linear law.
+            Contact forces, and crept forces (contact forces after creep) [N], each of shape (t, 3).
+            The new window starts from the displacement of the last window. Nodes outside the last
+            window start from the displacement by the linear law.
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -208,7 +210,7 @@ def _follower_of(
 ) -> QuasiNewton:
     """Return the solver that follows the equilibria of an organ.
 
-    From its factors the compliance between ``nodes`` can be read.
+    The compliance between ``nodes`` can be read from the factors of this solver.
 
     Raises
     ------
@@ -261,7 +263,7 @@ def window_of(
 ) -> LawWindow:
     """Return a window on the cells within a radius [m] of a centre [m].
 
-    On a coarse mesh the window has more cells, so no node in contact is on its border.
+    On a coarse mesh, cells are added so that no node in contact lies on the border of the window.
     """
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)

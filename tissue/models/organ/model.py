@@ -71,7 +71,7 @@ STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m",
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed; see `LOOK_M`."""
 LOOK_M = 5e-3
-"""Distance around the tool within which these nodes are searched [m].
+"""Distance around the tool within which nodes are searched every `LOOK_EVERY` ticks [m].
 
 A tool at 100 mm/s moves by 2 mm between two searches.
 """
@@ -91,7 +91,7 @@ class ContactSolution:
         Tolerance and sweeps of the contact solver, see `SurfaceContact`. The defaults suit a tick
         of 1 ms.
     cores
-        Number of processor cores that share a shell's projection; default all.
+        Number of processor cores that share a shell's projection; default: all cores.
     """
 
     path: CompliancePath | None = None
@@ -127,8 +127,8 @@ class LiverModel:
         Nodes that the tool can touch, shape (t,).
     waits
         True if a tick waits for a solve of a hyperelastic law that is due. Set it to False for a
-        real device, if possible before `place`. While a device waits it holds its last force, which
-        the stability check of the loop does not include.
+        real device, if possible before `place`. A device holds its last force while it waits. The
+        stability check of the loop does not include this wait.
 
     Raises
     ------
@@ -326,8 +326,8 @@ class LiverModel:
     def converge(self, motion: ToolMotion, *, limit: int) -> float:
         """Solve contact and hyperelastic law in turn at the present pose until the force converges.
 
-        Return the last change of the force, relative to the force. It is 0 for a linear organ,
-        which needs only the contact solve of the tick.
+        Return the last change of the force, relative to the force. This change is 0 for a linear
+        organ, which needs only the contact solve of the tick.
 
         Parameters
         ----------
@@ -394,7 +394,7 @@ class LiverModel:
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
 
-        It is NaN at nodes where it is not known.
+        The displacement is NaN at nodes where it is not known.
         """
         return self.contact.result.displacement_m() + self._offset_m
 

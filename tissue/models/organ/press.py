@@ -27,7 +27,7 @@ TOLERANCE = 1e-5
 SWEEPS = 5000
 """Largest number of sweeps of the contact solver. A press has no time limit of a tick.
 
-With it, the error of the stress in a rod under a flat punch is below 1 %.
+With this limit, the error of the stress in a rod under a flat punch is below 1 %.
 """
 PER_RELAXATION = 5
 """Number of steps within the shortest relaxation time of an organ that relaxes; chosen."""
@@ -54,7 +54,7 @@ SLANTED = 0.5
 The distance is 0.41 for a ball that approaches at 45 degrees.
 """
 HALVINGS = 30
-"""Number of halvings of the path in the search for the first touch, to a nanometre."""
+"""Number of halvings of the path in the search for the first touch; the error is 1 nm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def press(
     hold_s: float,
     report: Progress = silent,
 ) -> PressCurve:
-    """Press a tool along its axis against an organ, towards a point of the surface, and hold it.
+    """Press a tool along its axis towards a point of an organ's surface, and hold it there.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def press(
 
 
 def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
-    """Return a distance before the point at which the tool does not touch the organ [m]."""
+    """Return a distance from the target at which the tool does not touch the organ [m]."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
     # A shell has its own contact points, so no points on the organ are needed.

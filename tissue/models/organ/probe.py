@@ -67,7 +67,7 @@ class SphereProbe(ProbeShape):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Radius, and 0 [m]."""
+        """Radius of the ball, and 0 because it has no edge [m]."""
         return self.radius_m, 0.0
 
     def distance(self, points_m: Array) -> Array:

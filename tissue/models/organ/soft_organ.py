@@ -150,7 +150,7 @@ class OrganLaw:
 
 
 class SoftOrgan:
-    """Elastic organ that any number of tools may press; all of them share one factor.
+    """Elastic organ that any number of tools may press; all tools share one factor.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ class SoftOrgan:
     def rest(self) -> tuple[Array, Array]:
         """Load of the organ's weight [N] and displacement by it [m], each of shape (n, 3).
 
-        Both are zero without a density.
+        Load and displacement are zero without a density.
         """
         load = np.zeros((self.space.node_count, 3))
         if self._density is None:
@@ -277,7 +277,9 @@ class SoftOrgan:
         """Return surface nodes near a tool's path, and the triangles between them.
 
         The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
-        nodes. Raises
+        nodes.
+
+        Raises
         ------
         InputError
             If the tool touches nothing, or only nodes on supports.

@@ -34,13 +34,13 @@ __all__ = ["Change", "ParticleBody", "supported_cells"]
 LEAST_CURVATURE = 1e-12
 """Fraction of ``p . D p`` below which ``p . K p`` is a rounding error; D is the diagonal of K.
 
-In that case p is a motion without resistance. The fraction is 1e-8 for a tooth of 1e5 nodes in a
-ligament a million times softer than the tooth.
+Below this fraction, p is a motion without resistance. For a tooth of 1e5 nodes in a ligament a
+million times softer than the tooth, the fraction is 1e-8.
 """
 
 
 LEAST_RESTRAINT = 1e-9
-"""Ratio to the largest eigenvalue of a part's restraint below which the part can move.
+"""Eigenvalue of a part's restraint, relative to the largest, below which the part can move.
 
 The restraint is the stiffness against rigid motions. Rounding errors give a ratio of 1e-16. A part
 that is held at three corners of a cell has a ratio of 1e-2.
@@ -151,8 +151,8 @@ class Change:
     cells
         Cells whose stiffness changed, shape (k,).
     debris
-        Particles that have lost their connection to a support, as indices of the caller, shape
-        (d,).
+        Particles that have lost their connection to a support, numbered in the caller's order,
+        shape (d,).
     """
 
     cells: Int32s
@@ -177,8 +177,8 @@ class ParticleBody:
     drop_islands
         True to remove parts without support. With False the stiffness may be singular.
     device, cores
-        Warp device, and number of processor cores to split kernel launches over (default all). The
-        number of cores does not change a bit of the results.
+        Warp device, and number of processor cores that share kernel launches (default: all cores).
+        The results are bitwise equal for any number of cores.
 
     Attributes
     ----------
@@ -228,13 +228,14 @@ class ParticleBody:
 
     @property
     def debris(self) -> Ints:
-        """Particles without support that still have volume, as indices of the caller."""
+        """Particles without support that still have volume, numbered in the caller's order."""
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: Integers, steps: Integers) -> None:
         """Set the remaining fraction of some particles, in steps of 1/65535.
 
-        ``particles`` are indices of the caller. `update` applies the change to the stiffness.
+        ``particles`` are numbered in the caller's order. `update` applies the change to the
+        stiffness.
         """
         rows = self.cells.rank[particles]
         left = self.cells.remaining
@@ -283,7 +284,7 @@ class ParticleBody:
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
     def _particles_in(self, cells: Flags) -> Ints:
-        """Return the remaining particles of these cells, as indices of the caller."""
+        """Return the remaining particles of these cells, numbered in the caller's order."""
         if not cells.any():
             return np.zeros(0, np.int64)
         return np.sort(
@@ -293,7 +294,8 @@ class ParticleBody:
     def spread(self, point_m: Array, force_N: Array) -> Array:
         """Return nodal forces [N], shape (n, 3), of forces at points.
 
-        Each force acts on the load-carrying cell that holds its point, or on the nearest one.
+        Each force acts on the load-carrying cell that holds its point, or on the nearest
+        load-carrying cell.
 
         Parameters
         ----------
@@ -349,7 +351,7 @@ class ParticleBody:
     def product(self, displacement_m: Array) -> Array:
         """Return nodal forces [N] for nodal displacements [m], shapes (n, 3).
 
-        The forces of the springs are included, those of the supports are not.
+        The forces of the springs are included. The forces of the supports are not included.
         """
         return self.cells.product(displacement_m)
 
@@ -368,7 +370,8 @@ class ParticleBody:
         estimated as the larger of two values. The first value is ``sqrt(r . B r)``, the estimate of
         the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)`` with the diagonal D. It
         is a lower bound, because a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to
-        24. It detects a load on a motion without resistance, which the preconditioner leaves out.
+        24. The second value detects a load on a motion without resistance, which the preconditioner
+        leaves out.
 
         Parameters
         ----------

@@ -40,10 +40,10 @@ The ligament is modelled as springs, and the bone behind it does not move.
 VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
 """Corners of a cell in VTK's order for a hexahedron."""
 INFECTED_SHARE = 0.05
-"""Ratio of the modulus of fully softened dentin to that of sound dentin.
+"""Modulus of fully softened dentin, divided by the modulus of sound dentin.
 
-The modulus is about 1 GPa, compared with 18.6 GPa. Measured values of carious dentin are 0.015 to
-14.55 GPa (Angker et al. 2004).
+The moduli are about 1 GPa and 18.6 GPa. Measured values of carious dentin are 0.015 to 14.55 GPa
+(Angker et al. 2004).
 """
 
 TOLERANCE = 7e-4
@@ -181,7 +181,7 @@ class StressField:
     def remove(
         self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
-        """Remove the volume that the finer voxels lost since the last call from the particles.
+        """Subtract from the particles the volume that the finer voxels lost since the last call.
 
         Parameters
         ----------

@@ -101,7 +101,7 @@ class NodeBlocks:
     def matrix(self) -> bsr_matrix:
         """Return the assembled matrix [N/m], shape (3 n, 3 n).
 
-        On a CPU it shares its values with this object.
+        On a CPU the matrix shares its values with this object.
         """
         count = len(self.diagonal)
         arrays = (self.block.numpy(), self.column.numpy(), self.row_start.numpy())
@@ -116,7 +116,7 @@ The polynomial is Chebyshev's of the fourth kind, of degree 2. It needs only the
 iterations. Degree 3 saves no iteration.
 """
 POWER_STEPS = 30
-"""Steps of the power method. On the molar the eigenvalue is 3 % below that after 100 steps."""
+"""Steps of the power method. On the molar the result is 3 % below the result of 100 steps."""
 MARGIN = 1.15
 """Factor on the computed largest eigenvalue.
 
@@ -132,9 +132,9 @@ class FinestLevel:
     The product leaves out the springs on cells of the strips. Their stiffness is below a hundredth
     of the stiffness of their cells, and the coarser grids include them. In the molar and in caries,
     including them would save no iteration; with a ligament 100 times as stiff it would save one of
-    ten. Everything else is exact: particles that do not lie at the points of the strips are not
-    moved to these points. When they were moved, the solves of the molar on a rotated grid took 31
-    to 44 iterations instead of 14 to 15.
+    ten iterations. All other terms are exact. Particles that do not lie at the points of the strips
+    are not moved to these points. With moved particles, the solves of the molar on a rotated grid
+    take 31 to 44 iterations instead of 14 to 15.
 
     Parameters
     ----------

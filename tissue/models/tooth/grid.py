@@ -112,7 +112,7 @@ class HexGrid:
 
     @cached_property
     def node_cells(self) -> Int32s:
-        """Cell whose corner a is the node, or -1, for each node, int32, shape (n, 8)."""
+        """Cell that has each node as its corner a, or -1 for no cell, int32, shape (n, 8)."""
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
             cells[self.cell_nodes[:, corner], corner] = np.arange(self.cell_count, dtype=np.int32)
@@ -120,7 +120,7 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Int32s:
-        """Neighbours of each node, which share a cell with it, or -1, int32, shape (n, 27).
+        """Nodes that share a cell with each node, or -1 for no node, int32, shape (n, 27).
 
         The neighbours are in the order of `NEIGHBOURS`.
         """
@@ -259,7 +259,7 @@ class ParticleSet:
     ) -> "ParticleSet":
         """Return whole particles of one size and one material.
 
-        The default Poisson's ratio, 0.3, is close to that of bone and dentin (0.30 to 0.32).
+        The default Poisson's ratio, 0.3, is close to the values of bone and dentin (0.30 to 0.32).
         """
         count = len(position_m)
         return cls(
@@ -393,7 +393,7 @@ def bed_springs(
 
     The voxel faces form a staircase. The weight of a face is the component of the smoothed surface
     normal along the normal of the face. The weighted areas therefore sum to the area of the surface
-    and not to that of the staircase.
+    and not to the area of the staircase.
 
     Parameters
     ----------

@@ -26,8 +26,8 @@ CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroi
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 """Columns of the displacement of the rigid tooth at the bur.
 
-They are the displacement, by translation and rotation of the tooth, of the point that the bur
-touches.
+The columns hold the displacement of the point that the bur touches. This displacement includes the
+translation and the rotation of the tooth.
 """
 PULP_LIMIT_K = 5.5
 """Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""
@@ -41,11 +41,11 @@ Below 0.5 mm the pulp is at risk (from the literature, quoted from memory).
 class ToothModel:
     """Tooth that a bur drills.
 
-    Removal and forces are those of the bone model. The distance of the bur from the pulp is
-    measured to the voxels that the pulp filled at the start. The smallest distance so far is the
-    thickness of the remaining dentin at its thinnest point. The error of the distance is half a
-    voxel. If the voxels hold no pulp, the distance is not measured: the pulp is then farther away
-    than the margin around the bur's reach.
+    The bone model computes removal and forces. The distance of the bur from the pulp is measured to
+    the voxels that the pulp filled at the start. The smallest distance so far is the thickness of
+    the remaining dentin at its thinnest point. The error of the distance is half a voxel. If the
+    voxels hold no pulp, the distance is not measured: the pulp is then farther away than the margin
+    around the bur's reach.
 
     In every tick the tooth moves as a rigid body under the force, with the compliance of its
     ligament. The motion is reported at the centroid of the stiff material, and at the point that
@@ -240,7 +240,7 @@ class ToothModel:
     def _contact(self, motion: ToolMotion) -> Array:
         """Return the contact point of the bur's head and the tooth [m].
 
-        The point lies on the side from which the force acts. Without force it is the tip.
+        The point lies on the side from which the force acts. Without force, the tip is returned.
         """
         force = float(np.linalg.norm(self._load[:3]))
         radius = self._radius_m
@@ -344,7 +344,7 @@ def _cross(a: Array, b: Array) -> tuple[float, float, float]:
 def _distance_to_pulp(fraction: Bytes, is_pulp: Flags, spacing_m: float) -> Singles:
     """Return the distance of every voxel's centre from the pulp's surface [m].
 
-    It is 0 inside the pulp, and infinite if there is no pulp.
+    The distance is 0 inside the pulp, and infinite if there is no pulp.
     """
     from scipy.ndimage import distance_transform_edt
 

@@ -46,9 +46,9 @@ class GridTransfer:
     Attributes
     ----------
     down
-        Launch that restricts the fine residual to the coarse load.
+        Kernel launch that restricts the fine residual to the coarse load.
     up
-        Launch that adds the coarse displacement to the fine displacement.
+        Kernel launch that adds the coarse displacement to the fine displacement.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ Passing work to another thread takes about 50 us, so splitting saves time above 
 NULL_CUT = 1e-13
 """Relative threshold for the scaled eigenvalues of the coarsest grid.
 
-Eigenvalues below this fraction of the largest one belong to motions that move no finer node.
+Eigenvalues below this fraction of the largest eigenvalue belong to motions that move no finer node.
 """
 
 
@@ -194,7 +194,7 @@ class GridHierarchy:
     Attributes
     ----------
     finest, coarser
-        The body's grid, and the coarser grids, each with twice the edge. The last one is solved
+        The body's grid, and the coarser grids, each with twice the edge. The last grid is solved
         directly.
     """
 

@@ -85,13 +85,13 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
 REACH_M = 0.6e-3
 """Radius of the ball over which stress is averaged [m].
 
-It is about the radius of a bur; the bur's force is spread over a similar radius. Next to a cut, the
-error with cells of 0.3 mm is 6 %, and it decreases with smaller cells.
+This is about the radius of a bur; the bur's force is spread over a similar radius. Next to a cut,
+the error of the recovered stress is 6 % with cells of 0.3 mm, and decreases with smaller cells.
 """
 CELLS_A_REACH = 2.0
-"""Ratio of reach to cell edge from which the stress of each cell's particles is averaged first.
+"""Ratio of reach to cell edge from which stress is first averaged within each cell.
 
-The mean stress of these particles differs from the stress at their centre of mass by an error of
+The mean stress of a cell's particles differs from the stress at their centre of mass by an error of
 second order in the cell's edge. The whole recovery has an error of this order.
 """
 
@@ -201,7 +201,7 @@ class SupportCompliance:
     reference_m
         Reference point of motion and wrench [m], shape (3,).
     solutions
-        The six solves. If one of them has not converged, the matrix must not be used.
+        Results of the six solves. If a solve has not converged, the matrix must not be used.
     loads_N
         Nodal forces of each solve [N], shape (n, 3).
     asymmetry
@@ -270,7 +270,7 @@ def support_compliance(
 NULL_CUT = 1e-6
 """Relative threshold for the scaled eigenvalues of the matrix of energies between solutions.
 
-Eigenvalues below this fraction of the largest one are errors of the solves.
+Eigenvalues below this fraction of the largest eigenvalue are errors of the solves.
 """
 
 
@@ -278,8 +278,9 @@ class FirstGuess:
     """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
 
     For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``. If the
-    force has grown, turned or moved, the part that the earlier solutions contain then needs no
-    iterations. If the body has changed since these solutions, the guess is slightly worse.
+    force has grown, turned or moved, only the part of the solution that the earlier solutions do
+    not contain needs iterations. If the body has changed since these solutions, the guess is
+    slightly worse.
 
     Parameters
     ----------
@@ -288,8 +289,8 @@ class FirstGuess:
         the support compliance.
     recent
         Number of latest solutions that are kept in addition. While a body is cut, a solve takes 3
-        iterations with two solutions and 5 iterations with six, because older solutions belong to a
-        body with more material.
+        iterations with two solutions and 5 iterations with six solutions, because older solutions
+        belong to a body with more material.
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:

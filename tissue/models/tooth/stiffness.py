@@ -34,7 +34,7 @@ class CellStiffness:
     springs
         Springs to the ground at points of the cells; default none.
     cores
-        Number of processor cores to split kernel launches over; default all.
+        Number of processor cores that share kernel launches; default: all cores.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class CellStiffness:
         The cells that the product handles in strips. Springs, and cells with particles at other
         positions, are added to this product.
     others
-        Product of these other cells, including their springs, with ``displacement``. A call adds it
-        to ``force``. The two are Warp arrays of vec3d, shape (n,). None if there are no other
-        cells.
+        Product of the cells that are not in strips, including their springs, with ``displacement``.
+        A call adds the product to ``force``. ``displacement`` and ``force`` are Warp arrays of
+        vec3d, shape (n,). None if all cells are in strips.
     """
 
     def __init__(

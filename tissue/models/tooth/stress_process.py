@@ -1,8 +1,8 @@
 """Background solves of the stress in a tooth, in this process or in a separate process.
 
 Ticks and solves in one Python process wait for each other's interpreter lock. The 99th percentile
-of this wait is most of a millisecond. A separate process avoids it. It receives the removed
-material and the force of the bur, and sends its frames at the end of the run.
+of this wait is most of a millisecond. A separate process avoids this wait. The process receives the
+removed material and the force of the bur, and sends its frames at the end of the run.
 """
 
 import os
@@ -29,7 +29,7 @@ ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
 """Longest wait for the other process, before its first answer and for one solve [s].
 
-The limits only end the wait for a process that hangs.
+The limit is reached only if the process hangs.
 """
 
 
@@ -136,12 +136,12 @@ class InlineStressSolver:
 class StressProcess:
     """Stress solver in a separate process, at a lower priority than the ticks.
 
-    The parameters are those of `InlineStressSolver`.
+    The parameters are described in `InlineStressSolver`.
 
     Raises
     ------
     InputError
-        As `StressField`.
+        If `StressField` raises it.
     HelperLostError
         If the process ends, is stopped or hangs. `__init__` and every wait for the process may
         raise it. The frames of the process are then lost.
@@ -188,7 +188,7 @@ class StressProcess:
 
 
 StressSolver = InlineStressSolver | StressProcess
-"""Solver whose solves start in a tick, and which is waited for between ticks."""
+"""Solver that starts a solve in a tick; the run waits for the result between ticks."""
 
 
 def _serve() -> None:

@@ -36,7 +36,7 @@ class PackedProduct:
         Warp arrays of vec3d, shape (n,): displacement of the nodes [m], and the force [N] to which
         the product is added.
     cores
-        Number of processor cores to split kernel launches over.
+        Number of processor cores that share kernel launches.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class PackedProduct:
 
 
 AT_CUBE = 1e-6
-"""Largest distance of a particle from a cube's centre that is rounding [cell edges]."""
+"""Largest distance of a particle from a cube's centre treated as rounding [cell edges]."""
 
 
 class StripLayout:
@@ -164,7 +164,7 @@ class LaneVector:
 
 
 class StripProduct:
-    """Recorded product of strips with a lane vector; it is added to another lane vector.
+    """Recorded product of strips with a lane vector; a call adds it to another lane vector.
 
     Parameters
     ----------
