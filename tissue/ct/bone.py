@@ -295,7 +295,7 @@ def _scene_text(
 ) -> str:
     """Return the TOML text of the scene.
 
-    It has comments on settings that users may want to change.
+    The text has comments on settings that users may want to change.
     """
     head |= {key: followed.pop(key) for key in HEAD if key in followed}
     if at is not None:

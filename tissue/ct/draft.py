@@ -64,7 +64,7 @@ class Draft:
     has_site: bool = True
 
     def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
-        """Write the folder and return the sentences, including those on failed pictures.
+        """Write the folder, and return the sentences, including the sentences on failed pictures.
 
         Files of an earlier import in the folder are removed first. Other files in the folder are
         kept.
@@ -104,7 +104,7 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def write_surface(surface: Surface, path: Path) -> None:
-    """Write a surface as binary PLY in mm, in its own frame."""
+    """Write a surface as binary PLY in mm, in the frame of the surface."""
     import pyvista
 
     mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
@@ -115,7 +115,7 @@ def write_surface(surface: Surface, path: Path) -> None:
 def write_density(density: Image, path: Path, *, law: str) -> None:
     """Write densities as NRRD in LPS, rounded to 1 kg/m3.
 
-    `law` describes their origin and uncertainty.
+    `law` describes the origin and the uncertainty of the densities.
     """
     _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
 

@@ -76,9 +76,9 @@ def import_ct(
         Labels of the same CT: a label volume, a folder with one mask per label, TIFF, PNG or BMP
         slices, or a DICOM segmentation (SEG) or structure set (RTSTRUCT).
     label_names : str
-        ``totalsegmentator``, ``dentalsegmentator``, ``verse`` or another set of
-        `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` assigns a number
-        to each name. Default: the names in the file's header.
+        Name of a set in `meshes.ct.label_names.label_sets`, such as ``totalsegmentator``,
+        ``dentalsegmentator`` or ``verse``; or a TOML file. The table ``[labels]`` of the file
+        assigns a number to each name. Default: the names in the file's header.
     region : str
         Name of the label of the bone or organ.
     crop_mm : pair of points
@@ -89,8 +89,8 @@ def import_ct(
     series : int
         Number of the series in a folder with several series.
     spacing_mm : float or three floats
-        Distance between neighbouring voxels [mm], in all directions or along each axis, for files
-        that do not contain it, such as TIFF and PNG slices.
+        Distance between neighbouring voxels [mm], in all directions or along each axis. The option
+        is for files without this distance, such as TIFF and PNG slices.
     density : str
         Density law: ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
         `meshes.ct.calibration.density_law`. Default: internal if the image allows it.

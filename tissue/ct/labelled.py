@@ -32,19 +32,20 @@ LIKE = "caries"
 """Scene that provides tool and motion for a tooth by default."""
 PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
 MARGIN = 3
-"""Margin around the tooth [voxel], for closed outlines and for its surroundings in pictures.
+"""Margin around the tooth [voxel].
+
+The margin is needed for closed outlines, and it shows the surroundings in pictures.
 """
 FRONT = (0.0, -1.0, 0.0)
-"""Direction from an organ to the tool, in LPS: the front of a patient who lies on the back.
-"""
+"""Direction from an organ to the tool, in LPS: the front of a patient who lies on the back."""
 BALL_MM = 12.0
 DEPTH_MM = 4.0
 FEED_MM_S = 5.0
-"""Default press on an organ, with an indentation of 0.67 times the ball's radius.
+"""Diameter of the ball [mm], depth [mm] and feed [mm/s] of the default press on an organ.
 
-At this depth, the force of the linear model has an error of more than 10 %
-(`tissue.models.organ.model.LINEAR_ERROR`), which the run reports. At a depth of 2.2 mm the error is
-5 %.
+The depth is 0.67 times the radius of the ball. At this depth, the force of the linear model has an
+error of more than 10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error.
+At a depth of 2.2 mm the error is 5 %.
 """
 
 

@@ -154,7 +154,7 @@ class ImportRequest:
     def _require_points(self) -> None:
         """Raise an error for coordinates that are not finite, lack a frame, or have a wrong order.
 
-        A frame is also an error if no coordinates are given as numbers.
+        A frame without coordinates that are given as numbers is also an error.
         """
         points: dict[str, Sequence[object]] = {
             "site": [self.site],
@@ -197,7 +197,7 @@ class ImportRequest:
 
     @property
     def is_soft(self) -> bool:
-        """True if the region is a soft organ, because of its name or because parts have moduli."""
+        """True if the name of the region is a soft organ, or if moduli are given for its parts."""
         return bool(self.parts) or (
             self.region is not None and re.search(SOFT, self.region.lower()) is not None
         )
@@ -254,10 +254,11 @@ USUAL = (
 )
 """Site that is searched by default, for a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
-"""Distance from the site, across its normal, within which the surface belongs to a joint [mm].
+"""Distance from the site, perpendicular to its normal, up to which a surface is articular [mm].
 
-For the glenoid, it is half of the height of 37 mm. For the heads, whose radii are 21 to 27 mm, the
-distance selects a spherical cap (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
+For the glenoid, the distance is half of its height of 37 mm. For the heads, whose radii are 21 to
+27 mm, the distance selects a spherical cap (`meshes.surfaces.glenoid`,
+`meshes.surfaces.landmarks`).
 """
 KEYS = {
     "anatomy.centre_mm": "site",
@@ -269,7 +270,7 @@ KEYS = {
 FEED_MM_S = 2.0
 """Feed [mm/s] of a path without a feed.
 
-It lies between reaming (0.5 mm/s) and milling (5 mm/s) in the built-in scenes.
+The value lies between the feeds of reaming (0.5 mm/s) and milling (5 mm/s) in the built-in scenes.
 """
 CLEARANCE_MM = 5.0
 """Distance outside the first point of a path at which the motion of the tool begins.
@@ -418,8 +419,8 @@ def plain_names(names: Sequence[str]) -> list[str]:
 class ImportedPath:
     """Path on a bone.
 
-    It contains the poses in the frame of the site, the depth below the surface, and a sentence that
-    describes the path.
+    The object contains the poses in the frame of the site, the depth below the surface, and a
+    sentence that describes the path.
     """
 
     table: ReplayTable

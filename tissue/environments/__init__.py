@@ -23,7 +23,10 @@ __all__ = ["IDS", "Drilling", "Milling", "Palpation", "register_environments"]
 
 NAMES = ("Drilling", "Milling", "Palpation")
 IDS = {f"tissue/{name}-v0": f"tissue.environments.{name.lower()}:{name}" for name in NAMES}
-"""Class of each environment, keyed by its name in gymnasium; it is imported at its first use."""
+"""Class of each environment, keyed by the name of the environment in gymnasium.
+
+A class is imported when it is first used.
+"""
 
 
 def register_environments() -> None:

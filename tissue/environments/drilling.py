@@ -24,8 +24,8 @@ __all__ = ["Drilling"]
 REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
 """Corners of the part of the crown that can be cut [m].
 
-The part contains all start positions (1 mm to each side) with the radius of the bur, down to the
-largest depth.
+The whole bur lies in this part at every start position (up to 1 mm to each side) and at every
+depth.
 """
 SPACING_M = 5e-5
 """Edge of a voxel [m]: a twentieth of the diameter of the bur."""
@@ -43,7 +43,10 @@ TOP_SPEED_M_S = 1e-2
 """Largest speed of the bur [m/s]: 0.01 mm per tick, a fifth of a voxel."""
 START_M = 5e-4
 CEILING_M = 8e-4
-"""Distance between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
+"""Distance between tip and tooth at the start [m].
+
+The bur counts as withdrawn at the same distance.
+"""
 INTO_DENTIN_M = 5e-4
 """Target depth below the junction of enamel and dentin [m].
 
@@ -59,10 +62,10 @@ The pulp lies 3 mm below the junction of enamel and dentin.
 class Drilling(ContactEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
-    A round bur of 1 mm at 400,000 revolutions per minute moves straight down. Where the enamel
-    ends, the resistance decreases; no observation shows the depth of this junction directly. Each
-    episode draws a position on the occlusal surface, and the densities of enamel and dentin. The
-    densities change the cutting forces.
+    A round bur of 1 mm at 400,000 revolutions per minute moves straight down. The resistance
+    decreases where the enamel ends. No observation shows the depth of the junction of enamel and
+    dentin directly. Each episode draws a position on the occlusal surface, and the densities of
+    enamel and dentin. The densities change the cutting forces.
 
     **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, multiplied by 3 N, positive
     downwards. The motion of the bur is computed from the balance of thrust, cutting force, inertia
@@ -134,7 +137,7 @@ class Drilling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """Tooth under the bur that can be restored; made at the first reset."""
+        """Restorable tooth under the bur, created at the first reset."""
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         return RestorableBone(
             self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials

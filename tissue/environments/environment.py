@@ -97,10 +97,10 @@ class RestorableBone:
         return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
 
     def voxels(self, layer: str) -> tuple[Ints, Array]:
-        """Return full voxels of a layer before any cut.
+        """Return the voxels of a layer that were full before any cut.
 
-        The result is the indices into the flat array of stored voxels, and the centres of the
-        voxels [m].
+        The result consists of indices into the flat array of stored voxels, and of the centres of
+        the voxels [m].
         """
         store = self.model.store
         # The content of a voxel is stored in 16 bits; a full voxel has 65,535.
@@ -110,7 +110,10 @@ class RestorableBone:
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def left(self, at: Ints) -> Flags:
-        """Return whether voxels, given by indices into the flat array, are at least half full."""
+        """Return a mask of the voxels that are at least half full.
+
+        The voxels are given by indices into the flat array of stored voxels.
+        """
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
@@ -127,7 +130,10 @@ class RestorableBone:
     def draw_section(
         self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
     ) -> None:
-        """Draw the layers of the remaining bone in a plane perpendicular to an axis [m]."""
+        """Draw the layers of the remaining bone at a coordinate ``at_m`` [m].
+
+        The plane is perpendicular to the axis ``across``.
+        """
         from matplotlib.colors import ListedColormap
 
         volume = self.volume
@@ -198,9 +204,9 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     The environment object is also the motion of the tool.
 
-    In a step, one action, whose entries lie in [-1, 1], is applied for `ticks` ticks of 1 ms. The
-    observation consists of the values of `entries`, each divided by its scale and clipped to [-1,
-    1]. Loads are means over the step. The reward of a step is::
+    In a step, one action is applied for `ticks` ticks of 1 ms. The entries of an action lie in [-1,
+    1]. The observation consists of the values of `entries`, each divided by its scale and clipped
+    to [-1, 1]. Loads are means over the step. The reward of a step is::
 
         P(after) - P(before)
             - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
@@ -208,8 +214,8 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     Here P is the potential of the task, F is the magnitude of the contact force, and M is the
     number of ticks of a whole episode. ``info`` contains the parts of the reward in
-    ``reward_terms``, the random draws of the episode in ``drawn``, the largest force of the step in
-    ``peak_force_N``, and the sum of rewards so far in ``score``.
+    ``reward_terms`` and the random draws of the episode in ``drawn``. It also contains the largest
+    force of the step in ``peak_force_N``, and the sum of rewards so far in ``score``.
 
     Parameters
     ----------
@@ -363,8 +369,8 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def snapshot(self) -> State:
         """Return a copy of the state, which can be pickled.
 
-        The state contains the tissue, the tool, the episode and the random generator. It can be
-        restored in an environment that was made with equal arguments.
+        The state contains the tissue, the tool, the episode and the random generator. The state can
+        be restored in an environment that was made with equal arguments.
         """
         self._require_episode("snapshot")
         return {

@@ -21,7 +21,7 @@ __all__ = ["Milling"]
 
 LAYERS = ("target", "tolerance", "spared")
 COLOURS = ("#D55E00", "#F0C090", "#D8D2C4")
-"""Layers, and the colours of the layers in pictures."""
+"""Names of the layers, and colours of the layers in pictures."""
 BLOCK_MM = (13.2, 10.8, 3.6)
 """Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels.
 
@@ -30,7 +30,7 @@ The burr always stays at least 1.6 mm from the sides of the block and 2.5 mm fro
 SPACING_MM = 0.2
 """Edge of a voxel [mm]: a twentieth of the diameter of the burr.
 
-On the tested paths, the forces differ by at most 2 % from those with voxels of 0.1 mm.
+On the tested paths, the forces differ by at most 2 % from the forces with voxels of 0.1 mm.
 """
 BURR_MM = 4.0
 FLUTES = 6
@@ -63,8 +63,8 @@ class Milling(ContactEnvironment):
     density of the bone and the start position of the tool.
 
     **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, multiplied by 10 mm/s. A
-    virtual fixture keeps the tip within 2.75 mm of the middle along x and 1.75 mm along y, and
-    between 2 mm above the bone and 1.1 mm deep.
+    virtual fixture keeps the tip within 2.75 mm of the middle along x, and within 1.75 mm along y.
+    Along z, the tip stays between 2 mm above and 1.1 mm below the surface of the bone.
 
     **Observation**, see `entries`: position of the tip relative to the middle of the pocket's
     opening, velocity of the tip, force and torque on the tool, vector from the tip to the nearest
@@ -137,7 +137,7 @@ class Milling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """Bone of the block that can be restored; made at the first reset."""
+        """Restorable bone of the block, created at the first reset."""
         burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         block = _block(self.pocket_mm)
         return RestorableBone(
@@ -184,7 +184,7 @@ class Milling(ContactEnvironment):
     def _shares(self) -> tuple[float, float]:
         """Return the volumes removed from the target and beyond the tolerance.
 
-        Both are relative to the volume of the target.
+        Both volumes are divided by the volume of the target.
         """
         target, _, spared = (1e9 * self.bone.model.removed_m3 / self._target_mm3).tolist()
         return target, spared

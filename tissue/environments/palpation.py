@@ -22,8 +22,8 @@ __all__ = ["Palpation"]
 SIZE_M = (0.1, 0.1, 0.028)
 """Size of the slab [m].
 
-The nodule is in the middle of the slab. The fingertip stays within 40 mm of the nodule, so its ball
-stays at least 2 mm inside the edge.
+The nodule is in the middle of the slab. The fingertip stays within 40 mm of the nodule. The ball of
+the fingertip therefore stays at least 2 mm inside the edge of the slab.
 """
 EDGE_M = 4e-3
 """Edge length of the tetrahedra [m]: half the radius of the ball and of the nodule."""
@@ -37,7 +37,10 @@ NODULE_TIMES = 20.0
 Forces are scaled to the modulus of the episode.
 """
 POISSON_RATIO = 0.45
-"""Poisson's ratio; linear tetrahedra would lock at the ratio of soft tissue, 0.49."""
+"""Poisson's ratio of the simulated tissue.
+
+Soft tissue has a ratio of 0.49, at which linear tetrahedra would lock.
+"""
 BALL_RADIUS_M = 8e-3
 REACH_M = 22e-3
 """Largest lateral distance of the fingertip from its start [m]."""
@@ -46,11 +49,14 @@ START_M = 1e-3
 CEILING_M = 3e-3
 """Lowest height of the tip, height at the start, and height at which the tip counts as lifted [m].
 
-At the lowest height, the force of linear elasticity differs by less than 5 % from a hyperelastic
-force.
+At the lowest height, the force of the linear elastic tissue differs by less than 5 % from the force
+of a hyperelastic tissue.
 """
 NEAR_M = 10e-3
-"""Smallest distance to the nodule at the start [m]; nearer to it, the potential increases."""
+"""Smallest distance between tip and nodule at the start [m].
+
+The potential increases only at smaller distances.
+"""
 TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
 """Largest speed along x, y and z [m/s]: 1.2 mm (x, y) and 0.6 mm (z) in a step of 20 ticks."""
 
@@ -79,8 +85,8 @@ class Palpation(ContactEnvironment):
     Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and is
     the entry ``progress`` of ``reward_terms``. No policy scores above 1; without any action the
     score is -0.1. An episode ends when the tip has touched the tissue and is again 3 mm above the
-    surface, and is truncated after 6 s. The position of the tip at the end is the estimate of the
-    nodule's position. Force above 0.4 N reduces the reward.
+    surface. An episode is truncated after 6 s. The position of the tip at the end is the estimate
+    of the nodule's position. Force above 0.4 N reduces the reward.
 
     Parameters
     ----------
@@ -171,7 +177,10 @@ class Palpation(ContactEnvironment):
         self._path = []
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tool at the tip, in the frame of the slab, whose middle is the nodule."""
+        """Place the tool at the position of the tip, in the frame of the slab.
+
+        The nodule lies below the origin of this frame.
+        """
         away = np.array([*(self.tip_m[:2] - self.nodule_m), self.tip_m[2]])
         np.dot(self._turn, away, out=motion.tip_m)
 

@@ -64,9 +64,9 @@ The encoders quantise this position.
 HAND_FORCE = tuple(f"hand_force_{c}_N" for c in "xyz")
 """Trace columns of the mean force of the device on the hand in the previous tick.
 
-They exist for devices that know their true position. The force is the motor force after latency,
-range and amplifier, minus the friction of the device and the force that accelerates the device's
-own mass.
+These columns exist only for devices that know their true position. The force is the motor force
+after latency, range and amplifier, minus the friction of the device and the force that accelerates
+the device's own mass.
 """
 
 POSITION = slice(0, 3)

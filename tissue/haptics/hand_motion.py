@@ -106,10 +106,11 @@ class HandMotion(Motion):
 
     Each tick has these steps:
 
-    1. Validate the device sample. 2. Move the tool towards the device. A tool that cuts is moved to
-    the balance of its inertia, its coupling and the tissue. Any other tool moves as far as the
-    response of the last tick allows. 3. Compute the tissue response. A free tool without inertia
-    that has entered the tissue is moved
+    1. Validate the device sample.
+    2. Move the tool towards the device. A tool that cuts is moved to the balance of its inertia,
+       its coupling and the tissue. Any other tool moves as far as the response of the last tick
+       allows.
+    3. Compute the tissue response. A free tool without inertia that has entered the tissue is moved
        back within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
@@ -223,7 +224,7 @@ class HandMotion(Motion):
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Set another device only before the first tick, because guard and measures change too.
+        Set another device only before the first tick, because guard and measures are then replaced.
         """
         return self.held.device
 

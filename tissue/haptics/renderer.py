@@ -28,8 +28,8 @@ __all__ = [
 SPEED_TICKS = 3
 """Number of ticks over which the speed is averaged.
 
-Chosen. `tissue.haptics.rigid_wall.knock` was run on a Touch and on a six-DOF device, with latencies
-up to 8 ms. No value from 1 to 8 is better in all of these runs.
+The value is chosen. `tissue.haptics.rigid_wall.knock` was run on a Touch and on a six-DOF device,
+with latencies up to 8 ms. No other value from 1 to 8 is better in all of these runs.
 """
 RELEASE_M_S = (0.03, 0.1)
 RELEASE_RAD_S = (1.2, 4.0)
@@ -48,12 +48,13 @@ STILL = 1e-6
 class PassivityObserver:
     """Observer of the energy taken from the device, exact for a zero-order hold of the force.
 
-    If a force F on the device is constant while the device moves by dx, it takes the energy -F . dx
-    from the device. The observer sums this product of the force of the last tick and the
-    displacement since then. The sum is exact and includes the energy that the hold creates. For
-    example, a device enters a spring K and leaves it at speed v. For each sample of depth, the
-    spring then returns K (v T)^2 more than it took, half on entry and half on exit. A delayed force
-    acts on a later displacement. If the delay is known, the sum is also exact.
+    If a force F on the device is constant while the device moves by dx, the force takes the energy
+    -F . dx from the device. In every tick, the observer adds this energy for the force of the last
+    tick and the displacement since then. The sum is exact and includes the energy that the hold
+    creates. For example, a device enters a spring K and leaves it at speed v. For each sample of
+    depth, the spring then returns more energy than it took. The difference is K (v T)^2, of which
+    half arises on entry and half on exit. A delayed force acts on a later displacement. If the
+    delay is known, the sum is also exact.
 
     Parameters
     ----------
@@ -113,13 +114,13 @@ class PassivityControl:
 
     A new force acts after the pending forces have acted. Until then, the pending forces push the
     device. The speed of the device along the force is therefore predicted as v + sum F T / m with
-    the device's own mass m. This overestimates the motion of a device in a hand. The outward work
-    of the pending forces and the new force at these speeds must not exceed the observed energy E.
-    An excess is subtracted from the new force. If the device moves out fast, up to the whole force
-    is removed. A damper -d v is added. It also dissipates a debt, a negative E, during entry. The
-    damper is sampled, too, and would be unstable above m / T. Therefore d has an upper bound. Near
-    zero speed no energy can be dissipated, and the debt remains. v is the mean speed over the last
-    ticks, because encoder positions change in steps.
+    the device's own mass m. This speed overestimates the motion of a device that a hand holds. The
+    outward work of the pending forces and the new force at these speeds must not exceed the
+    observed energy E. An excess is subtracted from the new force. If the device moves out fast, the
+    whole force may be removed. A damper -d v is added. The damper also dissipates an energy debt (a
+    negative E) while the device moves in. The sampled damper would be unstable above m / T.
+    Therefore d has an upper bound. Near zero speed no energy can be dissipated, and the debt
+    remains. v is the mean speed over the last ticks, because encoder positions change in steps.
 
     An environment without force stores no energy, because the energy taken before has been
     dissipated. This energy is set to zero, so that a later contact cannot use it. A debt remains.

@@ -151,7 +151,7 @@ class Header:
     Attributes
     ----------
     version
-        1 without extended header and metadata, 2 with them.
+        1 for a message without extended header and metadata, 2 for a message with them.
     kind, name
         Type of the message, and name of the sending device.
     time_s

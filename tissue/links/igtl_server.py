@@ -28,14 +28,14 @@ OVERLARGE = 1 << 34
 No image has 16 GiB. Such a size means that the bytes are not a header.
 """
 PIECE = 1 << 16
-"""Number of bytes read from a client at a time, the size of the largest body that is read."""
+"""Number of bytes read from a client in one call, equal to the size of the largest body."""
 STALLED_S = 10.0
 """Longest time in which a client may accept no data from its send queue [s].
 
 A client that hangs would otherwise use one of the `MOST_CLIENTS` connections until the run ends.
 """
 MOST_CLIENTS = 16
-"""Largest number of clients.
+"""Largest number of clients at a time.
 
 Each client has its own queue, so this number limits memory and sending time.
 """

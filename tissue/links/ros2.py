@@ -26,10 +26,13 @@ STATE_S = 1.0
 PAUSED_S = 0.5
 """Time without a tick after which the run counts as paused [s].
 
-This is 500 ticks, so late ticks do not count as a pause.
+This is the time of 500 ticks, so late ticks do not count as a pause.
 """
 LOOK_S = 1e-3
-"""Interval between two checks for a new row [s]. It is one tick, so that a row is found soon."""
+"""Interval between two checks for a new row [s].
+
+The interval is one tick, so a new row is found soon.
+"""
 POSE = (*(f"tool_{c}_mm" for c in "xyz"), *(f"tool_q{c}" for c in "xyzw"))
 TWIST = (*(f"velocity_{c}_mm_s" for c in "xyz"), *(f"angular_velocity_{c}_rad_s" for c in "xyz"))
 WRENCH = (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz"))

@@ -201,7 +201,7 @@ class SlicerContent:
     def status_message(self, read: Readings | None) -> bytes:
         """Return a status message with the simulated time and the number of missed deadlines.
 
-        None means that the first tick has not run yet.
+        The result is None before the first tick.
         """
         text = "begins"
         if read is not None:
@@ -273,9 +273,9 @@ class SlicerTarget:
 
         The pose consists of the tip in the scene [mm] and the rotation relative to the first
         orientation (x, y, z, w). The result is None for a transform with another name and for an
-        ignored transform. A transform is ignored if it is not a rigid motion, if the scene does not
-        allow clients to move the tool, or if another client that sent a target earlier is still
-        connected.
+        ignored transform. A transform is ignored if it is not a rigid motion, or if the scene does
+        not allow clients to move the tool. It is also ignored while another client that sent a
+        target earlier is still connected.
         """
         if received.header.name != TARGET:
             return None
@@ -443,7 +443,7 @@ class Publisher(RunPublisher):
             self._send(self._content.status_message(read), is_stream=True)
 
     def _send_events(self) -> None:
-        """Send new events. Only events that are still stored can be sent."""
+        """Send new events that are still stored."""
         count = int(self._arrays["events_count"][0])
         held = self._arrays["events"]
         for number in range(max(self._event, count - len(held)), count):

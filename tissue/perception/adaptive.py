@@ -26,9 +26,9 @@ __all__ = [
 ]
 
 EDGE_MASS = 0.05
-"""Posterior mass in the outermost cells above which the prior dominates the data.
+"""Largest accepted posterior mass in the outermost cells of the grid of Weber fractions.
 
-The cells are those of the grid of Weber fractions.
+With a larger mass, the prior dominates the data.
 """
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
@@ -41,7 +41,7 @@ The base forces are below, above and far above the low-force term. The RMS error
 STEPS = (0.005, 1.5)
 """Smallest and largest step of a pair, divided by the base force plus `LOW_FORCE_N`.
 
-The thresholds of the prior are between these values: 0.015 to 0.6 of this sum.
+The thresholds of the prior are 0.015 to 0.6 of this sum, and thus lie between the two values.
 """
 LOW_FORCE_N = 0.2
 """Low-force term of Weber's law for the steps, and median of its prior [N].
@@ -51,7 +51,7 @@ The range in `tissue/materials/perception.toml` is 0.1 to 0.3 N (low confidence)
 LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
-"""Largest lapse rate of the grid, exponent of its cell growth, and Beta parameters of the prior.
+"""Largest lapse rate of the grid, exponent of the cell width, and Beta parameters of the prior.
 
 With cells of equal width (exponent 1) the bias of the threshold is -4 %. With exponents of 2.5 and
 4, and largest lapse rates of 0.1 and 0.4, the bias is 1.4 % or less (300 simulated observers, 80
@@ -70,7 +70,10 @@ For a scatter of 0.25 the prior standard deviation is 1.
 """
 PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
-"""Parameters of the inverse-gamma prior of sigma^2, with mean 0.12, a scatter of about 0.3."""
+"""Parameters of the inverse-gamma prior of sigma^2.
+
+The prior mean of sigma^2 is 0.12, which corresponds to a scatter of about 0.3.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,10 +82,10 @@ class ThresholdPrior:
 
     The Weber fraction has a log-normal prior between two bounds. The low-force term has a
     log-normal prior around 0.2 N (factor 1.65) within 0.05 to 0.8 N. The prior of the lapse rate is
-    Beta(0.5, 5) up to 0.2. It has the mean of the Beta(1, 10) of Schuett et al. (2016), with half
-    of the weight. Cells of the Weber fraction have equal width in its logarithm. Cells of the lapse
-    rate are narrow at small rates. Otherwise the thresholds of observers with few lapses would be
-    estimated 12 % too low.
+    Beta(0.5, 5) up to 0.2. This prior has the same mean as the prior Beta(1, 10) of Schuett et al.
+    (2016), and half of its weight. Cells of the Weber fraction have equal width in its logarithm.
+    Cells of the lapse rate are narrow at small rates. Otherwise the thresholds of observers with
+    few lapses would be estimated 12 % too low.
 
     Attributes
     ----------
@@ -177,11 +180,12 @@ def comparisons(
 class AdaptiveThreshold:
     """Posterior of observers' thresholds, and choice of the most informative comparisons.
 
-    The chosen comparison has the smallest expected entropy of the posterior. This is the largest
-    mutual information of answer and parameters: H(answer) minus the mean entropy of the answer for
-    known parameters. The likelihoods of the comparisons at the points of the grid, and their
-    entropies, are computed in advance as matrices. A trial then takes two matrix-vector products.
-    The rule is that of QUEST+ (Watson, 2017); the form of the computation is that of this project.
+    The chosen comparison has the smallest expected entropy of the posterior. This comparison also
+    has the largest mutual information between answer and parameters. The mutual information is
+    H(answer) minus the mean entropy of the answer for known parameters. The likelihoods of the
+    comparisons at the points of the grid, and their entropies, are computed in advance as matrices.
+    A trial then takes two matrix-vector products. The rule is from QUEST+ (Watson, 2017). The
+    computation with matrices is specific to this project.
 
     Parameters
     ----------
@@ -240,7 +244,8 @@ class AdaptiveThreshold:
     def weber(self) -> tuple[Array, Array]:
         """Return the geometric mean and log spread of the Weber fraction.
 
-        The log spread is the standard deviation of the logarithm. Each has shape (observers,).
+        The log spread is the standard deviation of the logarithm. Each array has shape
+        (observers,).
         """
         return self._log_moments(self._weber)
 
@@ -275,8 +280,8 @@ class AdaptiveThreshold:
     def edge_mass(self) -> tuple[Array, Array]:
         """Return the posterior mass in the two outermost cells at each bound of the Weber fraction.
 
-        The first array belongs to the lower bound, the second array to the upper bound, each of
-        shape (observers,).
+        The first array belongs to the lower bound, and the second array to the upper bound. Each
+        array has shape (observers,).
         """
         # Two of the default cells cover 12 % of the Weber fraction.
         masses = self.weber_masses()
@@ -287,7 +292,8 @@ class AdaptiveThreshold:
 class MagnitudePosterior:
     """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e.
 
-    Source: Gelman et al., 2013, section 14.2.
+    S is the reported number, F the force, and e a random number with a standard normal
+    distribution. Source: Gelman et al., 2013, section 14.2.
 
     Attributes
     ----------
@@ -323,7 +329,9 @@ class MagnitudePosterior:
 
 
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
-    """Compute the posterior from reported numbers; without numbers it is the prior.
+    """Compute the posterior from reported numbers.
+
+    Without numbers, the result is the prior.
 
     The factor alpha includes the observer's use of numbers, which cannot be separated from it.
 

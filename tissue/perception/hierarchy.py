@@ -35,7 +35,7 @@ HYPER = (
 )
 """Parameters of the population.
 
-They are the means and the standard deviations over people, and the mean of sigma squared.
+The parameters are the means and the standard deviations over people, and the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma distribution of sigma squared over people.
@@ -93,12 +93,12 @@ class PopulationFit:
     Attributes
     ----------
     draws
-        Draws as a dictionary by name. The shape is (chains, draws) for the population (`HYPER`),
-        and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma of each
-        observer.
+        Draws, keyed by the name of the parameter. The shape is (chains, draws) for the population
+        (`HYPER`), and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma
+        of each observer.
     r_hat, ess
-        Split R-hat and effective sample size for each of `HYPER`, and under the name ``people`` the
-        worst value of the observers' parameters.
+        Split R-hat and effective sample size, keyed by the names in `HYPER`. The key ``people`` has
+        the worst value of the observers' parameters.
     divergences
         Number of divergent transitions.
     """

@@ -97,11 +97,11 @@ class Intensity:
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
     Here the scatter is relative and Gaussian. In a fit of reported numbers the scatter is in ln S.
-    The two are equal to first order. A log-normal scatter is not used here, because its mean does
-    not exist if sigma squared has an inverse-gamma distribution over people. It would contribute
-    the factor exp(sigma^2 / 2) to E[S], which is equal for all forces, so that ratios of
-    intensities do not depend on it. The unit of intensity is the reference observer's intensity at
-    1 N.
+    The two forms of scatter are equal to first order. A log-normal scatter is not used here,
+    because its mean does not exist if sigma squared has an inverse-gamma distribution over people.
+    The scatter would multiply E[S] by exp(sigma^2 / 2). This factor is equal for all forces, so it
+    would not change ratios of intensities. The unit of intensity is the reference observer's
+    intensity at 1 N.
 
     Attributes
     ----------
@@ -234,8 +234,8 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
 NODES = 4097
 """Number of nodes of a table.
 
-Over five decades the error of log-linear interpolation is below 1e-6 for every observer whose
-exponent has a standard deviation of at most 0.5.
+Over five decades of force, log-linear interpolation has an error below 1e-6. The error was computed
+for observers whose exponent has a standard deviation of at most 0.5.
 """
 
 
@@ -279,12 +279,12 @@ class ForceMap:
 
     The reference is the intensity that the reference observer has at gain x force.
 
-    Stevens' law is homogeneous: a common factor of all forces keeps every ratio of intensities, and
-    no other function does. Therefore ``gain``, a common factor, fits the forces into the range of
-    the device. ``knee_N`` is the strongest force that the device plays uncompressed. The factor is
-    1 if the observer needs no more force than the reference observer at ``knee_N``. If the observer
-    needs more force, the factor is below 1, so that exactly ``knee_N`` is commanded there. Up to
-    the knee::
+    Stevens' law is homogeneous: a common factor of all forces does not change any ratio of
+    intensities. Every other function of the force changes these ratios. Therefore ``gain``, a
+    common factor, fits the forces into the range of the device. ``knee_N`` is the strongest force
+    that the device plays uncompressed. The factor is 1 if the observer needs no more force than the
+    reference observer at ``knee_N``. If the observer needs more force, the factor is below 1. It is
+    chosen so that the command at ``knee_N`` is exactly ``knee_N``. Up to the knee::
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
@@ -297,7 +297,7 @@ class ForceMap:
     Parameters
     ----------
     reference, observer
-        Observer whose intensity is the reference, and observer who feels the command.
+        Observer that defines the reference intensity, and observer that feels the command.
     lowest_N, knee_N
         Upper end of the straight line [N], above 0, and the strongest force that the device plays
         uncompressed [N], above ``lowest_N``.
@@ -310,7 +310,8 @@ class ForceMap:
         Tables: command [N] as a function of force, and mean and standard deviation of the intensity
         as functions of the command.
     steepest
-        Largest slope of the map. It is the largest factor of a contact's stiffness in the loop.
+        Largest slope of the map. The map increases the stiffness of a contact in the loop at most
+        by this factor.
 
     Raises
     ------

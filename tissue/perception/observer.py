@@ -45,13 +45,16 @@ BOUNDS = {
     "lapse": (1e-6, 0.5),
     "sigma": (1e-4, 2.0),
 }
-"""Bounds of plausible medians of a person. A median outside means a wrong unit or a bad fit."""
+"""Bounds of plausible medians of a person.
+
+A median outside these bounds means a wrong unit or a bad fit.
+"""
 FORMAT = "tissue observer"
 VERSION = 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
-"""Largest standard deviation of a coordinate. A larger value means that the fit failed."""
+"""Largest standard deviation of a coordinate of an observer. A larger value means a failed fit."""
 REPORTED_N = 2.0
 """Force at which the threshold of an observer is reported [N]."""
 ROUNDING = 1e-5
@@ -185,7 +188,7 @@ class Observer:
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return joint draws of all parameters, as arrays of shape (count,) by name."""
+        """Return joint draws of all parameters, as arrays of shape (count,), keyed by parameter."""
         values, vectors = np.linalg.eigh(self.covariance)
         # A matrix square root is used instead of Cholesky's factor, because the covariance may be
         # singular. Rounding may make eigenvalues of zero negative.
@@ -307,9 +310,9 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
 class Population:
     """Population: distribution of the parameters over people.
 
-    alpha has a log-normal distribution with mean 1, beta a normal distribution, and sigma squared
-    an inverse-gamma distribution. The mean of alpha is 1, because the unit of intensity is chosen
-    as the average intensity at 1 N. Weber's fraction and low-force term have log-normal
+    alpha has a log-normal distribution with mean 1, beta has a normal distribution, and sigma
+    squared has an inverse-gamma distribution. The mean of alpha is 1, because the unit of intensity
+    is chosen as the average intensity at 1 N. Weber's fraction and low-force term have log-normal
     distributions, so that thresholds are positive. The lapse rate has a logit-normal distribution.
 
     Attributes
@@ -337,7 +340,10 @@ class Population:
     sigma_shape: float
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the parameters of `count` random people, as arrays of shape (count,) by name."""
+        """Return the parameters of `count` random people, keyed by parameter.
+
+        The arrays have shape (count,).
+        """
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {
@@ -360,8 +366,8 @@ def population() -> Population:
 def population_observer() -> Observer:
     """Return the population of ``perception.toml`` as an observer, for an unknown person.
 
-    The conversion is exact except for sigma, of which mean and variance of the logarithm are
-    kept.
+    The conversion is exact except for sigma. For sigma, only the mean and the variance of the
+    logarithm are kept.
     """
     people = population()
     scale = (people.sigma_shape - 1.0) * people.sigma**2

@@ -69,9 +69,9 @@ class PerceptionMaker(Protocol):
 
 
 REST_SHARE = 0.5
-"""Ratio to the threshold at zero below which zero force is played.
+"""Ratio of the force to the threshold at zero below which zero force is played.
 
-The played force becomes zero below half of the threshold, and leaves zero above the whole
+The played force becomes zero below half of the threshold. It becomes non-zero again above the whole
 threshold. Noise around one of the two values therefore does not switch the force on and off.
 """
 BLOCK = 512
@@ -83,7 +83,7 @@ one tick.
 
 
 class Deadband:
-    """Deadband: the played vector changes only if the wanted vector differs by a threshold.
+    """Deadband: the played vector changes only if the wanted vector is farther than a threshold.
 
     The threshold is evaluated at the magnitude of the played vector. If the distance between the
     two vectors exceeds the threshold, the wanted vector is played.
@@ -97,8 +97,9 @@ class Deadband:
     free space.
 
     If the played force is constant while the wanted force decreases, the device receives energy. In
-    a cycle this is the energy of a Coulomb friction of half the threshold with the opposite sign. A
-    larger friction of the device, or the damping of a hand, dissipates this energy.
+    a cycle, this energy equals the energy that a Coulomb friction of half the threshold would
+    dissipate. A larger friction of the device, or the damping of a hand, dissipates the received
+    energy.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ class Deadband:
         return True
 
     def forget(self) -> None:
-        """Play the next vector as a change, whatever its distance is."""
+        """Play the next vector as a change, even if its distance is below the threshold."""
         self._fresh = True
 
 
@@ -166,7 +167,7 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 
 
 class Sense:
-    """Estimate of a force by a person: noisy observations, averaged by a steady filter.
+    """Estimate of a force by a person: noisy observations, averaged by a filter with constant gain.
 
     The person observes the force once a tick. The gain is G = 1 - exp(-T / tau), where tau is the
     time over which the person averages force. The noise of an observation is chosen so that the

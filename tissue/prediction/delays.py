@@ -2,10 +2,10 @@
 
 The coordinates are a delay embedding (Takens 1981) of the displacement of the device and the
 stretch of the coupling. For each number of ticks ahead, a linear map is fitted directly (Brunton,
-Brunton, Proctor, Kaiser & Kutz 2017). Powers of the map for one tick had a larger error. Errors are
-compared as excess errors, sqrt(e^2 - e0^2) with the lower bound e0 of the error e, relative to the
-zero-order hold. In the scene `wall`, 4 ms ahead, this ratio is 0.22 with powers and 0.19 with
-direct maps.
+Brunton, Proctor, Kaiser & Kutz 2017). Powers of the map for one tick had a larger error. Errors e
+are compared as excess errors sqrt(e^2 - e0^2), where e0 is the lower bound of the error. The excess
+error is divided by the excess error of the zero-order hold. For predictions 4 ms ahead in the scene
+`wall`, this ratio is 0.22 with powers and 0.19 with direct maps.
 """
 
 from collections.abc import Iterable
@@ -23,26 +23,26 @@ __all__ = ["COORDINATES", "DELAYS", "HORIZON", "DelayOperator", "DelayPath", "Mo
 DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
 """Delays of the coordinates [ticks].
 
-Nine delays replace 81 delays. For simulated hands that were not in the training data, 4 ms ahead,
-the ratio of the excess error to that of the zero-order hold is 0.19 in `wall` and 0.31 in
-palpation. With all delays up to 80 it is 0.19 and 0.36, and with all delays up to 40 it is 0.22 and
-0.41.
+These nine delays replace all 81 delays from 0 to 80. The excess error 4 ms ahead was compared with
+the excess error of the zero-order hold, for simulated hands that were not in the training data.
+With the nine delays, the ratio is 0.19 in `wall` and 0.31 in palpation. With all delays up to 80
+the ratios are 0.19 and 0.36, and with all delays up to 40 they are 0.22 and 0.41.
 """
 COORDINATES = 2 * len(DELAYS) - 1
 """Number of coordinates of an axis: displacements between delays, and stretches at delays."""
 HORIZON = 20
 """Largest number of ticks ahead.
 
-It is enough for 16 ms of latency and the path to the motor, in total 18.1 ticks.
+This number is enough for 16 ms of latency and the path to the motor, in total 18.1 ticks.
 
-The prediction for a longer time is that for the horizon.
+For a longer time, the prediction at the horizon is used.
 """
 RIDGE = 1e-6
 """Ridge penalty, relative to the mean square of each coordinate.
 
-It keeps the weights small if neighbouring delays differ by less than an encoder step. A penalty of
-1e-3 was worse in all scenes. In palpation the ratio of the excess error to that of the zero-order
-hold was larger by 0.02.
+The penalty keeps the weights small if the positions at neighbouring delays differ by less than an
+encoder step. A penalty of 1e-3 was worse in all scenes. In palpation, the ratio of the excess error
+to the excess error of the zero-order hold was larger by 0.02.
 """
 KEPT_LEADS = 16
 """Number of prediction horizons whose maps are kept; a loop uses its horizon and one tick."""
@@ -59,7 +59,7 @@ class Moments:
         COORDINATES) [m2].
     targets
         Mean of z yᵀ, shape (COORDINATES, 2 HORIZON). The targets y are the displacements after 1 to
-        `HORIZON` ticks, then the changes of the stretch.
+        `HORIZON` ticks, followed by the changes of the stretch after the same ticks.
     """
 
     coordinates: Array
@@ -131,7 +131,7 @@ class DelayOperator:
 def coordinates(position_m: Array, stretch_m: Array) -> Array:
     """Return the coordinates from positions and stretches at `DELAYS`, (COORDINATES, ...).
 
-    Both arguments have shape (delays, ...), newest first.
+    Both arguments have shape (delays, ...), with the newest value first.
     """
     return np.concatenate((position_m[:-1] - position_m[1:], stretch_m))
 

@@ -18,7 +18,7 @@ Triple = tuple[float, float, float]
 BLEND = 10
 """Number of ticks in which the force fades from one predictor to the other."""
 ABSURD = 1e6
-"""Largest plausible value of a device [m, m/s or N]."""
+"""Largest plausible component of a device's position, velocity or force [m, m/s, N]."""
 MEMORY = 0.98
 """Factor per tick of past prediction errors: about 50 ticks, the length of a first contact."""
 WORSE = 1.5
@@ -27,11 +27,14 @@ WORSE = 1.5
 Smaller differences are noise. The value is a prior, not a measurement.
 """
 LEAST_N = 3e-3
-"""Error that is always accepted [N]: below a tenth of the lowest device friction, 0.04 N."""
+"""Error that is always accepted [N].
+
+This error is below a tenth of the lowest device friction, which is 0.04 N.
+"""
 LONG_MEMORY = 0.999
 """Factor per tick of past errors in the comparison with the zero-order hold: about 1 s.
 
-In this time, the comparison sums the squared errors of the predictor minus those of the hold.
+The comparison sums the squared errors of the predictor, minus the squared errors of the hold.
 """
 MOST_DEBT = 20.0
 """Largest sum in the comparison with the zero-order hold, in units of `LEAST_N`^2.
@@ -56,12 +59,12 @@ class Guarded:
 
     The force is the force of the fallback plus a share of the difference between the two forces.
     The predictor loses trust in three cases. First, it reports that it is not trusted. Second, the
-    recent errors of its predictions are larger than those of the fallback. Third, over a longer
-    time its errors are larger than those of a zero-order hold; this includes predicted contacts
-    that did not happen. Then the share falls from 1 to 0 in `BLEND` ticks. It increases at the same
-    rate after a period of trust. The difference is limited. If it is not finite, the last
-    difference is used. A change between the predictors therefore changes the force by at most this
-    limit.
+    recent errors of its predictions are larger than the errors of the fallback. Third, over a
+    longer time its errors are larger than the errors of a zero-order hold. Predicted contacts that
+    did not happen count as such errors. In each case the share falls from 1 to 0 in `BLEND` ticks.
+    It increases at the same rate after a period of trust. The difference is limited. If it is not
+    finite, the last difference is used. A change between the predictors therefore changes the force
+    by at most this limit.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ A surface that moves by more than this depth is treated as a new surface.
 RELEASED = 20
 """Number of ticks without force after which a contact ends.
 
-A shorter time without force is chatter of a cut, which leaves no surface.
+A shorter time without force is caused by chatter of a cutting tool, and does not define a surface.
 """
 REMEMBERED = 0.95
 """Factor per tick of past forces in the estimate of the force's direction.

@@ -24,28 +24,28 @@ DRIFT_PER_M = 50.0
 """Increase of a slope's variance per metre of motion.
 
 A slope of 1 is unknown again after 20 mm, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500
-were compared in palpation, by the ratio of the excess error to that of the zero-order hold. From 50
-on, the results are similar: 0.40 to 0.68. With 0.5 the ratio is 0.72.
+were compared in palpation. The excess error was divided by the excess error of the zero-order hold.
+With values from 50 on, the ratios are similar: 0.40 to 0.68. With a value of 0.5 the ratio is 0.72.
 """
 LAW_SHARE = 0.8
 """Weight of a cutting tool's law in the mean of law and predicted stretch.
 
-The errors of law and stretch are partly independent. The ratios of the excess error to that of the
-zero-order hold, 4 ms ahead, are for weights of 0.5, 0.8 and 1: 0.63, 0.60 and 0.58 in caries; 0.65,
-0.63 and 0.61 in glenoid; 0.40, 0.41 and 0.48 in milling; 0.37, 0.34 and 0.33 in molar; 0.49, 0.51
-and 0.53 in pedicle.
+The errors of law and stretch are partly independent. The excess error 4 ms ahead, divided by the
+excess error of the zero-order hold, was computed with weights of 0.5, 0.8 and 1. The ratios are
+0.63, 0.60 and 0.58 in caries; 0.65, 0.63 and 0.61 in glenoid; 0.40, 0.41 and 0.48 in milling; 0.37,
+0.34 and 0.33 in molar; 0.49, 0.51 and 0.53 in pedicle.
 """
 JUMP_M = 5e-4
 """Change of a force in a tick, divided by the coupling's stiffness, that is a jump [m].
 
-It corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand is that fast.
+The value corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand moves so fast.
 """
 UNKNOWN = 1.0
 """Variance of an unknown slope; the slope of a tissue as stiff as the coupling is 1."""
 
 
 class ContactSlope:
-    """Estimate of the matrix S of df = -S dp, shape (3, 3).
+    """Estimate of the matrix S, shape (3, 3), in df = -S dp.
 
     The force f is divided by the coupling's stiffness, so that f and the position p are in metres.
 
@@ -85,7 +85,7 @@ class ContactSlope:
         self._spread = UNKNOWN * np.eye(3)
 
     def _bound(self) -> None:
-        """Limit the variance to that of an unknown slope.
+        """Limit the variance to the variance of an unknown slope.
 
         The trace of the covariance is limited, so that no direction is preferred.
         """
@@ -109,10 +109,10 @@ class LookAhead:
 
     A tool that cuts has its own balance of inertia, coupling and cutting force (`CuttingLaw`). This
     balance is integrated along the predicted path of the device, with the cutting elements that are
-    in the tissue now. With the exact path in milling, 4 ms ahead, the ratio of the excess error to
-    that of the zero-order hold is 0.13. It is 0.38 if the force does not change with the velocity.
-    The result is averaged with the stretch that the path predicts, see `LAW_SHARE`. Between two
-    responses of the tissue, only this stretch is used.
+    in the tissue now. In milling, 4 ms ahead, with the exact path, the excess error is 0.13 of the
+    excess error of the zero-order hold. The ratio is 0.38 if the cutting force is assumed not to
+    change with the velocity. The result is averaged with the stretch that the path predicts, see
+    `LAW_SHARE`. Between two responses of the tissue, only this stretch is used.
 
     The coupling's damper force is assumed constant up to the end of the path.
 
@@ -121,10 +121,10 @@ class LookAhead:
     path
         Predictor of the device's path.
     slopes
-        Slopes of the tissue's force that are used: ``none``; ``given``, those that the tissue
-        provides; or ``learnt``, which also estimates slopes that the tissue does not provide. In
-        contact without a slope, the stretch that the path predicts is used. Friction and rupture
-        under a needle or a blade have no constant slope.
+        Slopes of the tissue's force that are used. ``none`` uses no slope. ``given`` uses the
+        slopes that the tissue provides. ``learnt`` also estimates slopes that the tissue does not
+        provide. In contact without a slope, the stretch that the path predicts is used. Friction
+        and rupture under a needle or a blade have no constant slope.
     """
 
     residual_N = 0.0

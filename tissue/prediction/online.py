@@ -11,14 +11,14 @@ __all__ = ["AdaptivePath"]
 MEMORY = 1000.0
 """Number of ticks after which the weight of a tick in the fit is 1/e."""
 PRIOR = 0.3
-"""Weight of the initial operator in the fit, relative to a run with the power in training.
+"""Weight of the initial operator in the fit, relative to a run with the power of the training data.
 
 This weight makes the fit solvable at rest. The fit then returns to the initial operator.
 """
 SMOOTHED = 8
 """Number of ticks on each side over which a parabola smooths the target position.
 
-This removes most of the effect of encoder steps on the target.
+The smoothing removes most of the effect of encoder steps on the target.
 """
 INTERVAL = 32
 """Number of ticks between two solves of the fit. A solve takes 30 us in its tick."""
@@ -55,7 +55,7 @@ class AdaptivePath(DelayPath):
         self._good = 0
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update the window, and add the oldest kept tick, whose targets are now known, to the fit.
+        """Update the window, and add its oldest tick to the fit, because its targets are now known.
 
         The targets are displacements to later positions that the coupling uses.
         """

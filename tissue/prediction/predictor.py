@@ -26,15 +26,15 @@ __all__ = [
 class Predictor(Protocol):
     """Predictor of the force on a device some ticks after the last observation.
 
-    Once a tick, `observe` receives the device position and velocity, and in ticks with a tissue
-    response the force. Then `predict` returns the predicted force. The time of each call is
-    constant.
+    Once a tick, `observe` receives the device position and velocity. In ticks with a tissue
+    response, it also receives the force. Then `predict` returns the predicted force. The time of
+    each call is constant.
     """
 
     residual_N: float
-    """Magnitude of the last one-tick error [N]: predicted minus measured newest force."""
+    """Magnitude of the last one-tick error [N]: predicted force minus measured force."""
     is_primary: bool
-    """True if the last predicted force is that of the predictor and not of its fallback."""
+    """True if the last predicted force came from the predictor and not from its fallback."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
@@ -47,7 +47,7 @@ class Predictor(Protocol):
         """Return the predicted force some ticks after the last observation [N], shape (3,).
 
         For zero ticks it is the present force. The number of ticks need not be a whole number,
-        because the delay of a force on its path to the motor is not one, see
+        because the delay of a force on its path to the motor is not a whole number of ticks, see
         `tissue.haptics.loop.sampled_loop`.
         """
         ...
@@ -160,21 +160,21 @@ class SeesContact(Protocol):
 WINDOW = 10
 """Number of ticks over which a slope is estimated.
 
-Values from 3 to 30 were compared. In recordings of `wall`, 4 to 8 ms ahead, only a window of 8 is
-better. In the slower scenes 10 is better than 8. With a shorter window an encoder step looks like a
-slope.
+Values from 3 to 30 were compared. In recordings of `wall`, 4 to 8 ms ahead, only a window of 8 has
+a smaller error. In the slower scenes, 10 is better than 8. With a shorter window an encoder step
+looks like a slope.
 """
 LONGEST_WINDOW = 1000
 """Longest window of a slope [ticks]: 1 s. The slope of a contact is not constant for so long."""
 JERKINESS = 1e-3
 """Variance of the force's third difference divided by the variance of its noise.
 
-It is the best of the values from 1e-8 to 1e-2 in recordings of `wall`.
+In recordings of `wall`, this value gave the smallest error of the values from 1e-8 to 1e-2.
 """
 
 
 class Linear:
-    """Predictor by a straight line through the newest force and the force one window before."""
+    """Predictor with a straight line through the newest force and the force one window earlier."""
 
     residual_N = 0.0
     is_primary = trusted = True
@@ -234,7 +234,7 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
 
 class Kalman:
-    """Predictor by a steady Kalman filter for a force with a constant second derivative.
+    """Predictor with a steady-state Kalman filter for a force with a constant second derivative.
 
     The process and the observations have white noise.
     """

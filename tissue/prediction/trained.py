@@ -24,8 +24,8 @@ SHIPPED = Path(__file__).parent / "trained"
 VALIDATED_AT = 6
 """Prediction horizon in whole ticks at which predictors are compared in training.
 
-It is the horizon for 4 ms of latency. On a Touch, including the path to the motor, this is 6.11
-ticks, see `tissue.simulation.builders.loop.lead_ticks`.
+The value is the horizon for 4 ms of latency. On a Touch, this horizon is 6.11 ticks including the
+path to the motor, see `tissue.simulation.builders.loop.lead_ticks`.
 """
 FORMAT = "tissue predictor"
 VERSION = 4
@@ -164,7 +164,7 @@ def shipped_file(scene: str) -> Path:
 def is_trained(scene: str, file: str = "") -> bool:
     """Return True if a trained predictor exists for a scene.
 
-    It is the scene's own file, or a file that is part of the package.
+    The predictor is in the scene's own file, or in a file that is part of the package.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 

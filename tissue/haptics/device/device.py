@@ -40,7 +40,7 @@ class Sample(NamedTuple):
 class DeviceError(InputError):
     """Error of a device that violates the interface.
 
-    The message is one sentence. It has the call, the observed behaviour and the remedy.
+    The message is one sentence. It names the call, the observed behaviour and the remedy.
     """
 
 
@@ -99,7 +99,10 @@ class StatesPlayed(Protocol):
 
 
 class ComputedDevice:
-    """Base class of computed devices. They answer at once, and their last force is zero."""
+    """Base class of computed devices.
+
+    A computed device answers at once, and its last force is zero.
+    """
 
     in_process = True
     """True if read and command only compute, so that they cannot block."""
@@ -129,8 +132,8 @@ class DeviceParameters:
     force_slew_N_ms
         Largest change of the commanded force [N/ms].
     rate_Hz
-        Samples and force updates per second. The loop reads a faster device once a tick. For a
-        slower device, each force is held until its next sample.
+        Samples and force updates per second. The loop reads a faster device once a tick. With a
+        slower device, each force is held until the next sample of the device.
     transport_delay_s
         Time from a sample to the force computed from it, in addition to the zero-order hold [s].
     amplifier_Hz
@@ -140,7 +143,8 @@ class DeviceParameters:
         resolution [rad] of the rotation.
     torque_limit_Nm, torque_slew_Nm_ms
         Largest torque [N m] and largest change of the torque [N m/ms]. A torque limit of 0 defines
-        a device with three degrees of freedom, whose rotation follows the hand freely.
+        a device with three degrees of freedom. The rotation of such a device follows the hand
+        freely.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
         Limits in the vendor's software. They are reported and not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m
@@ -228,7 +232,7 @@ class DeviceParameters:
 def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
     """Return the parameters of a device by its name in `DEVICES`.
 
-    Constants of the scene replace those of the built-in sources.
+    Constants of the scene replace the constants of the built-in sources.
 
     Raises
     ------

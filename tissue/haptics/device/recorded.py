@@ -76,8 +76,8 @@ class RecordedDevice(ComputedDevice):
 RESPONSE_S = 0.03
 """Time constant of the response of a mouse to a push [s].
 
-It is about the time between two frames of a window (1/30 s). With a shorter time constant, each
-push would be visible as a jerk.
+The value is about the time between two frames of a window (1/30 s). With a shorter time constant,
+each push would be visible as a jerk.
 """
 
 

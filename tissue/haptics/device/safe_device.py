@@ -31,18 +31,19 @@ __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice", "run_held"]
 RAMP_S = 0.03
 """Time in which the last force is ramped to zero if the loop still runs [s].
 
-After a sudden loss of force the hand would jump. The ramp is shorter than `STALL_S`, so that at
-every kind of end the force is removed within 50 ms.
+After a sudden loss of force the hand would jump. The ramp is shorter than `STALL_S`, so that the
+force is always removed within 50 ms, however the loop ends.
 """
 STALL_S = 0.05
 """Longest time without a command before the force is removed [s].
 
-It equals the time in the network protocol after which a device removes its force by itself.
+In the network protocol, a device removes its force by itself after the same time.
 """
 GIVE_UP_S = 1.0
 """Longest duration of a read or a command before the device is treated as lost [s].
 
-The force is already removed after `STALL_S`. This longer time only ends the wait of the user.
+The force is already removed after `STALL_S`. After this longer time, the user no longer has to wait
+for the device.
 """
 OPENING_S = 10.0
 """Longest duration of opening a device, including search, connection and wake-up [s].
@@ -365,7 +366,7 @@ class SafeDevice:
 POLL_S = 0.01
 """Interval between two checks [s], a fifth of `STALL_S`.
 
-A check takes some microseconds from the ticks.
+A check delays the ticks by some microseconds.
 """
 
 
@@ -383,7 +384,8 @@ def run_held(work: Callable[[], None], held: SafeDevice) -> None:
     DeviceError
         If the device was given up.
     KeyboardInterrupt
-        After Ctrl-C, and as `Terminated` after such a signal.
+        After Ctrl-C. After a signal that asks the process to end, its subclass `Terminated` is
+        raised.
     """
 
     def hold() -> None:

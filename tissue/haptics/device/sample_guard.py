@@ -54,10 +54,10 @@ Place = tuple[float, float, float, float, float]
 class Roughness:
     """Detector of noise in a sequence of samples, based on the acceleration.
 
-    The detector measures the deviation of the middle one of three samples from the straight line
-    between the other two. For time steps T and an acceleration a, the deviation is at most a T^2 /
-    2. A sample is rough if its deviation is larger than the limit allows. The signal becomes noise
-    when more than half of its last samples (exponential mean over 8 samples) are rough. It is valid
+    The detector measures the deviation of a sample from the straight line between the previous and
+    the next sample. For time steps T and an acceleration a, the deviation is at most a T^2 / 2. A
+    sample is rough if its deviation is larger than the limit allows. The signal becomes noise when
+    more than half of its last samples (exponential mean over 8 samples) are rough. It is valid
     again when fewer than a twentieth are rough. A jump, a lost sample, an encoder step or a blow
     makes at most two samples rough. White noise is detected if its standard deviation per axis is
     larger than about a quarter of the limit times (1 ms)^2.
@@ -143,10 +143,11 @@ PLAIN = {float, int, np.float64}
 HALF_TURN = 1e-3
 """Distance to 1 within which a quaternion component means a half-turn about its axis.
 
-It allows for a rotation of 5 degrees, because a device may start near its zero.
+The tolerance allows for a rotation of 5 degrees, because a device may start near its zero
+orientation.
 """
 UNIT = " (positions must be in metres)"
-"""Hint for a device that reports millimetres: its hand then seems too fast."""
+"""Hint for a device that reports millimetres; its speed then seems too high for a hand."""
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a "
     "device that gives w first starts with this orientation"
@@ -187,8 +188,8 @@ class SampleGuard:
     force_limit_N, torque_limit_Nm
         Largest magnitude of force and of torque. A torque limit of zero blocks all torque.
     oldest_s
-        Age above which a sample is treated as missing, and largest time by which its date may be in
-        the future [s].
+        Age above which a sample is treated as missing [s]. The time of a sample may be in the
+        future by the same amount.
 
     Attributes
     ----------
@@ -398,7 +399,7 @@ ROUNDING = 1e-9
 OLDEST = 2.5
 """Age at which a sample is treated as missing, relative to the time between two samples.
 
-Up to two missing samples are allowed, and half a period of jitter.
+The value allows for up to two missing samples and half a period of jitter.
 """
 
 
@@ -425,7 +426,7 @@ class NewSamples:
         self._last = Sample(nan, (nan, nan, nan))
 
     def is_new(self, sample: Sample, time_s: float) -> bool:
-        """Return True if the sample of the tick at a time [s] is a new one."""
+        """Return True if the sample of the tick at ``time_s`` is a new sample."""
         if self._ticks <= 1:
             return True
         last = self._last

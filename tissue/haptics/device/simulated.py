@@ -28,9 +28,10 @@ class Plant:
 
     The axes x, y and z have equal parameters. Between changes of its inputs, the linear part is
     stepped with the matrix exponential. Coulomb friction is one force of at most ``friction_N``
-    against the velocity vector. It is computed implicitly in every substep: it either stops the
-    mass, or has its full magnitude against the velocity that the mass would have without friction.
-    A mass at rest stays exactly at its position until the other forces exceed the friction.
+    against the velocity vector. The friction is computed implicitly in every substep. It either
+    stops the mass, or acts with its full magnitude. Its direction is opposite to the velocity that
+    the mass would have without friction. A mass at rest stays exactly at its position until the
+    other forces exceed the friction.
 
     For a rotation, the units are rad (rotation vector), kg m2, N m s/rad and N m. The code uses
     Python floats, which are several times faster than arrays for three axes.
@@ -67,7 +68,7 @@ class Plant:
         self._hand: Triple = NOTHING
 
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
-        """Attach the plant to a linear hand, or release it with zeros.
+        """Attach the plant to a linear hand; if all values are zero, release the plant.
 
         The pull of the spring towards the hand's target position is an external force.
         """
@@ -159,8 +160,8 @@ class SimulatedDevice(ComputedDevice):
         Start position [m].
     substeps
         Integration steps of the plant per tick; they affect only friction. For a simulated hand on
-        a virtual wall, the encoder positions with 5 steps differ by single encoder steps (RMS 4.5
-        um) from those with 100 steps.
+        a virtual wall, the encoder positions were computed with 5 and with 100 steps. They differ
+        by single encoder steps (RMS 4.5 um).
 
     Attributes
     ----------

@@ -73,13 +73,13 @@ class Aiming(Protocol):
 class Aim:
     """Movement of the aim (the hand's target position) along a path that is known in advance.
 
-    A submovement that lasts ``submovement_s`` begins every ``correction_s``. Its target is the
-    position of the path half a correction interval before the submovement ends. With this target, a
-    steady movement neither leads nor lags the path. Overlapping submovements are added (Flash and
-    Henis, 1991), so that the acceleration of the aim is continuous. The muscles miss the target by
-    a random error in proportion to the distance (signal-dependent noise, Harris and Wolpert, 1998).
-    An error is seen and corrected after a reaction time. The first submovement begins a reaction
-    time after the start.
+    A submovement that lasts ``submovement_s`` begins every ``correction_s``. The target of the
+    submovement is the position of the path at a time half a correction interval before the
+    submovement ends. With this target, a steady movement neither leads nor lags the path.
+    Overlapping submovements are added (Flash and Henis, 1991), so that the acceleration of the aim
+    is continuous. The muscles miss the target by a random error that is proportional to the
+    distance (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected
+    after a reaction time. The first submovement begins a reaction time after the start.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Aim:
         return (x, y, z), (u, v, w)
 
     def _begin(self, time_s: float) -> None:
-        """Begin the next submovement, and remove those that have ended and were corrected."""
+        """Begin the next submovement; remove submovements that have ended and were corrected."""
         self._next += self._interval
         memory = time_s - max(self._duration, self._reaction)
         while self._moves and self._moves[0][0] <= memory:
@@ -229,7 +229,7 @@ class HandParameters:
 
     @property
     def linear_hands(self) -> tuple[LinearHand, ...]:
-        """Linear parts of the hand in translation: one without, one with the reflex.
+        """Linear parts of the hand in translation, without and with the reflex.
 
         The reflex may stabilise a loop or make the loop unstable, depending on the frequency of its
         oscillation. The stability of a loop is therefore checked with each of the two parts.
@@ -256,7 +256,7 @@ class HandParameters:
 def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
     """Return the parameters of a simulated hand by its name in `HANDS`.
 
-    Constants of the scene replace those of the built-in sources.
+    Constants of the scene replace the constants of the built-in sources.
 
     Raises
     ------

@@ -16,9 +16,10 @@ from tissue.motion.quaternion import Triple
 __all__ = ["CompensatedPath", "FeltDrop", "PushingHand", "Thrust"]
 
 THRESHOLDS = 2.0
-"""Drop of the felt force to which a participant reacts [discrimination thresholds]; assumed.
+"""Drop of the felt force to which a participant reacts [discrimination thresholds] (assumed).
 
-At one threshold, 75 % of answers are right. This is too unreliable to end a push.
+At a drop of one threshold, 75 % of answers are right. Such an answer is too unreliable to end a
+push.
 """
 
 
@@ -99,7 +100,8 @@ class PushingHand:
     aim_m, advance_m
         Positions of the aim and of the device along the push [m].
     noticed_s, stop_s
-        Times at which an event is noticed and the hand stops [s]. They are infinite before.
+        Times at which an event is noticed and the hand stops [s]. Each time is infinite until it is
+        known.
     """
 
     def __init__(
@@ -183,16 +185,16 @@ class PushingHand:
 
 
 SHARE = 0.35
-"""Share of the visible error that each correction adds; assumed.
+"""Share of the visible error that each correction adds (assumed value).
 
-It is for a tool that follows the hand. With 0.5, milling overshoots: the sideways error is as large
-as the wanted depth.
+The value applies to a tool that follows the hand. With 0.5, milling overshoots: the sideways error
+is as large as the wanted depth.
 """
 LEAST_YIELD = 0.6
-"""Smallest ratio of tool motion to hand motion that an operator assumes; assumed.
+"""Smallest ratio of tool motion to hand motion that a simulated operator expects (assumed value).
 
 Values from 1 to 0.2 were compared. With this value, reaming is nearly finished (0.2 mm are missing,
-instead of 0.5 mm), and milling does not overshoot yet.
+instead of 0.5 mm), and milling does not overshoot.
 """
 
 
@@ -243,7 +245,7 @@ class CompensatedPath:
     def _learn(self) -> None:
         """Update the ratio of tool motion to hand motion.
 
-        The hand motion is that of the correction two corrections ago.
+        The hand motion is taken from the correction before the last one.
         """
         if len(self._aims_m) == 3:
             went = self.tool.tip_m - self._tip_m

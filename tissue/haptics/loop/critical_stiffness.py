@@ -44,7 +44,7 @@ grows by 1 / 700 per tick.
 ON_THE_CIRCLE = 1e-12
 """Distance to 1 below which eigenvalues are treated as stable.
 
-It allows for rounding, and for a wall so soft that the device does not move.
+The tolerance allows for rounding, and for a wall so soft that the device does not move.
 """
 
 
@@ -95,7 +95,7 @@ class Verdict:
 class LinearHand(NamedTuple):
     """Linear part of a hand, for the stability analysis of a loop.
 
-    The entries are those of `WallLoop`. Without a hand the values are (0, 0, 0).
+    The entries have the same meaning as in `WallLoop`. Without a hand the values are (0, 0, 0).
     """
 
     hand_stiffness_N_m: float
@@ -207,10 +207,11 @@ def passive_bound_N_m(loop: WallLoop) -> float:
     A passive wall is stable in any passive hand. The condition b > T / 2 Re{(1 - exp(-j w T)) H} /
     (1 - cos w T) is solved for K on a grid of w. H contains the wall, the filter and a delay of
     whole steps. A fraction of a step is rounded up to a whole step, and the lag of the amplifier is
-    treated as delay. Only the device's own damping is included. Without delay and filter, the bound
-    is 2 (b - |B|) / T, for positive and negative B. T is the time for which a force is held. For a
-    slow model it is the step of the model. One more step of delay is added if a filter changes the
-    held force within the step. The result is 0 if B, delay and filter leave no passive stiffness.
+    treated as delay. b is the damping of the device alone, and B the damping of the wall. T is the
+    time for which a force is held. For a slow model, T is the step of the model. Without delay and
+    filter, the bound is 2 (b - |B|) / T, for positive and negative B. One more step of delay is
+    added if a filter changes the held force within the step. The result is 0 if B, delay and filter
+    leave no passive stiffness.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
@@ -238,7 +239,9 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 def delay_bound_N_m(loop: WallLoop) -> float:
     """Return K = (b + B) / (T / 2 + t_d) (Gil et al., 2009) [N/m].
 
-    With delay this is a first-order estimate, and may be larger than the true limit.
+    b is the damping of device and hand, B the damping of the wall, T the time for which a force is
+    held, and t_d the delay. With delay, the bound is a first-order estimate and may be larger than
+    the true limit.
     """
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m + loop.wall_damping_N_s_m
     return max(damping / (0.5 * loop.tick_s * loop.model_ticks + loop.delay_s), 0.0)
@@ -247,7 +250,8 @@ def delay_bound_N_m(loop: WallLoop) -> float:
 def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) -> float:
     """Return K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) [N/m].
 
-    f_c is the Coulomb friction and D the encoder step.
+    b is the damping of the device, T the time for which a force is held, f_c the Coulomb friction
+    and D the encoder step.
     """
     require_range(
         "friction_N", friction_N, 0.0, 1e3, "give the device's Coulomb friction, 0 for none"
@@ -261,9 +265,9 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
 def pade_bound_N_m(loop: WallLoop) -> float:
     """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
 
-    Hold and delay are combined into one delay t = t_d + T / 2, which is approximated as (1 - t s /
-    2) / (1 + t s / 2). The bound is computed from Routh's criterion for the third-order polynomial.
-    The hand's stiffness is ignored.
+    Hold and delay are combined into one delay t = t_d + T / 2. This delay is approximated as (1 - t
+    s / 2) / (1 + t s / 2). The bound is computed from Routh's criterion for the third-order
+    polynomial. The hand's stiffness is ignored.
     """
     delay = loop.delay_s + 0.5 * loop.tick_s * loop.model_ticks
     mass = loop.mass_kg + loop.hand_mass_kg

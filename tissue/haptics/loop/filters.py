@@ -31,9 +31,9 @@ positions; see tests/bench/bench_velocity.py.
 OBSERVER_MEMORY = 0.93
 """Memory of the position observer, the filter of a device's position for a tool that cuts.
 
-Chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness of the loop
-(tests/tissue/haptics/test_velocity.py). An encoder step of 55 um changes the observed position by
-11 um, 1 - 0.93^3 of the step, in its own tick, and by less in each later tick.
+The value is chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness
+of the loop (tests/tissue/haptics/test_velocity.py). In the tick of an encoder step of 55 um, the
+observed position changes by 11 um (1 - 0.93^3 of the step). In each later tick, it changes by less.
 """
 
 
@@ -71,8 +71,8 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
 
     The state s has three entries after a position x: position, change of the position per tick, and
     change of this change per tick. The filter of Morrison (1969) fits a parabola to all previous
-    samples. The weight of a sample is `memory` to the power of its age. It is an alpha-beta-gamma
-    filter whose three poles equal the memory. It has no delay for a constant acceleration.
+    samples. The weight of a sample is `memory` to the power of its age. This alpha-beta-gamma
+    filter has three poles equal to the memory. It has no delay for a constant acceleration.
     """
     fresh = 1.0 - memory
     # Gains of the fading-memory polynomial filter of second order (Morrison, 1969).
@@ -177,9 +177,9 @@ class SlewLimit:
 
 
 KNEE = 0.7
-"""Ratio of the force at which the compression begins to the limit.
+"""Ratio of the force at which the compression begins to the largest force.
 
-Chosen: compressed forces are in the upper 30 % of the range.
+The value is chosen. Compressed forces are in the upper 30 % of the range.
 """
 
 

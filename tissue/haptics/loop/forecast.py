@@ -28,10 +28,10 @@ The position is 1 % of the depth of the contact, so that the response is linear.
 LONGEST = 512
 """Largest number of ticks for which the response to a change is recorded.
 
-It is five times the longest memory of the built-in predictors, 102 ticks.
+The value is five times the longest memory of the built-in predictors, which is 102 ticks.
 """
 FADED = 1e-3
-"""Ratio to the largest response below which a response has decayed.
+"""Ratio of a response to the largest response below which the response has decayed.
 
 The map of the loop has one state per tick of memory, so shorter responses make the analysis
 faster.
@@ -45,7 +45,7 @@ be rigid.
 SETTLING = 300
 """Number of ticks of a contact at rest before a predictor is probed.
 
-It is three times the longest memory of the built-in predictors.
+The value is three times the longest memory of the built-in predictors.
 """
 
 
@@ -106,8 +106,8 @@ def forecast_of(
 ) -> Forecast:
     """Linearise a predictor about a contact at rest, with small changes of its inputs.
 
-    Results are cached by the contents of the predictor, because the stability of a scene is checked
-    several times: for its stiffness, its run and its reference.
+    Results are cached, with the contents of the predictor as key. The stability of a scene is
+    checked several times: for the choice of its stiffness, for its run and for its reference.
 
     Parameters
     ----------

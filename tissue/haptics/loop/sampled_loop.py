@@ -60,8 +60,8 @@ class WallLoop:
     observes
         True if the position estimated by this filter replaces x. Requires `velocity_memory`.
     tick_s
-        Time between two forces at the device [s]. For a device that is slower than the loop, time
-        between its samples.
+        Time between two forces at the device [s]. For a device that is slower than the loop, it is
+        the time between two samples of the device.
     delay_s
         Delay from the sample to the force, in addition to the zero-order hold [s]; any real number
         of ticks.
@@ -305,7 +305,7 @@ class ForecastMemory:
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
         """Return the force to play at a tick of the model step.
 
-        It is computed from the position, the filtered speed and the model force.
+        The force is computed from the position, the filtered speed and the model force.
         """
         forecast = self._loop.forecast
         if forecast is None:
@@ -377,8 +377,8 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     loop
         Loop with tick, low-pass, delay and amplifier.
     force_N
-        One force per tick before the low-pass [N], shape (n, 3). Before the first force, it is
-        zero.
+        One force per tick before the low-pass [N], shape (n, 3). Before the first tick, the force
+        is zero.
     """
     from scipy.signal import lfilter
 

@@ -33,7 +33,8 @@ ENVELOPE_S = 0.05
 """Averaging time of the force envelope that scales the vibration [s].
 
 A loop may oscillate at 10 Hz and above. Through the envelope, at most a third of the oscillation
-returns to the loop. It is moved to frequencies near 250 Hz, at which hand and device hardly move.
+returns to the loop. This part appears at frequencies near 250 Hz, at which hand and device hardly
+move.
 """
 MOST_PERIOD_TICKS = 200
 """Longest period used in the stability analysis of a loop [ticks].
@@ -52,9 +53,9 @@ class Vibration:
 
     A cutter with N edges that turns omega / 2 pi times per second causes a force ripple at f = N
     omega / 2 pi. If a ripple above R / 2 is sampled at the tick rate R, aliasing turns it into a
-    false slow force. Its frequency is the difference between f and the nearest multiple of R. Here
-    the model force is the average over a revolution, without ripple. The vibration is added at the
-    frequency f, or at the band limit if f is higher.
+    false slow force. The frequency of the false force is the difference between f and the nearest
+    multiple of R. Here the model force is the average over a revolution, without ripple. The
+    vibration is added at the frequency f, or at the band limit if f is higher.
 
     Parameters
     ----------
@@ -95,11 +96,11 @@ class PlayedVibration:
     Amplitude and direction follow the force averaged with a time constant tau of 0.05 s: F_v =
     share E cos(2 pi f t) with E' = (F - E) / tau. Within a period, the vibration therefore hardly
     depends on the state of the loop. A change of the force at the frequency g returns through the
-    vibration with a factor of at most share / sqrt(1 + (2 pi g tau)^2), at the frequencies f - g
-    and f + g. The stability analysis (`tissue.haptics.loop.sampled_loop`) includes the vibration
-    without its limits, which only reduce it. The amplitude is limited so that the sum stays within
-    the largest force of the device. The vibration uses at most half of the slew rate, because a
-    loop at its slew limit oscillates.
+    vibration at the frequencies f - g and f + g. Its amplitude is then multiplied by at most share
+    / sqrt(1 + (2 pi g tau)^2). The stability analysis (`tissue.haptics.loop.sampled_loop`) includes
+    the vibration without its limits, which only reduce it. The amplitude is limited so that the sum
+    stays within the largest force of the device. The vibration uses at most half of the slew rate,
+    because a loop at its slew limit oscillates.
 
     Parameters
     ----------
@@ -135,8 +136,8 @@ class PlayedVibration:
 CUE_HZ = 125.0
 """Frequency of the transient of a cue [Hz].
 
-It lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan, 2009). It is
-an eighth of the tick rate, so that it is played smoothly.
+The frequency lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan,
+2009). The frequency is an eighth of the tick rate, so that the transient is played smoothly.
 """
 PERIODS = 5
 """Number of periods of a transient under a Hann window."""

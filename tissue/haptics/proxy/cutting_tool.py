@@ -17,51 +17,53 @@ __all__ = ["CutTissue", "CuttingTool"]
 NATURAL_Hz = 40.0
 """Natural frequency of the tool on its spring [Hz]; it determines the mass of the tool.
 
-Chosen. It is below the rate of encoder steps, which is 91 Hz for steps of 55 um at 5 mm/s. For a
-spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a mass of 0.05 to 0.5 kg.
+The value is chosen. It is below the rate of encoder steps, which is 91 Hz for steps of 55 um at 5
+mm/s. For a spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a mass of 0.05 to
+0.5 kg.
 """
 DAMPING_RATIO = 1.0
 """Damping ratio of the tool in free space: damper divided by critical damping.
 
-Chosen: at critical damping no encoder step makes the tool oscillate.
+The value is chosen: at critical damping, encoder steps do not make the tool oscillate.
 """
 GYRATION_M = 0.05
-"""Radius of gyration of the tool about its tip [m], equal to a rod of 0.09 m; assumed."""
+"""Radius of gyration of the tool about its tip [m], assumed: that of a rod of 0.09 m."""
 LEVER = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
 """Lengths that convert a wrench to six forces [N] and a velocity to six speeds [m/s].
 
-The wrench is divided by them, and the velocity is multiplied. Forces and speeds of the rotation are
-those at the radius of gyration. All six unknowns then have the mass of the tool.
+The wrench is divided by these lengths, and the velocity is multiplied by them. Forces and speeds of
+the rotation refer to points at the radius of gyration. All six unknowns then have the mass of the
+tool.
 """
 LEVERS = np.outer(LEVER, LEVER)
 """Divisors for the derivatives of a wrench with respect to a velocity, see `LEVER`."""
 TOLERANCE = 1e-6
 """Largest residual of the force balance, relative to the force that drives the tool.
 
-It is the rounding error of forces in single precision.
+The value is the relative rounding error of forces in single precision.
 """
 LEAST_N = 1e-4
 """Residual that is always accepted [N]; a tool at rest on its spring then needs no step.
 
-Chosen; it is far below any force that a device can play.
+The value is chosen. It is far below any force that a device can play.
 """
 MOST_STEPS = 24
 """Largest number of evaluations of the force in a tick.
 
-Chosen, to limit the time of a tick. When the limit is reached, the tool has the last accepted
-velocity.
+The value is chosen to limit the time of a tick. When the limit is reached, the tool has the last
+accepted velocity.
 """
 SLOW = 1e-6
 """Velocity at which Newton's method restarts, relative to the velocity of a free tool.
 
-Chosen. It is so small that no edge force has reached its full value. It is above zero, so that the
-direction of motion is defined.
+The value is chosen. At this velocity, no edge force has reached its full value. The velocity is
+above zero, so that the direction of motion is defined.
 """
 SHORTEST = 1e-4
 """Share of a Newton step below which a point is accepted without a test.
 
-Chosen. The search then has reached a kink of the force, where no share of the step makes the
-correction smaller.
+The value is chosen. A share below it means that the search has reached a kink of the force. At a
+kink, no share of the step makes the correction smaller.
 """
 
 

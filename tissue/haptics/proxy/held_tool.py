@@ -85,7 +85,7 @@ tool therefore does not jump between free space and contact between two encoder 
 LEAST_M = 2e-6
 """Smallest displacement for an estimate of the tissue stiffness [m].
 
-It is far below an encoder step (55 um on a Touch), and far above the rounding error.
+The value is far below an encoder step (55 um on a Touch), and far above the rounding error.
 """
 
 
@@ -148,12 +148,12 @@ class HeldTool(ABC):
     def lands(self, response: Response) -> bool:
         """Return True if the response at the new position requires another step in this tick.
 
-        This is the case if a free tool has entered the tissue.
+        Another step is required if a free tool has entered the tissue.
         """
         return False
 
     def rest(self) -> None:
-        """Stop the tool. A tool without inertia needs nothing for this."""
+        """Stop the tool. A tool without inertia has no velocity that must be reset."""
         return
 
 
@@ -164,8 +164,8 @@ class PressingTool(HeldTool):
     the force F and the stiffness K of the last tick: x' = x + (k + K)^-1 (k (x_device - x) + F).
     For a tissue without a known K, an isotropic stiffness is estimated from the change of force
     along the last motions of the tip. A larger estimate is used at once, and a smaller estimate
-    gradually. If the tissue had to pull instead of push in the balance, the balance is not used.
-    The tip is then at the device, as without contact.
+    gradually. If the balance would require the tissue to pull, the balance is not used. The tip is
+    then at the device, as without contact.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:

@@ -20,8 +20,9 @@ __all__ = ["ProbedBone", "ProbingTool"]
 RIGID_LEVER_M = 10.0
 """Lever of the rotational spring for a device that imposes its rotation [m].
 
-It is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2, so that
-contacts turn the tool only by 1e-4 of the rotation with the tool's own lever.
+The value is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2.
+Contacts therefore turn the tool only by 1e-4 of the rotation that they cause with the tool's own
+lever.
 """
 
 
@@ -44,7 +45,7 @@ class ProbingTool(HeldTool):
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
         """Place the tool at its first pose, and set the field that it may touch.
 
-        At this pose, the axes of the shell are those of the world.
+        At this pose, the axes of the shell are parallel to the axes of the world.
 
         Raises
         ------
@@ -75,9 +76,9 @@ class ProbingTool(HeldTool):
 class ProbedBone(FreeSpace):
     """Rigid and unchanged voxels under a tool that does not cut.
 
-    The measures are the number of contacts with force, and 1 if the god-object did not settle
-    within its steps, otherwise 0. ``engaged_m2`` is the area per shell point times the number of
-    contacts. It is assigned to the layer at the centre of pressure.
+    The first measure is the number of contacts with force. The second measure is 1 if the
+    god-object did not settle within its steps, and otherwise 0. ``engaged_m2`` is the area per
+    shell point times the number of contacts. It is assigned to the layer at the centre of pressure.
 
     Parameters
     ----------

@@ -238,7 +238,10 @@ class ToolShell:
 
 
 STEP_M = 2.5e-4
-"""Longest step near solids [m]; chosen. The tests with exact solids also pass with 1 and 10 mm."""
+"""Longest step near solids [m].
+
+The value is chosen. The tests with exact solids also pass with 1 and 10 mm.
+"""
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel].
 

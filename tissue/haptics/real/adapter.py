@@ -39,7 +39,7 @@ ADAPTERS = {
     "network": ("network", "NetworkAdapter"),
     "recorded": ("adapter", "RecordedAdapter"),
 }
-"""Module in this package, and class, that open a real device, by the name of the device."""
+"""Module of this package and class that open a real device, keyed by the name of the device."""
 
 
 class HardwareSample(NamedTuple):
@@ -169,8 +169,8 @@ class RecordedAdapter(HardwareAdapter):
 
     After the last pose the force fades. The poses are played at their recorded positions, so that
     the tool of a run starts at the first pose. The poses move the device, whereas ``motion.kind =
-    "replay"`` moves the tool itself. Coupling, prediction and commanded force are those for a hand
-    with this motion.
+    "replay"`` moves the tool itself. Coupling, prediction and commanded force are computed as for a
+    hand with this motion.
 
     Parameters
     ----------

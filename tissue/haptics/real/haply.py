@@ -5,9 +5,9 @@ adapter is not for clinical use. It was tested with a stand-in that uses the doc
 and not with the device.
 
 A thread sends the newest force and receives the newest state. The service answers every frame with
-one state. It plays a force only as long as the force is sent again and again. The thread sends a
-frame only after the answer to the frame before, so at most one answer is pending. An answer
-contains the state under the force that was sent before. A sample is therefore not older than one
+one state. The service plays a force only as long as the force is sent repeatedly. The thread sends
+a frame only after the answer to the previous frame, so at most one answer is pending. An answer
+contains the state under the previously sent force. A sample is therefore not older than one
 exchange of a frame and its answer. Answers do not identify the frame to which they belong. If an
 answer is late, zero force is sent. The thread then sends nothing more until all pending answers
 have arrived or are treated as lost.
@@ -49,7 +49,7 @@ PERIOD_S = 1e-3
 ANSWER_S = 0.02
 """Longest wait for an answer [s].
 
-It equals the default of ``hardware.watchdog_ms``. The vendor does not give a time.
+The value equals the default of ``hardware.watchdog_ms``. The vendor does not publish such a time.
 """
 LOST_S = 0.5
 """Time without answers after which late answers are treated as lost [s].
@@ -61,12 +61,12 @@ PATIENCE_S = 0.01
 HOLD_S = 0.03
 """Longest time for which a force is repeated without a new command of the loop [s].
 
-It allows for late ticks, and the force is still removed within 50 ms.
+The value allows for late ticks, and the force is still removed within 50 ms.
 """
 GIVE_UP_S = 3.0
 """Longest time for which a run continues without a sample [s].
 
-It is longer than `AGAIN_S`, so that the attempts to reconnect end first.
+This time is longer than `AGAIN_S`, so that the attempts to reconnect end first.
 """
 AGAIN_S = 2.5
 """Longest time for attempts to reconnect to the service, for example after a restart [s]."""

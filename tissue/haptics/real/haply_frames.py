@@ -35,7 +35,7 @@ __all__ = [
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Kinds of handles with orientation and buttons, in search order."""
 VECTOR_SINCE = (3, 5)
-"""First service version in which the key of a force is ``vector``; before, it is ``values``."""
+"""First service version in which the key of a force is ``vector``; earlier it is ``values``."""
 MOST = 1e6
 """Bound on valid numbers; positions, velocities and quaternions in SI units are far smaller."""
 PROFILE = "tissue:simulation"
@@ -49,13 +49,14 @@ LONGEST = 65_536
 """Largest number of bytes read for the version, because another program may use the port."""
 MEMORY_S = 0.024
 LONGEST_S = 0.005
-"""Averaging time of contradictions, and longest time for which a state is counted [s].
+"""Averaging time of the share of contradictions, and longest time for which one state counts [s].
 
 With this averaging time, a velocity may lag behind a blow by 6 ms without an error.
 """
 WRONG = 0.25
 RIGHT = 0.05
-"""Shares of contradictions above which the order is wrong, and below which it is right again."""
+"""Shares of contradictions above which the order of states is wrong, and below which it is right.
+"""
 LEAST_M = 2e-4
 LEAST_M_S = 0.05
 """Smallest step [m], and smallest speed [m/s], that are checked.
@@ -159,7 +160,7 @@ def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
 
 
 def version_in(text: str | bytes) -> tuple[int, int] | None:
-    """Return the major and minor version in an answer to ``/version``; None without one."""
+    """Return the major and minor version in an answer to ``/version``; None without a version."""
     try:
         answer = read_json(text)
     except ValueError:
@@ -285,7 +286,7 @@ def _part(whole: object, name: str) -> dict[str, Any]:
 
 
 def _numbers(table: object, names: str) -> Any:
-    """Return finite numbers of a table by name; empty if any is missing or invalid."""
+    """Return the named numbers of a table; empty if a number is missing, not finite or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
     # bool is a subclass of int.
     numbers = tuple(

@@ -214,7 +214,7 @@ class MappedDevice:
     def read(self, time_s: float) -> Sample | None:
         """Return the newest sample in the world frame, constant while the clutch is held.
 
-        It is None after the watchdog time.
+        The result is None after the watchdog time.
 
         Raises
         ------

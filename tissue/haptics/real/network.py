@@ -30,7 +30,10 @@ __all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
 USUAL = "udp://127.0.0.1:24930"
 """Default address on which the program listens for a device."""
 MOST_READS = 256
-"""Largest number of packets per poll: those of a quarter of a second, read in about 2 ms."""
+"""Largest number of packets read per poll.
+
+At 1 kHz, so many packets arrive in a quarter of a second. Reading these packets takes about 2 ms.
+"""
 LONGEST_PACKET = 1024
 """Number of bytes read of a datagram.
 
@@ -55,7 +58,7 @@ device that does not close.
 SEND_S = 0.25
 """Longest time in which a device may receive no packets before its connection is ended [s].
 
-It is half of the silence after which the session gives up the device.
+The value is half of the silence after which the session gives up the device.
 """
 HANDSHAKE_S = 2.0
 """Longest time for a connection to become a WebSocket [s].
@@ -395,7 +398,7 @@ class NetworkAdapter(HardwareAdapter):
 
     @property
     def round_trip_s(self) -> float:
-        """Time from a wrench to the first packet of the device that confirms it [s]; nan before."""
+        """Time from a wrench to the first packet that confirms it [s]; nan before this packet."""
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:

@@ -60,7 +60,7 @@ class Kind(IntEnum):
     HEARTBEAT = 4
     """Sign that the sender is active, although it has nothing else to send."""
     BYE = 5
-    """End of the sender."""
+    """Sign that the sender ends the session."""
     REFUSED = 6
     """Refusal of the device, with a sentence."""
 
@@ -155,9 +155,10 @@ A device sends at least five packets a second, so after this time two packets in
 missing.
 """
 KEPT = 1024
-"""Number of wrenches whose send time is stored for round trips, about a second at 1 kHz.
+"""Number of wrenches whose send time is stored to measure round trips, about a second at 1 kHz.
 
-It is a power of two, so that the storage places stay consecutive when the sequence numbers restart.
+The value is a power of two, so that the storage places stay consecutive when the sequence numbers
+restart.
 """
 MOST_WORDS = 400
 """Largest length of the sentence of a refusal [bytes]."""
@@ -301,7 +302,7 @@ class NetworkSession:
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
-        """Record the round trip if a packet is the first that confirms one of our wrenches."""
+        """Record the round trip if a packet is the first that confirms a sent wrench."""
         # Send times of older packets have been overwritten.
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo

@@ -40,7 +40,7 @@ NONE = (None, 0x0104, 0xFFFFFFFF)
 HELD_S = 0.05
 """Longest time for which a force is played without a new force [s].
 
-It equals the time in the network protocol after which a device removes its force by itself.
+In the network protocol, a device removes its force by itself after the same time.
 """
 REST_S = 0.05
 """Longest time for the vendor's thread to play zero force at the end [s]: 50 calls."""
@@ -91,7 +91,10 @@ class OpenHapticsAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the device of that name, opened for a moment; or the reason why there is none."""
+        """Return the device with a name, or the reason why there is none.
+
+        The device is opened for a moment.
+        """
         name = address or USUAL
         if name in _OPEN.values():  # opening and closing it would end the run that uses it
             return [cls.found(name, "in use by this program")]
@@ -139,7 +142,7 @@ class OpenHapticsAdapter(HardwareAdapter):
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Set the force of the vendor's thread until the next call, or for `HELD_S`.
+        """Set the force that the vendor's thread plays until the next call, or for `HELD_S`.
 
         Torque is not played, because the device has no motors for rotation.
         """
@@ -198,7 +201,7 @@ class OpenHapticsAdapter(HardwareAdapter):
             )
 
     def _read(self, transform: Any, buttons: int, now: float) -> HardwareSample:
-        """Return a sample whose velocities are computed over the last calls."""
+        """Return a sample with velocities computed from the poses of the last calls."""
         x, y, z = (1e-3 * transform[3][axis] for axis in range(3))
         rows = [[transform[axis][row] for axis in range(3)] for row in range(3)]
         sample = HardwareSample((x, y, z), quaternion=of_matrix(rows), buttons=buttons)

@@ -66,7 +66,8 @@ class SelfTest:
     def delay_s(self) -> float:
         """Latency of the device in addition to the zero-order hold [s].
 
-        It is the round trip if it is known, otherwise the duration of the calls.
+        The latency is the round trip if the round trip is known, otherwise the duration of the
+        calls.
         """
         return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
 

@@ -18,18 +18,19 @@ __all__ = ["draw_pictures"]
 def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     """Draw the pictures of a run as png, svg or pdf.
 
-    ``force_torque`` is drawn for every run. These pictures depend on the run:
+    ``force_torque`` is drawn for every run. The other pictures depend on the run:
 
     - ``bone_before_after`` and ``removed_depth`` for a tissue of voxels,
-    - ``section`` and ``force_depth`` for a tissue of several layers that reports more than volumes,
-      such as a tooth,
+    - ``section`` and ``force_depth`` for a rotating tool in a tissue of several layers that reports
+      more than volumes, such as a tooth,
+    - ``section`` also for a scene with structures to keep clear of,
     - ``press`` and ``held`` for a run with fields,
     - ``played`` for a run with a device,
     - pictures that the registry of anatomies adds, such as ``insertion``.
 
     Returns
     -------
-    A sentence for each picture that could not be drawn.
+    One sentence for each picture that could not be drawn.
     """
     import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
 
@@ -81,7 +82,10 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
 @contextmanager
 def _background() -> Iterator[ThreadPoolExecutor]:
-    """Provide a thread that renders in 3D; an exception in the block does not wait for it."""
+    """Provide a thread that renders in 3D.
+
+    An exception in the block ends the drawing process, and so does not wait for the thread.
+    """
     with ThreadPoolExecutor(1) as thread:
         try:
             yield thread

@@ -53,14 +53,14 @@ TILT_DEG = (36.0, 12.0)
 OPENED_DEG = (58.0, 12.0)
 """Angles of the view from the tool's axis (downwards, sideways), for a whole and an opened bone."""
 DEEP = 0.5
-"""Ratio of depth to narrower side above which a cut is shown opened.
+"""Ratio of a cut's depth to its shorter side above which the bone is drawn opened.
 
 The bottom of such a cut is not visible from the side of the tool.
 """
 CUT_OUT = (0.82, 0.82, 0.85)
 """Colour of faces at the end of the simulated region; the bone continues beyond these faces."""
 MOST_POINTS = 20_000
-"""Number of points of a surface from which the camera is placed; enough to find the extent."""
+"""Largest number of surface points used to place the camera; it suffices to find the extent."""
 WIDEST_ARC = 0.4
 """Largest width of the arrow around the tool's axis, relative to the height of the picture."""
 
@@ -87,8 +87,9 @@ class _View:
 
     @classmethod
     def of(cls, run: Run, depth: DepthMap) -> "_View":
-        """Return the view of the whole bone; for a deep and narrow cut, that of the half behind its
-        deepest point.
+        """Return the view of the whole bone, or of the opened bone.
+
+        For a deep and narrow cut, only the half of the bone behind the deepest point is visible.
         """
         volume = run.volume
         remaining = run.remaining
@@ -136,11 +137,11 @@ class _View:
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
-    """Draw the bone by layer before the run and by removed depth after it, with one camera.
+    """Draw the bone before the run by layer, and after the run by removed depth, with one camera.
 
     Returns
     -------
-    None, or the reason why it could not be drawn.
+    None, or the reason why the picture could not be drawn.
     """
     limit = depth_limit(depth)
     view = _View.of(run, depth)
@@ -274,16 +275,18 @@ EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Line styles around the layers that a run exposed."""
 SMALL = 0.5
 AROUND = 0.4
-"""Share of the region along both axes up to which a cut is drawn enlarged, and margin around this
-cut.
+"""Largest share of the region that a cut may have to be drawn enlarged, and margin of the cut.
+
+The share applies along both axes.
 
 The margin is relative to the longer side of the cut.
 """
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
-    """Return the extent of the map along both axes [mm]: the whole region, or the surroundings of a
-    small cut.
+    """Return the shown extent of the map along both axes [mm].
+
+    The extent is the whole region, or the surroundings of a small cut.
     """
     u0, u1, v0, v1 = depth.extent_mm
     cut = np.argwhere(depth.depth_mm > 0.0)

@@ -75,7 +75,10 @@ class Marks:
     points_mm: Array | None = None
 
     def arrow_mm(self, length_mm: float) -> Array:
-        """Return start and end of the arrow along the normal, shape (2, 3); (0, 3) without one."""
+        """Return start and end of the arrow along the normal, shape (2, 3).
+
+        Without a normal, the shape is (0, 3).
+        """
         if self.centre_mm is None or self.normal is None:
             return np.zeros((0, 3))
         return np.stack([self.centre_mm, self.centre_mm + length_mm * self.normal])
@@ -118,7 +121,7 @@ def draw_ct_slices(
         Grey values around the bone.
     outlines
         Images of structures, keyed by name; the bone comes first. An image is above 0 inside its
-        structure. It uses the voxel grid of `image`, but may cover only a part of it.
+        structure. The image has the voxel grid of `image`, but may cover only a part of this grid.
     marks
         Site and path. The slices intersect at the site.
     window_HU
@@ -201,7 +204,7 @@ AROUND_ORGAN_MM = 10.0
 
 
 def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh) -> None:
-    """Draw slices through the middle of the smallest part, with outlines.
+    """Draw slices through the middle of the smallest part of an organ, with outlines.
 
     The outlines show the meshed organ and the labels.
 
@@ -234,7 +237,8 @@ def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh:
 def depth_below(vertices_m: Array, faces: Ints, image: Image) -> Image:
     """Return the depth of an image's voxels below a surface [m], negative outside.
 
-    Depths are exact within two voxels of the box around the surface, for the outline at depth 0.
+    Depths are exact in the bounding box of the surface and up to two voxels outside it. Elsewhere
+    the depth is -1 m. This is enough to draw the outline at depth 0.
     """
     axes = [
         o + s * np.arange(n)
@@ -295,7 +299,7 @@ def draw_ct_bone(
 
     Returns
     -------
-    None, or the reason why it could not be drawn.
+    None, or the reason why the picture could not be drawn.
     """
     mesh = _painted(surface, density)
     eyes = _eyes(marks.normal)
@@ -380,7 +384,7 @@ def draw_path_depth(surface: Surface, found: PathDepth, path: Path, *, normal: A
 
     Returns
     -------
-    None, or the reason why it could not be drawn.
+    None, or the reason why the picture could not be drawn.
     """
     points = found.points_mm
     # 0.7 of the longest extent leaves a margin around the path; the cube's half edge is 0.6 of it,
@@ -448,7 +452,10 @@ ALL = "0.6"
 INSIDE = "#E69F00"
 LEVEL = "#D55E00"
 BINS = 160
-"""Number of edges of the bins, which are 20 HU wide, about the noise of a CT."""
+"""Number of edges of the bins of the histogram.
+
+A bin is 20 HU wide, which is about the noise of a CT.
+"""
 RANGE_HU = (-1100.0, 2200.0)
 """Range of the histogram, from air to dense cortical bone; metal is left out."""
 
@@ -474,7 +481,7 @@ def draw_ct_histogram(
     threshold
         Value above which a voxel is bone; None if a label defines the bone.
     law
-        Density over value; None if it is not known.
+        Density as a function of the value; None if no law is known.
     """
     values = histogram.values
     low = max(RANGE_HU[0], float(values[0]))

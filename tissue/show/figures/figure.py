@@ -156,7 +156,7 @@ def save(chart: "Figure", path: Path) -> None:
 
 
 def is_vector(path: Path) -> bool:
-    """Return whether the format of a file keeps lines and text as vectors."""
+    """Return True if the format of a file stores lines and text as vectors."""
     return path.suffix in (".svg", ".pdf")
 
 
@@ -218,9 +218,9 @@ Colour-blind readers can distinguish them.
 """
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
-"""Torque below which a picture shows thousandths [N m].
+"""Torque [N m] below which a picture shows thousandths of a newton metre.
 
-The torque of a bur is a thousandth of that of a reamer, which is 0.2 to 2 N m.
+A reamer has a torque of 0.2 to 2 N m. A bur has a thousandth of this torque.
 """
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 """Anatomical directions of the world axes, keyed by kind of anatomy."""
@@ -244,7 +244,7 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit for torques up to this value in a picture, and its factor from N m."""
+    """Return the unit of torques up to a value, and the factor from N m to this unit."""
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 

@@ -57,7 +57,7 @@ class FittedConstant:
         The three fitted values, and the ends of the range before the fit, in standard deviations of
         the prior.
     is_identified
-        True if the log narrows the constant.
+        True if the log narrows the range of the constant.
     """
 
     label: str
@@ -127,7 +127,7 @@ def draw_table(
     channels: Sequence[str],
     path: Path,
 ) -> None:
-    """Draw measured and simulated steady loads over feed per turn.
+    """Draw measured and simulated steady loads as functions of the feed per turn.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: str = "log") -> None:
     """Draw the 90 % intervals of constants before and after the fit, with their values.
 
-    The scale is that of the range before the fit. `source` is the kind of measurement.
+    The axis is in standard deviations of the prior. `source` is the kind of measurement.
     """
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
@@ -281,7 +281,8 @@ TOTAL = "#E69F00"
 SHOWN = 8
 """Largest number of constants in a bar chart.
 
-The chart states the number of constants that are left out; these have the smallest indices.
+The chart states the number of constants that are left out. These constants have the smallest Sobol
+indices.
 """
 UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")
 """Pattern of the unit at the end of the name of a constant."""
@@ -359,14 +360,15 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
 def draw_sobol(
     indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path, *, title: str
 ) -> None:
-    """Draw first-order and total Sobol indices with 90 % intervals, one panel for each figure of
-    the run.
+    """Draw first-order and total Sobol indices with 90 % intervals.
+
+    The picture has one panel for each number in the summary of the run.
 
     Parameters
     ----------
     indices
-        ``first``, ``first_90``, ``total`` and ``total_90``, keyed by figure and constant, as in
-        ``summary.json``.
+        ``first``, ``first_90``, ``total`` and ``total_90``, keyed by number of the summary and by
+        constant, as in ``summary.json``.
     path
         File to write.
     title

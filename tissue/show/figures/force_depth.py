@@ -88,7 +88,7 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
 
     Returns
     -------
-    None, or the reason why it could not be drawn.
+    None, or the reason why the picture could not be drawn.
     """
     trace = run.trace
     axis, outward = facing(trace)
@@ -183,12 +183,12 @@ SHARES = (
     ("friction_N", "friction along the shaft", "#009E73"),
 )
 SIDE_BY_SIDE = 0.15
-"""Share of the depth range within which a puncture's name is placed above the previous name."""
+"""Distance between two punctures, relative to the depth range, below which names are stacked."""
 
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force over the depth of the tip, its parts over time, and the punctures."""
+    """Draw the axial force over tip depth, the parts of the force over time, and the punctures."""
     trace = run.trace
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]

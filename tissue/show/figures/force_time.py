@@ -87,9 +87,9 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
-    """Return a numbered line for each event up to the largest number of lines, and a last line.
+    """Return a numbered line for each of the first `MOST_EVENTS` events, and a last line.
 
-    The last line counts the remaining events.
+    The last line has the number of remaining events. It is left out if there are none.
     """
     lines = [
         f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)

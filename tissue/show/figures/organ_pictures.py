@@ -108,7 +108,7 @@ def draw_press(run: Run, path: Path) -> str | None:
 
     Returns
     -------
-    None, or the reason why it could not be drawn.
+    None, or the reason why the picture could not be drawn.
     """
     series = run.parts.fields
     trace = run.trace
@@ -259,7 +259,7 @@ def draw_held(run: Run, path: Path) -> str | None:
 
     Returns
     -------
-    None, or the reason why it could not be drawn.
+    None, or the reason why the picture could not be drawn.
     """
     assert run.parts.fields is not None
     surface = _surface(run.parts.fields)

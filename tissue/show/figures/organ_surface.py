@@ -36,7 +36,7 @@ MOST_PASSES = 10
 """Longest edge of the triangles of a section, relative to the diagonal of the organ, and largest
 number of divisions.
 
-This edge is about ten pixels of a picture long.
+In a picture, the longest edge is about ten pixels long.
 """
 
 
@@ -73,8 +73,8 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     """Divide each triangle into four.
 
     New points lie on curves that are perpendicular to the normals at both ends of an edge. The two
-    sides of a sharp edge have separate points. Both use the mean of their curves, so the sides stay
-    together.
+    sides of a sharp edge have separate points. The two new points on such an edge use the mean of
+    the curves, so the sides stay together.
     """
     import pyvista
 

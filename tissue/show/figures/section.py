@@ -84,7 +84,9 @@ class Section:
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
-    """Return the plane through the deepest point so far, along tool axis and direction of motion.
+    """Return the plane through the deepest point so far.
+
+    The plane contains the tool axis and the main direction of motion.
 
     Returns
     -------
@@ -105,7 +107,9 @@ def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
 
 
 def section_of(run: Run, row: int) -> Section:
-    """Return the section through the deepest point so far, along tool axis and direction of motion.
+    """Return the section through the deepest point so far.
+
+    The section contains the tool axis and the main direction of motion.
 
     Parameters
     ----------
@@ -155,7 +159,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Return the row of the trace and the fields for the section.
 
-    The time is the last one under load; without load, that of the last cut.
+    The time is the last time under load. Without load, it is the time of the last cut.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)
@@ -308,7 +312,7 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
 
 
 Window = tuple[float, float, float, float]
-"""Lowest and highest coordinate along the two axes of a section, (u0, u1, v0, v1) [mm]."""
+"""Lowest and highest coordinate along the axes u and v of a section, (u0, u1, v0, v1) [mm]."""
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """Colours of structures after Okabe and Ito (2008)."""
 AROUND_MM = 3.0

@@ -44,7 +44,7 @@ ARC = np.radians(270.0)
 ROD_MM = 40.0
 """Length of a drawn probe of any other shape [mm]."""
 ABOVE = 0.6
-"""Ratio of the width of an arc above a tool to that of an arc around the tool."""
+"""Ratio of the width of an arc above a tool to the width of an arc around the tool."""
 
 
 def tool_surface(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
@@ -177,7 +177,7 @@ WALL_MESH_MM = 5.0
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a tool passes or presses [mm], keyed by name.
+    """Return pieces of the faces that a tool passes or presses [mm], keyed by the name of the face.
 
     A scene with voxels or a mesh has no such faces.
     """

@@ -32,7 +32,9 @@ STEPS = 255
 
 
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
-    """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
+    """Encode integers, shape (rows,) or (rows, columns).
+
+    Integers of 8 bits are unsigned. Integers of 16 and 32 bits are signed.
 
     Differences between rows are wrapped around, and negative differences become odd numbers. The
     high bytes of small differences, positive or negative, are therefore 0. All first bytes come
@@ -92,8 +94,8 @@ def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDA
     """Encode a surface, and return the order of its points in the encoded surface.
 
     Unused points are left out. Points are in the order in which triangles first use them. A corner
-    is encoded as the distance of its index below that of the next new point; the new point itself
-    is 0.
+    is encoded as the index of the next new point minus the index of the corner. The new point
+    itself is encoded as 0.
     """
     corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
     used, first, at = np.unique(corners, return_index=True, return_inverse=True)
@@ -139,8 +141,8 @@ def columns(trace: Table) -> Record:
 def charts(trace: Table, scene: Scene | None) -> list[Record]:
     """Return the charts of a report.
 
-    They show force, torque, removal rate or contact area, force at a device, depth, and a chosen
-    column.
+    The charts show force, torque, removal rate or contact area, force at a device, depth, and a
+    chosen column.
     """
     shown, factor = torque_unit(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0))
     torque = ("torque", "Nm", f"torque / {shown}", factor)

@@ -23,7 +23,7 @@ __all__ = [
 
 
 Text = Callable[[str], str]
-"""Function that converts a plain text to HTML, cleaned and escaped."""
+"""Function that converts a plain text to cleaned and escaped HTML."""
 CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
@@ -227,12 +227,13 @@ def _pictures(saved: SavedRun) -> str:
 
 
 LARGEST_PREFIX = "greatest_"
-"""Prefix of the name of a figure that is the largest value of a column or a field."""
+"""Prefix of the names of summary numbers that are the largest value of a column or a field."""
 
 
 def _band_text(band: Summary) -> str:
-    """Return a text on the method of a band, and on the constants that matter most for the peak
-    force.
+    """Return a text on the method of a band, and on the most important constants.
+
+    These constants have the largest influence on the peak force.
     """
     asked = f", {band['asked']} asked for" if band["asked"] != band["samples"] else ""
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}

@@ -70,7 +70,7 @@ def write_report(
     progress
         Function that is called with a description of the current work.
     assessment
-        Lines and picture (PNG) of an assessment of the run, which gets a section of its own.
+        Lines and picture (PNG) of an assessment of the run. The assessment is a separate section.
 
     Returns
     -------
@@ -182,9 +182,9 @@ def _html(
 def _cleaner(saved: SavedRun) -> Clean:
     """Return a function that replaces paths of files in a text by file names.
 
-    A report is given to other people, and the name of a folder may be that of a patient. Texts are
-    cleaned before they are put into the page, not afterwards. The finished page contains markup and
-    encoded arrays, in which a short folder name may occur by chance.
+    A report is given to other people, and the name of a folder may be the name of a patient. Texts
+    are cleaned before they are put into the page, not afterwards. The finished page contains markup
+    and encoded arrays, in which a short folder name may occur by chance.
     """
     folders = folders_of(saved.scene) if saved.scene is not None else []
 

@@ -177,7 +177,10 @@ def _still(surface: "pyvista.PolyData") -> Record:
 
 
 MOST_MOMENTS = 40
-"""Largest number of times at which the bone of an incomplete run is shown; each needs a surface."""
+"""Largest number of times at which the bone of an incomplete run is shown.
+
+The report contains a surface of the bone for each of these times.
+"""
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
@@ -212,8 +215,9 @@ def bone_shown(saved: SavedRun) -> Shown | None:
 
 
 def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
-    """Return for each surface the time [s], whether it is the part that no cut changes, and the
-    surface [mm].
+    """Return time [s], kind and surface [mm] of each surface.
+
+    The kind is True for the part of the bone that no cut changes.
     """
     import pyvista
 

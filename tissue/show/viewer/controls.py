@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 MOST = 9
-"""Number of layers that have a key (the digits from 1 on)."""
+"""Largest number of layers that have a key. The keys are the digits from 1 on."""
 
 
 class LayerKeys:
@@ -213,7 +213,10 @@ class PointRead:
         fields.drawn.append(self.update)
 
     def click(self, x: int, y: int) -> bool:
-        """Mark the point under a pixel (counted from the lower left); return whether one exists."""
+        """Mark the point under a pixel, and return True if there is a point.
+
+        The pixel is counted from the lower left.
+        """
         actor = self._fields.actor
         found = None if actor is None else picked(self._plotter, actor, x, y)
         if actor is None or found is None:
@@ -281,7 +284,7 @@ class NameList:
         ][1:]
 
     def mark(self, name: str | None) -> None:
-        """Show which name is chosen."""
+        """Highlight the chosen name."""
         from pyvista import Color
 
         for (each, words), actor in zip(self._names, self._words, strict=True):
@@ -290,7 +293,10 @@ class NameList:
             actor.prop.color = Color(CHOSEN if chosen else OTHER)
 
     def click(self, x: int, y: int) -> bool:
-        """Choose the name under a pixel (counted from the lower left); return whether it exists."""
+        """Choose the name under a pixel, and return True if there is a name.
+
+        The pixel is counted from the lower left.
+        """
         wide, tall = self._plotter.window_size
         # the title is row 0 of the list
         row = int((TOP + LETTER - y / tall) // ROW) - 1

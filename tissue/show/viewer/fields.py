@@ -82,7 +82,7 @@ class FieldsShown:
         ``reference_mm``.
     drawn
         Function that is called without arguments after each change of the shown fields. The code
-        that makes the change must render it.
+        that makes the change must then render the view.
     """
 
     def __init__(

@@ -25,8 +25,8 @@ __all__ = [
 Plotter: TypeAlias = Any
 """Type of a `pyvista.Plotter`.
 
-It is not the class itself, because PyVista declares methods that forward to a renderer without
-arguments.
+The alias is not the class itself: PyVista declares methods that forward to a renderer, but without
+their arguments.
 """
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""
@@ -68,7 +68,7 @@ def add_text(
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
-    """Write names in their colours at the right, one below the other."""
+    """Write names in a column at the right, each name in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
         # one line below the other, to the right of the scene
         add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
@@ -198,7 +198,8 @@ def aim(
 
     If no points are given, everything that is drawn fills the area.
 
-    A scale bar needs a parallel projection, because it has the same scale everywhere.
+    A scale bar needs a parallel projection, because only this projection has the same scale
+    everywhere.
     """
     import pyvista
 

@@ -127,7 +127,7 @@ class BoneOverTime:
                 self.deepest_mm = float(cut.point_data["removed_depth_mm"].max())
 
     def at(self, tick: int) -> bool:
-        """Set the bone to its state at the end of a tick; return whether it may have changed."""
+        """Set the bone to its state at the end of a tick; return True if it may have changed."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
         self._tick = tick
@@ -160,7 +160,10 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """Return the bone of a run over time, or None; for an incomplete run in coarse voxels."""
+    """Return the bone of a run over time, or None.
+
+    The bone of an incomplete run has coarse voxels.
+    """
     if saved.complete:
         file = saved.path / "bone.vti"
         if not file.is_file():

@@ -101,7 +101,7 @@ class SiteWindow:
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
-        """Move the site to the bone under a pixel; return whether there is bone.
+        """Move the site to the bone under a pixel; return False if there is no bone.
 
         The pixel is counted from the lower left.
         """

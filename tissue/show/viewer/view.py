@@ -271,8 +271,8 @@ def show(
     choice
         Initial view of the run.
     kind, file
-        File to write instead of opening a window: a ``screenshot`` (PNG), or a ``movie`` (MP4 or
-        GIF), of which the finished share is printed.
+        Kind of file and file to write instead of opening a window. The kind is ``screenshot`` (PNG)
+        or ``movie`` (MP4 or GIF). While a movie is written, the finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=file is not None)
     if file is None:

@@ -74,9 +74,9 @@ def add_scale_bar(plotter: Plotter) -> None:
 
 
 def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
-    """Remove text, widgets, scales and most actors; let the given points fill the window.
+    """Remove text, widgets, scales and all actors except `kept`.
 
-    The actors in `kept` stay.
+    The camera is moved so that the given points fill the window.
     """
     plotter.clear_slider_widgets()
     plotter.remove_legend(render=False)
@@ -105,7 +105,10 @@ def write_clean(plotter: Plotter, file: Path) -> None:
 
 
 FRAMES_PER_S = 20
-"""Frame rate of movies [1/s], which is possible in both formats; a GIF counts in 1/100 s."""
+"""Frame rate of movies [1/s].
+
+MP4 and GIF support this rate. A GIF counts time in 1/100 s.
+"""
 SHORTEST_S = 4.0
 LONGEST_S = 12.0
 """Shortest and longest duration of a movie [s]; shorter and longer runs are played slower or
@@ -306,7 +309,8 @@ class Window:
     def _add_controls(self) -> None:
         """Add the controls of a window.
 
-        They are the list of fields, point values, clip plane, and factor of the displacement.
+        The controls are the list of fields, point values, clip plane, and factor of the
+        displacement.
         """
         fields = self.fields
         series = self._shown.series

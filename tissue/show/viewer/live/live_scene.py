@@ -99,8 +99,9 @@ def read_start(folder: Path) -> tuple[Scene, Start]:
 
 
 PASSES = 4
-"""Number of passes that smooth normals: fewer than in a picture, because each change needs them
-again.
+"""Number of passes that smooth the normals.
+
+The number is smaller than in a picture, because each change of the bone requires new normals.
 """
 AROUND = 0.7
 """Margin that is shown around the touchable surface, relative to its size."""

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["Values", "serve"]
 
 LARGEST = 1024
-"""Largest size of a message [bytes]; the longest expected message, the name of a field, has some
-hundred bytes.
+"""Largest size of a message [bytes].
+
+The longest expected message contains the name of a field, and has some hundred bytes.
 """
 MOST_PER_S = 400.0
 AT_ONCE = 200.0
@@ -40,8 +41,7 @@ NUMBERS = {
 """Ranges of the numbers in messages, keyed by message and entry."""
 WORDS = ("key", "field", "layer")
 SWITCHES = ("pause", "play", "cut")
-"""Messages with one entry: ``name``, which is a text; and messages with ``on``, which is true or
-false.
+"""Messages with the text ``name`` as only entry, and messages with the bool ``on`` as only entry.
 """
 ALONE = ("reset", "end", "seen")
 """Messages without entries."""
@@ -93,8 +93,9 @@ class Pace:
         self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
-        """Count a message that came at a time [s]; return the time to wait before the next message
-        [s].
+        """Count a message that arrived at ``time_s``, and return the waiting time [s].
+
+        The next message must not be read before this waiting time has passed.
         """
         self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
         self._time_s = time_s
@@ -151,7 +152,7 @@ class Session(Protocol):
         ...
 
     def attend(self, attended: bool) -> None:
-        """Handle that a page was opened or closed."""
+        """Handle the opening or closing of a page."""
         ...
 
     def leave(self) -> None:

@@ -58,7 +58,7 @@ class Stage:
         return int(self._plotter.window_size[1])
 
     def take(self, do: str, values: Values) -> bool:
-        """Change size or view if a message requests this; return whether it does."""
+        """Change size or view if a message requests this; return True if the message did."""
         changes: dict[str, Callable[..., None]] = {
             "size": self.resize,
             "turn": self.turn,
@@ -70,7 +70,10 @@ class Stage:
         return change is not None
 
     def resize(self, wide: float, tall: float) -> None:
-        """Set the size of pictures [pixels]; too large sizes are reduced with the same shape."""
+        """Set the size of pictures [pixels].
+
+        A size above the limit is reduced at the same aspect ratio.
+        """
         scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
         # even numbers, though odd ones are drawn as well
         size = [int(scale * wide) // 2 * 2, int(scale * tall) // 2 * 2]
@@ -101,8 +104,8 @@ class Stage:
     def picture(self) -> bytes | None:
         """Return the view as JPEG.
 
-        When the view no longer changes, one picture with smooth edges is returned, and None
-        afterwards.
+        When the view no longer changes, one picture with smooth edges is returned. Later calls
+        return None until the view changes again.
         """
         now = perf_counter()
         if self.changed:
