@@ -141,7 +141,7 @@ def is_dicom(file: Path) -> bool:
 
 
 def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
-    """Return the DICOM files of a path, each with its description for messages, and notes.
+    """Return the DICOM files of a path, each with a description for messages, and a list of notes.
 
     The path is a folder, its DICOMDIR, or one file. Subfolders are searched too.
 

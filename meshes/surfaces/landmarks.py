@@ -386,7 +386,7 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
 
 
 def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap | None:
-    """Fit a sphere to the samples that lie on it and face outward.
+    """Fit a sphere to samples of a surface whose normals point outward.
 
     Return None if the radius is outside its range.
     """

@@ -255,9 +255,9 @@ def _merged(
 def _closed(
     vertices: Array, faces: Ints, source: str, *, cut_off: bool, repairs: list[str]
 ) -> tuple[Triangles, Holes, float]:
-    """Return triangles with outward normals and without holes, the holes, and the volume [m3].
+    """Close the holes, and return triangles with outward normals, holes and volume [m3].
 
-    Sentences on changes are appended to `repairs`.
+    A message on each change of the surface is appended to `repairs`.
 
     Raises
     ------

@@ -194,7 +194,7 @@ class LayeredSolid:
 
 
 def joined(solids: Sequence[Triangles]) -> Triangles:
-    """Join several surfaces, without coincident triangles of opposite orientation."""
+    """Join several surfaces, and remove coincident triangles of opposite orientation."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
     vertices = np.concatenate([vertices for vertices, _ in solids])
     faces = np.concatenate(

@@ -76,7 +76,7 @@ class Springs:
 
     @classmethod
     def none(cls, unknowns: int) -> "Springs":
-        """Return an empty set of springs for a body with a number of unknowns."""
+        """Return an empty set of springs for a body with ``unknowns`` displacements."""
         return cls(csr_array((0, unknowns)), np.zeros(0))
 
     @classmethod

@@ -152,7 +152,7 @@ def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
 
 
 def _probability(chi_square: float | None, freedom: int) -> float | None:
-    """Return the probability of a larger sum of squares."""
+    """Return the probability of a sum of squares above ``chi_square``."""
     if chi_square is None or freedom < 1:
         return None
     return float(chi2.sf(chi_square, freedom))

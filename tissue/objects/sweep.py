@@ -50,15 +50,9 @@ RECORD = "scenes.json"
 `simulate` replaces such a scene by a scene with chosen settings, and saves only the second scene.
 """
 LONGEST_NAME = 24
-"""Largest number of letters of a value in a folder name.
-
-A number replaces longer values and lists.
-"""
+"""Largest number of letters of a value in a folder name; a number replaces longer values."""
 MOST_RUNS = 10_000
-"""Largest number of runs of a sweep.
-
-At 1 s for each run, the sweep takes three hours. The check of the scenes takes a minute.
-"""
+"""Largest number of runs of a sweep. At 1 s for each run, the sweep takes three hours."""
 LOST = "the process of this run was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; ``sweep.csv`` has all figures."""
@@ -289,28 +283,26 @@ def sweep(
     scene
         A scene, a built-in name or a TOML file.
     changes
-        Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1200,
-        1600]}``.
+        Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1600]}``.
     out
-        Folder for the runs, their figures in ``sweep.csv`` and ``sweep.png``, and their loads in
-        ``compare.png``.
+        Folder of the runs. ``sweep.csv`` and ``sweep.png`` contain the results of each run, and
+        ``compare.png`` shows the loads.
     workers
         Number of parallel processes, each with one core unless ``cores`` is larger. With several
         processes, ticks take longer. A script that uses several processes must have its statements
-        below ``if __name__ == "__main__":``. The processes have the parts of installed packages,
-        and the parts that the script registers above that line.
+        below ``if __name__ == "__main__":``. The processes know the materials, tools and other
+        parts of installed packages, and those that the script registers above that line.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
-        Whether each run draws its pictures. The pictures have the first picture format in
-        `formats`.
+        Whether each run draws its pictures, in the first picture format of `formats`.
     formats
         Formats of the pictures, png, svg or pdf (default png), and formats in which the traces of
         all runs are written as one table, ``traces.FORMAT``: parquet, npz, mat or h5.
     band
-        Number of samples of the constants in their ranges, as for `Run.band`. Each run then has an
-        uncertainty band, and ``compare.png`` shows the bands. Finished runs without a band are run
-        again.
+        Number of samples of the material constants in their published ranges, as for `Run.band`.
+        Each run then has an uncertainty band, and ``compare.png`` shows the bands. Finished runs
+        without a band are run again.
     overwrite
         Run finished runs again.
     progress
@@ -319,10 +311,9 @@ def sweep(
     Raises
     ------
     InputError
-        If a value makes no valid scene in any combination, a file is missing, the folder holds runs
-        of other scenes under the same names, or a format or the number of samples is invalid. The
-        error is also raised if several processes are requested and the scene uses a registered part
-        that these processes do not have.
+        If all combinations with a value are invalid scenes, a file is missing, the folder holds
+        runs of other scenes under the same names, or a format or the number of samples is invalid.
+        It is also raised if the scene uses a registered part that other processes do not have.
     """
     out = Path(out)
     formats = tuple(formats)

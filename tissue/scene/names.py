@@ -121,8 +121,8 @@ class DeviceEntry:
         Values of `tissue.haptics.device.device.DeviceParameters`, keyed by name, for the stability
         check and the simulated device.
     make
-        Function that opens the real device of a registered device. Its argument is the start
-        position of the tool in the scene [m].
+        Function that opens the physical device of a registered kind of device. Its argument is the
+        start position of the tool in the scene [m].
     has_adapter
         True if `tissue.haptics.real` opens the real device.
     """

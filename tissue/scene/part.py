@@ -373,7 +373,7 @@ def is_file_key(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Needs:
-    """Mark of a key that has an effect only together with another key of the same part.
+    """Mark of a scene key that has an effect only together with another key of its table.
 
     The other key must differ from its default, or have a given value.
 

@@ -67,7 +67,7 @@ def of_model(scene: Scene) -> Scene:
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3).
+    """Compute the force on the tool at every tick with the model of a scene [N], shape (n, 3).
 
     The result is kept on disk.
     """

@@ -158,7 +158,7 @@ def force_on_path(
     fine = resolution or Resolution()
 
     def make() -> Arrays:
-        """Return the wrench [N], [N m] at every tick, and its relative error at some ticks."""
+        """Return the wrench [N], [N m] at every tick, and relative errors at sampled ticks."""
         wrench = _over_ticks(
             lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path
         )
@@ -194,9 +194,9 @@ def force_on_path(
 def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
     """Compute the wrench at every tick, shape (n, 6).
 
-    Every part of the path without a jump is halved until the line between two evaluations agrees
-    with the tick between them. A part in which contact begins or ends is halved down to single
-    ticks.
+    The path is divided at its jumps. Every part is halved until linear interpolation between two
+    evaluated ticks agrees with the evaluation at the tick between them. A part in which contact
+    begins or ends is halved down to single ticks.
     """
     wrench = np.zeros((len(path.tips_m), 6))
     waiting: list[tuple[int, int]] = []

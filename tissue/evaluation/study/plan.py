@@ -72,15 +72,16 @@ class Task:
         Specimens. Each person gets all of them in turn. The first two are compared in the
         discrimination.
     extremes
-        Specimens softer and harder than all others, for the sensitivity. Empty for a case study.
+        Specimens softer and harder than all others. The study of sensitivity runs them. Empty for a
+        case study.
     wanted_mm
         Target path of the tool, corner by corner [mm]. Default: the path of the motion.
     most
-        Maximum number of trials for each group.
+        Maximum number of trials for each group of people.
     differs
-        Difference from the task of the paper. Figures of such a task are not compared with the
-        paper. Empty if the task satisfies all conditions that the paper states. The paper states no
-        geometry, tool or path.
+        Difference from the task of the same name in the paper. If there is a difference, results of
+        the task are not compared with the paper. Empty if the task satisfies all conditions that
+        the paper states. The paper states no geometry, tool or path.
     """
 
     title: str

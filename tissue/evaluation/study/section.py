@@ -237,7 +237,7 @@ def interval_by_users(table: TrialTable, metric: str) -> Interval:
 
 
 def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, list[Axes]]:
-    """Return an empty figure [inches] and its axes."""
+    """Return an empty figure of a size in inches, and its axes."""
     figure = Drawing(figsize=(width, height), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, columns))
     for each in axes:

@@ -30,7 +30,7 @@ class Front:
     start, stop
         Range of the block's unknowns, in order of elimination.
     below
-        Later unknowns that the elimination changes, rising, shape (r,).
+        Later unknowns that the elimination changes, in increasing order, shape (r,).
     children
         Fronts whose changes are added to this front first.
     """

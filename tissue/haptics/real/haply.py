@@ -7,10 +7,10 @@ and not with the device.
 A thread sends the newest force and receives the newest state. The service answers every frame with
 one state. The service plays a force only as long as the force is sent repeatedly. The thread sends
 a frame only after the answer to the previous frame, so at most one answer is pending. An answer
-contains the state under the previously sent force. A sample is therefore not older than one
-exchange of a frame and its answer. Answers do not identify the frame to which they belong. If an
-answer is late, zero force is sent. The thread then sends nothing more until all pending answers
-have arrived or are treated as lost.
+contains the state that belongs to the force of the frame before. A state is therefore not older
+than one exchange of a frame and its answer. Answers do not identify the frame to which they belong.
+If an answer is late, the thread sends one frame with zero force without waiting. It then sends
+nothing until both answers have arrived or are treated as lost.
 """
 
 import socket

@@ -143,7 +143,7 @@ class HeatedBone:
         return self.milling.remaining()
 
     def summary(self) -> dict[str, object]:
-        """Return the figures of the remaining bone after the run."""
+        """Return the numbers on the heated remaining bone for the summary of the run."""
         return {"bone_heat": self._summary}
 
     def _record(self) -> None:

@@ -229,7 +229,7 @@ class IncisionFields:
         )
 
     def _mirrored(self, frame: Frame) -> Frame:
-        """Return a frame of the whole block from a frame of its half."""
+        """Return the displacement of the whole block at one time from that of its half."""
 
         def both(values: Singles) -> Singles:
             mirrored = values * np.array([1.0, -1.0, 1.0], np.float32)

@@ -194,7 +194,7 @@ class ShellProbe(ProbeShape):
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
     def distance(self, points_m: Array) -> Array:
-        """Return the distance to the plane of the nearest point [m]."""
+        """Return the distance of each point to the plane of its nearest surface point [m]."""
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)

@@ -310,7 +310,7 @@ class LiveScene:
         return isinstance(self.tissue, LiveBone) and self.tissue.cut is not None
 
     def cut_open(self, is_open: bool) -> None:
-        """Leave out the bone between the camera and the tool, or draw it again."""
+        """Hide the bone between the camera and the tool if ``is_open``; if not, show it."""
         if isinstance(self.tissue, LiveBone) and is_open != self.is_cut_open:
             self.tissue.cut_open(self._cut if is_open else None)
 
