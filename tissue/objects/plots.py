@@ -177,10 +177,13 @@ def plot_figures(
         low, high = axes.get_ylim()
         if low > 0.0:
             axes.set_ylim(0.0, 1.05 * high)
-    if title:
-        entries = panels[0].get_legend_handles_labels()
-        title = field_words(title.rpartition(".")[2])
-        chart.legend(*entries, loc="outside upper left", ncols=6, title=title, alignment="left")
+    texts = [field_words(title.rpartition(".")[2])] if title else []
+    if any(intervals for runs in lines.values() for *_, intervals in runs):
+        texts.append("bars: 90 %")
+    if texts:
+        entries = panels[0].get_legend_handles_labels() if title else ([], [])
+        text = "; ".join(texts)
+        chart.legend(*entries, loc="outside upper left", ncols=6, title=text, alignment="left")
     return np.asarray(panels)
 
 
