@@ -113,8 +113,8 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
 def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
     """Return the keys that an unknown key most likely means, best first.
 
-    Keys in the table of the unknown key come first. A key that is written without a table may
-    belong to any table.
+    If a chosen table has one of these keys, keys of other kinds are left out. Keys in the table of
+    the unknown key come first. A key that is written without a table may belong to any table.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
             by_name.setdefault(full[-1], []).append(full)
         found = [full for name in closest(names[-1], by_name) for full in by_name[name]]
         if found:
-            return [full for full in found if keys[full] == keys[found[0]]]
+            return [full for full in found if keys[full]] or found
     return []
 
 

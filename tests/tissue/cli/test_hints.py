@@ -54,6 +54,7 @@ def test_an_unknown_argument_is_refused_with_a_suggestion(call, given, meant):
         ("wall", "coupling.stifness_N_m", "stiffness_N_m"),
         ("wall", "coupling.stifness_Nm_rad", "stiffness_Nm_rad"),
         ("wall", "anatomy.stiffness", "stiffness_kN_m"),
+        ("incision", "motion.feed_mms", "feed_mm_s"),
     ],
 )
 def test_keys_are_suggested_by_meaning(scene, key, meant):
