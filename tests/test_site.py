@@ -37,7 +37,7 @@ COARSER = {
     },
     "run": {'"voxels.spacing_mm": 0.2': '"voxels.spacing_mm": 0.3'},
 }
-"""Texts of pages whose code takes long, and what is run in their place."""
+"""Texts that make the code of a page slow, and the faster texts that the test runs instead."""
 
 
 def part_of_the_site(path):
@@ -113,7 +113,7 @@ def test_every_public_name_is_on_the_page_of_the_reference():
     ids=lambda path: path.stem,
 )
 def test_the_code_of_a_page_runs_in_order(page, tmp_path):
-    """Its Python, and its commands where the block is marked as bash, on coarse grids."""
+    """Run the Python code of a page, and the commands of its bash blocks, on coarse grids."""
     text = page.read_text("utf-8")
     for shown, coarser in COARSER.get(page.stem, {}).items():
         assert shown in text

@@ -122,8 +122,9 @@ class Quantity:
     reference: Array | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Return the spans above the limit. Two spans are joined if the time between them is at
-        most `GAP_S`.
+        """Return the spans above the limit.
+
+        Two spans are joined if the time between them is at most `GAP_S`.
         """
         above = np.flatnonzero(self.values > self.limit)
         found = []

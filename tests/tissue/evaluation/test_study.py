@@ -211,7 +211,7 @@ def test_progress_of_a_continued_study_begins_at_the_completed_share(tmp_path, p
 
 
 def test_the_command_prints_messages_before_the_first_trial(here, pool, command):
-    """A new and a continued study; progress of the trials belongs to the bar alone."""
+    """Both a new and a continued study print messages. Only the bar shows the finished trials."""
     asked = ("study", "run", "--trials", 2, "--tasks", "T2", "--workers", 1, "--out", "study")
     code, _, err = command(*asked)
     assert code == 0 and " trials will take " in err and "trial 6 of" not in err

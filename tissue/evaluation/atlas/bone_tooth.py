@@ -487,8 +487,9 @@ class Contrast(Page):
         return {"contrast": table}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the growth of the iterations without a multigrid with the range with a
-        multigrid.
+        """Compare the numbers of iterations.
+
+        They grow with the contrast without a multigrid, and stay in a small range with a multigrid.
         """
         table = data["contrast"]
         plain = table["plain"]

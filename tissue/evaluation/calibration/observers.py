@@ -48,7 +48,7 @@ RESAMPLES = 2000
 With this number, the probability of 2.5 % beyond each end has a standard error of 0.35 %.
 """
 TOUCH = ForceRange(limit_N=3.3)
-"""Force range of the haptic device Touch."""
+"""Force range of the haptic device Touch, whose largest force is in ``devices.toml``."""
 Command = Callable[[Array], Array]
 """Function that converts a force to be felt to the force at the device [N], of any shape."""
 

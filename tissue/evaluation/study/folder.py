@@ -402,7 +402,7 @@ def run_study(
         # a scheduler's workers are other machines
         if missing and scheduler is None and report is not silent:
             report(expected_text(plan, missing, workers=count), share)
-        _run_trials(plan, folder, count, scheduler, report)
+        _run_trials(plan, missing, folder, count, scheduler, report)
         folder.write_tables()
     return folder
 
@@ -417,11 +417,16 @@ def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
 
 
 def _run_trials(
-    plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress
+    plan: Plan,
+    missing: Iterable[TrialKey],
+    folder: StudyFolder,
+    count: int,
+    scheduler: str | None,
+    report: Progress,
 ) -> None:
-    """Run the trials that the folder does not hold yet, and replace workers that are lost."""
-    keys = list(plan.all_trials())
-    waiting = dict.fromkeys(key for key in keys if not folder.has(key))
+    """Run the missing trials of a plan, and replace workers that are lost."""
+    total = len(list(plan.all_trials()))
+    waiting = dict.fromkeys(missing)
     losses: Counter[TrialKey] = Counter()
     barren = 0
     connected = False
@@ -449,7 +454,7 @@ def _run_trials(
                 for trials in _results(pool, plan, wanted, running, most, report_share):
                     for trial in trials:
                         keep(trial)
-                    report_share(f"trial {len(keys) - len(waiting)} of {len(keys)}")
+                    report_share(f"trial {total - len(waiting)} of {total}")
         except LOST as error:
             if not connected:
                 raise InputError(
