@@ -36,7 +36,7 @@ from kernels.arrays import (
     Vectors,
 )
 from kernels.constants import HALF, ONE, ZERO
-from kernels.hexahedra import block_of, carries, cell_block
+from kernels.hexahedra import BLOCKS, block_of, carries, cell_block
 
 __all__ = [
     "assemble_rows",
@@ -83,7 +83,7 @@ def coarse_stiffness(
 ):
     """Compute the stiffness of the changed coarse cells from their children."""
     coarse = changed[wp.tid() + offset]
-    for block in range(36):
+    for block in range(BLOCKS):
         stiffness_out[coarse, block] = wp.mat33d()
     any_live = wp.uint8(0)
     for child in range(8):

@@ -22,15 +22,15 @@ from kernels.arrays import (
     Singles3D,
     Vectors,
 )
-from kernels.cell_strips import lanes_of
+from kernels.cell_strips import WEIGHTS, lanes_of
 from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import block_of, carries
+from kernels.particle_stiffness import FULL_STEPS
 
 __all__ = ["cube_weights", "from_lanes", "node_diagonals", "smooth", "to_lanes"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-FULL_STEPS = wp.constant(wp.float64(65535.0))
 LANES_F = lanes_of(wp.float32)
 LaneRows = wp.array2d(dtype=LANES_F)
 
@@ -60,7 +60,7 @@ def cube_weights(
     cell = changed[wp.tid() + offset]
     row = strip[cell][0]
     lane = strip[cell][1]
-    for i in range(17):
+    for i in range(WEIGHTS):
         weight_out[row, i, lane] = ZERO
     shear = wp.float64(0.0)
     moment = wp.vec3d()
@@ -85,7 +85,7 @@ def cube_weights(
     # unresolved.
     missing = wp.max(ONE - wp.float64(12.0) * wp.min(moment) / whole, ZERO)
     weight_out[row, 16, lane] = strength * missing * shear / whole * edge / wp.float64(12.0)
-    for i in range(17):
+    for i in range(WEIGHTS):
         single_out[row, i, lane] = wp.float32(weight_out[row, i, lane])
 
 

@@ -306,7 +306,8 @@ class SplitLaunch:
     inputs, outputs
         Arguments of the kernel. NumPy arrays among the inputs are copied to the device.
     offset_index
-        Position of the first thread's index among the kernel's inputs. Default: after ``inputs``.
+        Position of the first thread's index in ``inputs``. The value at this position is ignored.
+        Default: the index is added after ``inputs``.
     device
         Warp device name; default: the device of the first output. On a GPU the launch is never
         split.

@@ -40,13 +40,21 @@ from kernels.arrays import (
     Vectors,
 )
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
-from kernels.hexahedra import block_of, corner_gradients
+from kernels.hexahedra import BLOCKS, block_of, corner_gradients
 
-__all__ = ["invariants", "particle_stiffness", "point_stress"]
+__all__ = [
+    "FULL_STEPS",
+    "invariants",
+    "particle_stiffness",
+    "point_stress",
+    "principal_values",
+    "von_mises",
+]
 
 wp.set_module_options({"enable_backward": False})
 
 FULL_STEPS = wp.constant(wp.float64(65535.0))
+"""Stored steps of the remaining volume of a particle that has lost no material."""
 
 
 @wp.kernel
@@ -76,7 +84,7 @@ def particle_stiffness(
     The upper triangle is summed first and then mirrored.
     """
     cell = changed[wp.tid() + offset]
-    for block in range(36):
+    for block in range(BLOCKS):
         stiffness_out[cell, block] = wp.mat33d()
     fill = wp.float64(0.0)
     shear = wp.float64(0.0)
@@ -109,11 +117,11 @@ def particle_stiffness(
     fill_out[cell] = fill / volume_of_cell
     seen = wp.float64(12.0) * wp.min(moment) / volume_of_cell
     missing = strength * wp.max(ONE - seen, ZERO) * shear / volume_of_cell
-    for block in range(36):
+    for block in range(BLOCKS):
         stiffness_out[cell, block] = stiffness_out[cell, block] + missing * inner[block]
     row = spring_row[cell]
     if row >= 0:
-        for block in range(36):
+        for block in range(BLOCKS):
             stiffness_out[cell, block] = stiffness_out[cell, block] + spring[row, block]
     # Sums of symmetric terms are symmetric only up to rounding. Mirror them for exact symmetry.
     for a in range(8):
@@ -126,6 +134,14 @@ def particle_stiffness(
 
 THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
 """Angle between two eigenvalues in Smith's formula, 2 pi / 3."""
+
+
+@wp.func
+def von_mises(stress: wp.mat33d):
+    """Compute the von Mises stress."""
+    mean = wp.trace(stress) / THREE
+    deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
+    return wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))
 
 
 @wp.func
@@ -195,7 +211,5 @@ def invariants(
     xz = components[i, 4]
     xy = components[i, 5]
     stress = wp.mat33d(components[i, 0], xy, xz, xy, components[i, 1], yz, xz, yz, components[i, 2])
-    mean = wp.trace(stress) / THREE
-    deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
-    von_mises_out[i] = wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))
+    von_mises_out[i] = von_mises(stress)
     principal_out[i] = principal_values(stress)

@@ -36,8 +36,8 @@ from kernels.arrays import (
     Vectors,
     Vectors2D,
 )
-from kernels.constants import HALF, THREE, TWO, ZERO
-from kernels.particle_stiffness import principal_values
+from kernels.constants import HALF, TWO, ZERO
+from kernels.particle_stiffness import principal_values, von_mises
 
 __all__ = ["cell_gradients", "group_stress", "pair_stiffness", "pair_stiffness_isotropic"]
 
@@ -285,7 +285,5 @@ def group_stress(
         voigt[3],
         voigt[2],
     )
-    mean = wp.trace(stress) / THREE
-    deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
-    von_mises_out[group] = wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))
+    von_mises_out[group] = von_mises(stress)
     principal_out[group] = principal_values(stress)

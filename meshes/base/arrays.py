@@ -16,6 +16,7 @@ __all__ = [
     "Numbers",
     "Singles",
     "Triangles",
+    "box_of",
     "compact",
     "cross_products",
     "directed_edges",
@@ -44,6 +45,15 @@ def lattice(*axes: ArrayLike) -> Any:
     The last axis varies fastest.
     """
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
+    """Return index slices around a nonempty mask, with a margin of voxels inside the array."""
+    found = []
+    for axis, count in enumerate(mask.shape):
+        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
+        found.append(slice(max(int(along[0]) - margin, 0), min(int(along[-1]) + 1 + margin, count)))
+    return tuple(found)
 
 
 def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:

@@ -12,7 +12,12 @@ from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
 from meshes.images.text_headers import header_lines
 from meshes.shapes.anatomy import Anatomy
-from meshes.surfaces.glenoid import SURFACE_LAYERS, sampled_anatomy
+from meshes.surfaces.glenoid import (
+    CORTICAL_KG_M3,
+    SURFACE_LAYERS,
+    TRABECULAR_KG_M3,
+    sampled_anatomy,
+)
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.tooth.layer_contact import inside_surface
@@ -38,9 +43,6 @@ CORTICAL_ABOVE_KG_M3 = 1000.0
 Keyak (1998) changes from trabecular to cortical bone at an ash density of 0.6 g/cm3. The value is
 this density divided by the ratio of ash to apparent density, 0.598 (Schileo 2008).
 """
-_CORTICAL_KG_M3 = 1800.0
-_TRABECULAR_KG_M3 = 350.0
-"""Apparent densities of a bone whose core is given, as in `meshes.surfaces.glenoid`."""
 _LEAST_KG_M3 = 50.0
 """Lowest density of bone, as in `DensityLaw`.
 
@@ -182,9 +184,7 @@ def cored_anatomy(
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         layer = inside_surface(*inner, points).astype(np.uint8)
-        return layer, np.where(
-            layer == 0, np.float32(_CORTICAL_KG_M3), np.float32(_TRABECULAR_KG_M3)
-        )
+        return layer, np.where(layer == 0, np.float32(CORTICAL_KG_M3), np.float32(TRABECULAR_KG_M3))
 
     notes = {
         "unit": surface.report.unit_guess,
@@ -192,7 +192,7 @@ def cored_anatomy(
         "surface": f"{surface.report.source} around {core.report.source}",
         "repairs": " ".join((*surface.report.repairs, *core.report.repairs)) or "none",
         "densities": (
-            f"cortical {_CORTICAL_KG_M3:g}, trabecular {_TRABECULAR_KG_M3:g} kg/m3, assumed: the "
+            f"cortical {CORTICAL_KG_M3:g}, trabecular {TRABECULAR_KG_M3:g} kg/m3, assumed: the "
             "files hold surfaces only"
         ),
     }

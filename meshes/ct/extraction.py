@@ -9,10 +9,10 @@ from itertools import product
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, enclosed_volume
+from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, box_of, enclosed_volume
 from meshes.base.errors import InputError, counted
 from meshes.images.bone_image import image_cuts, image_triangles
-from meshes.images.frame import Image, box_of, part_of
+from meshes.images.frame import Image, part_of
 
 __all__ = [
     "BoneOfImage",

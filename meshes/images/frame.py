@@ -15,10 +15,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Flags, Numbers, Singles
+from meshes.base.arrays import Array, Numbers, Singles
 from meshes.base.errors import InputError, by, in_brackets
 
-__all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
+__all__ = ["Image", "StoredImage", "along_lps", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
@@ -293,15 +293,6 @@ def _require_frame(stored: StoredImage, source: str) -> None:
 def _triple(numbers: Array) -> tuple[float, float, float]:
     x, y, z = (float(number) + 0.0 for number in numbers)  # no minus sign before a zero
     return x, y, z
-
-
-def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
-    """Return index slices around a nonempty mask, with a margin of voxels inside the array."""
-    found = []
-    for axis, count in enumerate(mask.shape):
-        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
-        found.append(slice(max(int(along[0]) - margin, 0), min(int(along[-1]) + 1 + margin, count)))
-    return tuple(found)
 
 
 def part_of(image: Image, box: tuple[slice, ...]) -> Image:

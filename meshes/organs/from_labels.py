@@ -21,13 +21,13 @@ from meshes.base.arrays import (
     Ints,
     Singles,
     Triangles,
+    box_of,
     enclosed_volume,
 )
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.progress import Progress, silent
 from meshes.ct.labels import Labels
 from meshes.images.bone_image import spread_labels
-from meshes.images.frame import box_of
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.stuffing import with_inclusion

@@ -35,8 +35,10 @@ from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
 __all__ = [
+    "CORTICAL_KG_M3",
     "GLENOID_LAYERS",
     "SURFACE_LAYERS",
+    "TRABECULAR_KG_M3",
     "GlenoidSizes",
     "glenoid",
     "sampled_anatomy",
@@ -317,6 +319,13 @@ def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
 
 
 SURFACE_LAYERS = ("cortical", "trabecular")
+CORTICAL_KG_M3 = 1800.0
+TRABECULAR_KG_M3 = 350.0
+"""Apparent densities that are assumed in a bone given by surfaces only.
+
+The cortical density is the same as in `GlenoidSizes`. The trabecular density is between the two
+densities of `GlenoidSizes`, deep in the vault and directly below the plate.
+"""
 
 
 def surface_anatomy(
@@ -324,15 +333,16 @@ def surface_anatomy(
     site: Site,
     *,
     cortical_thickness_mm: float = 1.9,
-    cortical_density_kg_m3: float = 1800.0,
-    trabecular_density_kg_m3: float = 350.0,
+    cortical_density_kg_m3: float = CORTICAL_KG_M3,
+    trabecular_density_kg_m3: float = TRABECULAR_KG_M3,
 ) -> Anatomy:
     """Build the anatomy of a bone surface in the site frame.
 
     The bone consists of a cortical shell with constant thickness, and trabecular bone inside. A
     surface contains no information about the interior, so thickness and densities are assumptions.
     The assumptions are recorded in the notes. The default thickness is the mean of the subchondral
-    plate (1.2-2.9 mm, six glenoids, Frich). The default densities are the same as in `glenoid`.
+    plate (1.2-2.9 mm, six glenoids, Frich). For the default densities, see `CORTICAL_KG_M3` and
+    `TRABECULAR_KG_M3`.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.arrays import Array, Bytes, Ints, lattice
+from meshes.base.arrays import Array, Bytes, Ints, box_of, lattice
 from meshes.base.errors import InputError, require_positive, require_vector
 from meshes.base.placement import Placement
 
@@ -103,8 +103,9 @@ class VoxelVolume:
     @property
     def bone_bounds_m(self) -> tuple[Array, Array]:
         """Lowest and highest corner of a box around the bone [m], each shape (3,)."""
-        held = np.argwhere(self.fraction)
-        low, high = held.min(axis=0), held.max(axis=0) + 1
+        box = box_of(self.fraction > 0)
+        low = np.array([side.start for side in box])
+        high = np.array([side.stop for side in box])
         return self.origin_m + self.spacing_m * low, self.origin_m + self.spacing_m * high
 
     def volume_m3(self, layer: str | None = None) -> float:

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, box_of
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.extraction import cropped
 from meshes.ct.inspection import bone_label_note, inspect, soft_label_note
 from meshes.ct.labels import Labels, on_grid_of
-from meshes.images.frame import Image, box_of, part_of
+from meshes.images.frame import Image, part_of
 from meshes.organs.from_labels import organ_mesh
 from meshes.tets.tetrahedra import write_organ
 from meshes.tooth.layers import TOOTH_LAYERS

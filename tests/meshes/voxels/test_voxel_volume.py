@@ -44,6 +44,16 @@ def test_books():
     assert one.centres_m(2) == pytest.approx([5e-4, 1.5e-3, 2.5e-3, 3.5e-3])
 
 
+def test_box_around_the_bone():
+    fraction = np.zeros((5, 6, 7), np.uint8)
+    fraction[1, 2, 6] = 1
+    fraction[3, 4, 3] = 255
+    one = volume(origin_m=np.array([0.1, 0.0, 0.0]), **{**arrays((5, 6, 7)), "fraction": fraction})
+    low, high = one.bone_bounds_m
+    assert low == pytest.approx([0.101, 2e-3, 3e-3])
+    assert high == pytest.approx([0.104, 5e-3, 7e-3])
+
+
 def test_import_is_light_and_names_are_public():
     code = (
         "import sys, meshes; heavy = {'pyvista', 'vtk', 'trimesh', 'skimage', 'warp', "
