@@ -1,8 +1,9 @@
 """Critical stiffness that is judged, against the loop of a run on many kinds of contact.
 
-Each loop has the device, hand, coupling and tool of a run. Just below its critical stiffness a kick
-fades, just above it grows. The critical stiffness is that of the judge times a ratio of at least one.
-On tissue that yields, the judged stiffness is that of coupling and tissue in series.
+Each loop has the device, hand, coupling and tool of a run. Just below the critical stiffness of the
+loop, a kick fades. Just above it, a kick grows. The critical stiffness is the judged stiffness times
+a ratio of at least 0.995. On tissue that yields, the judged stiffness is the stiffness of coupling
+and tissue in series.
 """
 
 import numpy as np

@@ -326,7 +326,8 @@ ENTRIES = ((2, 0.25), (2, 2.0), (10, 0.5), (100, 0.25), (100, 2.0))
 def test_two_layer_half_space(contrast, depth):
     """The two-layer half-space agrees with the table.
 
-    Each of the entries is within 2 %: the meshes are up to a hundredth too stiff at the largest contrast.
+    The error of each entry is below 2 %. The meshes are up to 1 % too stiff at the largest
+    contrast.
     """
     found, wanted = settlement(1.0, depth, contrast, below=1.0), TABLE[contrast][depth]
     print(

@@ -200,10 +200,13 @@ def over_the_ball_N(organ, turn):
 def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa, bands):
     """Labels give the force of the surfaces from which they were made.
 
-    The organ is an ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the pressed place;
-    the ball is stiff as a tumour, or soft. `bands` has the largest error by the spacing [mm]. With edges of 2.5 mm under the ball, fillings of one
-    surface differ by 2 %, with 3.5 mm by 5 %. No two runs of the mesher are alike, so the bands are
-    wider by that. With slices of 5 mm there are 3.6 to the tumour, and less than one over it.
+    The organ is an ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm below the pressed place.
+    The ball is as stiff as a tumour, or soft. `bands` holds the largest allowed error for each
+    spacing of the labels [mm].
+
+    No two runs of the mesher give the same mesh. With edges of 2.5 mm under the ball, the forces of
+    two meshes of one surface differ by 2 %, and with 3.5 mm by 5 %. The bands include this scatter.
+    Slices of 5 mm are coarse: 3.6 slices cross the tumour, and less than one lies above it.
     """
     made = {
         "modulus_kPa": LABELLED_KPA,

@@ -102,8 +102,9 @@ def test_a_tool_that_dithers_while_it_advances(name, feed_m_s, bound, monkeypatc
     """The mean force of a tool that dithers by 10 um at 10 Hz agrees with the exact geometry.
 
     The error is at most 0.7 % at a feed of 1 mm/s. It is at most 1.2 % at 0.2 mm/s, where the tool
-    moves backward for a part of each period. The mean is taken over every fifth or twentieth tick of
-    a period. No tick visits more than an eighth of the groups of bricks.
+    moves backward for a part of each period. The mean is taken over every fifth tick of a period,
+    or over every twentieth tick for motions across the path. No tick visits more than an eighth of
+    the groups of bricks.
     """
     groups = []
     visit = Carver._visit

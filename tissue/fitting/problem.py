@@ -298,10 +298,6 @@ def block_averages(
     np.add.at(middles, place, times_s)
     enough = counts >= max(0.5 * block_s / rate, 1.0)
     averages = np.where(enough, sums / np.maximum(counts, 1.0), np.nan)
-    starts = times_s[0] + block_s * np.arange(count)
-    shift = float(np.median((middles / seen - starts)[enough.any(axis=1)]))
-    each = max(round(block_s / rate), 1)
-    within_s = tuple((rate * (np.arange(each) - 0.5 * (each - 1))).tolist())
     samples = np.isfinite(averages).sum(axis=0)
     if len(samples) and samples.min() < FEWEST:
         raise InputError(
@@ -310,6 +306,11 @@ def block_averages(
             f"{samples.min()} of {channels[int(np.argmin(samples))]}",
             "leave the channel out or give a longer log",
         )
+
+    starts = times_s[0] + block_s * np.arange(count)
+    shift = float(np.median((middles / seen - starts)[enough.any(axis=1)]))
+    each = max(round(block_s / rate), 1)
+    within_s = tuple((rate * (np.arange(each) - 0.5 * (each - 1))).tolist())
     return MeasuredLoads(starts + shift, averages, channels, within_s)
 
 

@@ -208,7 +208,8 @@ class SimulatedDevice(ComputedDevice):
         self._spans = [
             (length, back, max(ceil(substeps * length / step - 1e-9), 1)) for length, back in parts
         ]
-        count = parts[0][1] + 2
+        # The first part of a tick uses the oldest command.
+        count = parts[0][1] + 1
         self._commands: deque[tuple[Triple, Triple]] = deque(
             [(NOTHING, NOTHING)] * count, maxlen=count
         )

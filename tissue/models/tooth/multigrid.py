@@ -162,13 +162,15 @@ class GridLevel:
         first = []
         last = []
         for colour in range(8):
-            nodes = np.flatnonzero(self.grid.node_colour == colour).astype(np.int32)
-            if len(nodes) == 0:
+            nodes = np.flatnonzero(self.grid.node_colour == colour)
+            count = len(nodes)
+            if count == 0:
                 continue
+            starts = [put(nodes, wp.int32, self.device), blocks.row_start]
             rows = [blocks.column, blocks.single, blocks.inverse, self.load]
-            own = [nodes, blocks.row_start, blocks.diagonal_block]
-            first.append(launch(first_sweep, len(nodes), [*own, *rows], [self.vector]))
-            last.append(launch(sweep_colour, len(nodes), [*own[:2], *rows], [self.vector]))
+            from_zero = [*starts, blocks.diagonal_block, *rows]
+            first.append(launch(first_sweep, count, from_zero, [self.vector]))
+            last.append(launch(sweep_colour, count, [*starts, *rows], [self.vector]))
         return first, last[::-1]
 
     def relax_first(self) -> None:
