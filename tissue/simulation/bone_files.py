@@ -17,6 +17,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import read_poses, write_poses
 from tissue.simulation.bone_surface import (
+    CarvedRun,
     CarvedSurface,
     block_means,
     bone_surface,
@@ -40,8 +41,6 @@ from tissue.simulation.vtk_files import (
 
 if TYPE_CHECKING:
     import pyvista
-
-    from tissue.simulation.run import Run
 
 __all__ = [
     "carved_surface",
@@ -156,7 +155,7 @@ def saved_voxels(
     return replace(volume, origin_m=origin_m, spacing_m=spacing_m), left, cut
 
 
-def carved_surface(run: "Run") -> "pyvista.PolyData":
+def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
     """Return the surface of the bone after the run [mm].
 
     The surface has the point array ``removed_depth_mm``, the cell array ``layer``, and normals.
@@ -166,7 +165,7 @@ def carved_surface(run: "Run") -> "pyvista.PolyData":
     return with_depth(surface, run.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
 
 
-def write_bone(run: "Run", out: Path) -> None:
+def write_bone(run: CarvedRun, out: Path) -> None:
     """Write the bone of a finished run.
 
     ``bone.vti`` (for ParaView) holds the voxels in mm, with the cell arrays ``remaining`` and
@@ -201,7 +200,7 @@ def write_bone(run: "Run", out: Path) -> None:
         write_vtk(writer, surface, out / "bone.stl")
 
 
-def _write_nrrd(run: "Run", path: Path) -> None:
+def _write_nrrd(run: CarvedRun, path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image.
 
     The axes are those that 3D Slicer uses for surface files (LPS).
@@ -238,7 +237,7 @@ def _write_nrrd(run: "Run", path: Path) -> None:
         temporary.write_bytes(header.encode("ascii") + b"\n\n" + data)
 
 
-def carving_ticks(run: "Run") -> list[int]:
+def carving_ticks(run: CarvedRun) -> list[int]:
     """Return the ticks after which the bone is written.
 
     These are the ticks of the saved fields, if there are any, and the last tick.
@@ -260,7 +259,7 @@ def carving_ticks(run: "Run") -> list[int]:
     return sorted({tick for tick in ticks if tick < last} | {last})
 
 
-def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
+def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> None:
     """Write the bone over time; for a run that cut no bone, write nothing.
 
     ``carving.pvd`` lists two surfaces for each time [s]. The part that the run cut is in

@@ -1,7 +1,7 @@
 """Surface of bone in voxels, with layers and removed depth, and the part that cuts change."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +13,14 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pyvista
 
-    from tissue.simulation.run import Run
+    from tissue.models.bone.carver import CarvingReplay
+    from tissue.scene.scene import Scene
+    from tissue.simulation.builders.parts import Parts
 
 __all__ = [
     "HALF",
     "Box",
+    "CarvedRun",
     "CarvedSurface",
     "DepthMap",
     "block_means",
@@ -348,6 +351,44 @@ def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
     return part
 
 
+class CarvedRun(Protocol):
+    """Run that was just simulated or read from a folder; see `tissue.simulation.run.Run`."""
+
+    @property
+    def scene(self) -> "Scene":
+        """Scene of the run."""
+        ...
+
+    @property
+    def parts(self) -> "Parts":
+        """Simulated parts."""
+        ...
+
+    @property
+    def trace(self) -> Table:
+        """Trace of the run, one row per tick."""
+        ...
+
+    @property
+    def poses(self) -> Array | None:
+        """Poses of the tool in every tick; None if the poses were not saved."""
+        ...
+
+    @property
+    def volume(self) -> VoxelVolume:
+        """Voxels of the bone before the cut."""
+        ...
+
+    @property
+    def remaining(self) -> Bytes:
+        """Bone left in each voxel, 255 = full."""
+        ...
+
+    def replay(self) -> "CarvingReplay":
+        """Return a replay of the carving."""
+        ...
+
+
 @dataclass(frozen=True)
 class DepthMap:
     """Columns of voxels along the world axis closest to the tool's axis.
@@ -383,7 +424,7 @@ class DepthMap:
     exposed: dict[str, Flags]
 
 
-def depth_map(run: "Run") -> DepthMap:
+def depth_map(run: CarvedRun) -> DepthMap:
     """Return removed depth, outer face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 

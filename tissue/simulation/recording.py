@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,10 +13,8 @@ from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import FULL
 from tissue.motion.drilling_recording import EVENTS, POSES, SHAFT_TO_X
 from tissue.scene.tool import Tool
+from tissue.simulation.bone_surface import CarvedRun
 from tissue.simulation.trace import RECORDING, write_trace
-
-if TYPE_CHECKING:
-    from tissue.simulation.run import Run
 
 __all__ = ["write_formats", "write_recording"]
 
@@ -44,7 +42,7 @@ ABOUT_VOXELS = (
 )
 
 
-def write_formats(run: "Run", folder: Path, formats: Iterable[str]) -> None:
+def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
     """Write a run into a folder in additional formats."""
     for kind in formats:
         if kind == RECORDING:
@@ -53,7 +51,7 @@ def write_formats(run: "Run", folder: Path, formats: Iterable[str]) -> None:
             write_trace(run.trace, folder, kind)
 
 
-def write_recording(run: "Run", path: Path) -> None:
+def write_recording(run: CarvedRun, path: Path) -> None:
     """Write a run in the layout of volumetric_drilling's recorder, version 3 of its data note.
 
     Data that a run does not have are left out, as the recorder leaves out topics that it did not
@@ -81,7 +79,7 @@ def write_recording(run: "Run", path: Path) -> None:
         temporary.write_bytes(image.getbuffer())
 
 
-def _write_poses(file: Any, run: "Run") -> None:
+def _write_poses(file: Any, run: CarvedRun) -> None:
     """Write poses of drill and anatomy, forces, and the size of the burr at the start."""
     trace = run.trace
     tool = run.scene.tool
@@ -113,7 +111,7 @@ def _write_poses(file: Any, run: "Run") -> None:
         )
 
 
-def _write_voxels(file: Any, run: "Run") -> None:
+def _write_voxels(file: Any, run: CarvedRun) -> None:
     """Write voxels in the order in which their content fell below one half, grouped by tick."""
     volume = run.volume
     file["metadata_v3/voxel_volume"] = 1e9 * volume.voxel_volume_m3
