@@ -55,7 +55,7 @@ def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
 
 def _print_or_write(text: str, out: Path | None, *, overwrite: bool) -> None:
     """Print a text, or write it to a file in UTF-8."""
-    from meshes.base.whole_file import require_new_file, whole_file
+    from meshes.base.whole_file import require_new_file, write_text
 
     if out is None:
         left_out(
@@ -66,6 +66,5 @@ def _print_or_write(text: str, out: Path | None, *, overwrite: bool) -> None:
         sys.stdout.write(text)
         return
     require_new_file(out, overwrite=overwrite)
-    with whole_file(out) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_text(out, text)
     console.print(f"wrote {out}")

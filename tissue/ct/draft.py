@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.progress import Progress
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import whole_file, write_text
 from meshes.ct.bone_inside import LAW
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
@@ -88,19 +88,14 @@ class Draft:
         with OwnedFolder(
             out, "import", {*names, *listed_files(out).get("import", ())}, overwrite=overwrite
         ):
-            _write_text(out / RECORD, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
-            _write_text(out / SCENE, self.scene)
+            write_text(out / RECORD, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+            write_text(out / SCENE, self.scene)
             for name in wanted:
                 progress("drawing" if name.endswith(".png") else "writing files", 0.0)
                 problem = self.files[name](out / name)
                 if problem is not None:
                     sentences.append(f"{name} was not drawn: {problem}")
         return sentences
-
-
-def _write_text(path: Path, text: str) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(text, "utf-8")
 
 
 def write_surface(surface: Surface, path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 
 from meshes.base.arrays import Array
-from meshes.base.whole_file import package_version, whole_file, write_columns
+from meshes.base.whole_file import package_version, write_columns, write_text
 from tissue.fitting.fit import ConstantFit, SceneFit, TableFit
 from tissue.fitting.laws import LawMisfit, law_sentences
 from tissue.fitting.probe_fit import ProbeFit
@@ -106,8 +106,7 @@ def write_fitted(
             "matrix": [[round(float(value), DIGITS) for value in row] for row in matrix],
         }
     lines = "".join(f"# {line}\n" for line in remark)
-    with whole_file(path) as temporary:
-        temporary.write_text(f"{lines}\n{tomli_w.dumps(content)}", "utf-8")
+    write_text(path, f"{lines}\n{tomli_w.dumps(content)}")
 
 
 def _rounded(value: float) -> float:
@@ -373,16 +372,14 @@ def write_results(
     """
     constants = [shown_constant(each) for each in fit.constants]
     draw_constants(constants, folder / "constants.png", source=fit.source)
-    with whole_file(folder / "fit.json") as temporary:
-        temporary.write_text(json.dumps(numbers, indent=1) + "\n", "utf-8")
+    write_text(folder / "fit.json", json.dumps(numbers, indent=1) + "\n")
     shown = "".join(
         f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"
         for title, name in pictures.items()
         if (folder / name).exists()
     )
     body = f"{above}{shown}{below}<h2>Notes</h2>{html_list(fit.sentences)}"
-    with whole_file(folder / "report.html") as temporary:
-        temporary.write_text(html_page(f"Fit of {fit.name}", body), "utf-8")
+    write_text(folder / "report.html", html_page(f"Fit of {fit.name}", body))
 
 
 def html_list(lines: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from meshes.base.errors import InputError
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import path_note
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run
@@ -371,8 +371,7 @@ def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object
     """Write a table as CSV with all digits; None becomes an empty cell."""
     text = StringIO()
     csv.writer(text, lineterminator="\n").writerows([titles, *rows])
-    with whole_file(path) as temporary:
-        temporary.write_text(text.getvalue(), "utf-8")
+    write_text(path, text.getvalue())
 
 
 def _number(value: float | None) -> str:

@@ -14,7 +14,7 @@ from meshes.base.errors import InputError, is_file
 from meshes.base.file_limits import require_regular
 from meshes.base.placement import Placement
 from meshes.base.text_tables import read_json, read_toml
-from meshes.base.whole_file import package_version, require_version, whole_file
+from meshes.base.whole_file import package_version, require_version, whole_file, write_text
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import OldSceneWarning, converted, load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
@@ -182,8 +182,7 @@ class RunFolder:
             "process": identity(),
         }
         self._write_summary(written | {"scene": scene.name} | placed)
-        with whole_file(self.path / "scene.toml") as temporary:
-            temporary.write_text(saved_text(scene) + _remark(placement), "utf-8")
+        write_text(self.path / "scene.toml", saved_text(scene) + _remark(placement))
 
     @contextmanager
     def ending(self) -> Iterator[None]:
@@ -247,8 +246,7 @@ class RunFolder:
     def _write_summary(self, summary: Summary) -> None:
         """Write ``summary.json`` atomically."""
         self._summary = summary
-        with whole_file(self.path / "summary.json") as temporary:
-            temporary.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        write_text(self.path / "summary.json", json.dumps(summary, indent=2) + "\n")
 
 
 class SavedRun:

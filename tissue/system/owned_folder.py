@@ -18,7 +18,7 @@ from typing import Self, TextIO
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import OWNERS, package_version, require_place, whole_file
+from meshes.base.whole_file import OWNERS, package_version, require_place, write_text
 
 if sys.platform == "win32":
     import msvcrt
@@ -193,8 +193,7 @@ class OwnedFolder:
     def _write_marker(self) -> None:
         files = {kind: sorted(names) for kind, names in sorted(self._files.items())}
         data = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "files": files}
-        with whole_file(self._path / MARKER) as temporary:
-            temporary.write_text(json.dumps(data, indent=1) + "\n", "utf-8")
+        write_text(self._path / MARKER, json.dumps(data, indent=1) + "\n")
 
 
 def anything_claimed() -> bool:

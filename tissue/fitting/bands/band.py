@@ -14,7 +14,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import whole_file, write_text
 from tissue.fitting.bands.sample import (
     Ranges,
     SobolIndices,
@@ -399,8 +399,7 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
         held = (folder / SAMPLES).parent
         held.mkdir(exist_ok=True)
         for number, text in enumerate(band.files):
-            with whole_file(held / sample_name(number, len(band.files))) as temporary:
-                temporary.write_text(text, "utf-8")
+            write_text(held / sample_name(number, len(band.files)), text)
         figures = [SEPARATOR.join(name) for name in band.figure_names]
         table = np.column_stack([band.numbers, band.values, band.figures])
         _write(folder / SAMPLES, ["sample", *band.constants, *figures], table)

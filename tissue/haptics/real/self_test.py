@@ -11,7 +11,7 @@ from time import perf_counter, sleep
 import numpy as np
 
 from meshes.base.errors import InputError, require_range
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_text
 from tissue.haptics.device.device import Reach
 from tissue.haptics.real.adapter import HardwareAdapter
 from tissue.models.tissue_model import TICK_S
@@ -243,5 +243,4 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
             f"[devices.{name}.{key}]\nvalue = {value:.6g}\nrange = [{least:.6g}, {largest:.6g}]\n"
             f'source = "{by}, {what}"\nconfidence = "M"\n'
         )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_text(path, text)

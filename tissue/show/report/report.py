@@ -17,7 +17,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 from meshes.base.errors import InputError
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import package_version, require_new_file, whole_file
+from meshes.base.whole_file import package_version, require_new_file, write_text
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.show.report.charts import Record, charts, columns
@@ -103,8 +103,7 @@ def write_report(
         # reading and packing surfaces takes most of the time
         report("writing the report", 0.8)
         text = _html(saved, shown, scripts, clean, assessment)
-        with whole_file(out) as temporary:
-            temporary.write_text(text, "utf-8")
+        write_text(out, text)
     return out
 
 
