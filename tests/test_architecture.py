@@ -58,23 +58,8 @@ def tree_of(path):
 
 @cache
 def imports_of(path):
-    """Return this project's modules that a file imports or names, for type checkers included."""
-    tree = tree_of(path)
-    named = modules_in_strings(tree, set(MODULES))
-    return imports(tree, set(MODULES)) | named
-
-
-@cache
-def run_time_imports_of(path):
-    """Return the own modules that a file imports, but for type checkers alone."""
-    text = path.read_text("utf-8")
-    if "TYPE_CHECKING" not in text:
-        return imports(tree_of(path), set(MODULES))
-    tree = ast.parse(text)
-    for node in statements(tree):
-        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
-            node.body = [ast.Pass()]
-    return imports(tree, set(MODULES))
+    """Return this project's modules that a file imports, for type checkers included."""
+    return imports(tree_of(path), set(MODULES))
 
 
 def test_imports_only_go_down():
@@ -84,7 +69,8 @@ def test_imports_only_go_down():
             continue
         mine, layer = package_of(module)
         assert layer is not None, f"{module} lies in no layer: give its package one in LAYERS"
-        for wanted in imports_of(path) - {"tissue"}:
+        named = modules_in_strings(path.read_text("utf-8"), set(MODULES))
+        for wanted in (imports_of(path) | named) - {"tissue"}:
             theirs, below = package_of(wanted)
             if theirs != mine and (below is None or below >= layer):
                 wrong.append(f"{module} imports {wanted} from above")
@@ -92,10 +78,8 @@ def test_imports_only_go_down():
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    """Modules one by one, and the packages of every folder."""
-    wanted_by = {
-        module: run_time_imports_of(path) for path, module in zip(FILES, MODULES, strict=True)
-    }
+    """Modules one by one, and the packages of every folder; imports for type checkers count."""
+    wanted_by = {module: imports_of(path) for path, module in zip(FILES, MODULES, strict=True)}
     depth, circles = max(module.count(".") for module in MODULES) + 1, []
     for level in range(1, depth + 1):
         cut = lambda module: ".".join(module.split(".")[:level])  # noqa: B023, E731

@@ -45,6 +45,8 @@ OPENERS = re.compile(r"(What|Where|How|Whether|Who|Why|Those|That|Which|The same
 """Words that a summary line does not open with: it has a verb, or is a noun phrase."""
 OTHER_VERBS = re.compile(r"(Returns|Computes|Gives|Makes|Raises|Writes|Reads|Is|Has)\b")
 """Verbs that are not in the imperative."""
+SUSPECT = re.compile(rf"[\"']\s*(?:{OPENERS.pattern}|{OTHER_VERBS.pattern})")
+"""A string with such a first word, which may be a summary line."""
 
 WORDS = {
     r"beside": "next to, alongside, in addition to",
@@ -92,6 +94,8 @@ def attribute_docstrings(body):
 
 def bad_summaries(code):
     """Return the line and the summary of each docstring with a wrong first word."""
+    if SUSPECT.search(code) is None:
+        return []
     return [
         (line, summary)
         for line, summary in summaries(code)

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from meshes.base.arrays import Array, Bytes, Floats, Singles
 from meshes.base.errors import by, require_range, require_vector
+from meshes.base.grid import Grid
 from meshes.base.placement import Placement
 from meshes.shapes.sdf import Shape, box
-
-if TYPE_CHECKING:
-    from meshes.voxels.volume import Grid
 
 __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 
@@ -30,7 +27,7 @@ layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within
 must vary smoothly over a millimetre.
 """
 
-GridSampler = Callable[["Grid"], tuple[Singles, Singles]]
+GridSampler = Callable[[Grid], tuple[Singles, Singles]]
 """Function from a grid to the bone fraction, 0 to 1, and the depth [m] of its voxels.
 
 The two arrays are float32 and have the grid's shape.

@@ -23,11 +23,12 @@ import numpy as np
 
 from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
 from meshes.base.errors import InputError
+from meshes.base.grid import Grid
 from meshes.base.placement import Placement
 from meshes.images.bone_image import spread_labels
 from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
 from meshes.voxels.distances import cube_fraction
-from meshes.voxels.volume import FULL, Grid, VoxelVolume
+from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 

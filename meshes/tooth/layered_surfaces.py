@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles, lattice
 from meshes.base.errors import InputError, names_of_caller, require_range
+from meshes.base.grid import Grid
 from meshes.base.placement import Placement
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -42,7 +43,6 @@ from meshes.tooth.layers import (
     tooth_axes,
 )
 from meshes.voxels.mesh_sampling import TriangleSampler, column_crossings, triangle_distance
-from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 if TYPE_CHECKING:

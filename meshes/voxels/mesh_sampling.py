@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, compact
-from meshes.voxels.volume import Grid
+from meshes.base.grid import Grid
 
 __all__ = [
     "ColumnCrossings",

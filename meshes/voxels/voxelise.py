@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles, lattice
 from meshes.base.errors import InputError, require_positive
+from meshes.base.grid import BLOCK, Grid
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
 from meshes.voxels.distances import (
@@ -34,7 +35,7 @@ from meshes.voxels.distances import (
     surface_of_fractions,
     surface_steps,
 )
-from meshes.voxels.volume import BLOCK, FULL, Grid, VoxelVolume
+from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = [
     "AROUND_VOXELS",

@@ -206,8 +206,8 @@ def main() -> None:
     print(f"packages of tissue: {len(packages)}")
 
     named = {
-        name: modules_in_strings(tree, set(files))
-        for name, tree in trees.items()
+        name: modules_in_strings(code, set(files))
+        for name, code in text.items()
         if name != "tissue"
     }
     graph = {

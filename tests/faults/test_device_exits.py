@@ -1,13 +1,9 @@
 """Whatever ends a run, a device is left without force: every exit, for every kind of device."""
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +15,7 @@ from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.run_folder import SavedRun
-from tissue.system.stopping import STOPS
+from tissue.system.stopping import STOPS, Terminated
 
 KINDS = (Recording, Managed, Computed)
 SECONDS = 0.4
@@ -27,8 +23,8 @@ PUSHING_N = 1.0
 """Force at the time of a fault: the wall is pressed by some millimetres."""
 
 
-def pressed(device, **options):
-    return simulate(load_scene("wall", {"duration_s": SECONDS}), device=device, **options)
+def pressed(device, *, seconds=SECONDS, **options):
+    return simulate(load_scene("wall", {"duration_s": seconds}), device=device, **options)
 
 
 def raising(error):
@@ -186,64 +182,24 @@ def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch)
     assert_left_alone(device)
 
 
-CHILD = """
-import json, sys, threading
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from device_doubles import Managed
-from tissue import load_scene, simulate
-
-class Recorded(Managed):
-    def read(self, time_s):
-        if time_s >= 0.35:
-            print("pressed", flush=True)
-            threading.Event().wait(0.02)
-        return super().read(time_s)
-
-device = Recorded()
-try:
-    simulate(load_scene("wall", {"duration_s": 60.0}), device=device, out=Path(sys.argv[2]))
-finally:
-    report = [list(map(float, device.commands[-1])), float(max(device.sizes_N)), device.left]
-    Path(sys.argv[3]).write_text(json.dumps(report))
-"""
-
-
 @pytest.mark.skipif(os.name == "nt", reason="Windows delivers none of these signals to a process")
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("SIGINT", marks=pytest.mark.slow),
-        "SIGTERM",
-        pytest.param("SIGHUP", marks=pytest.mark.slow),
-        pytest.param("SIGQUIT", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
 def test_a_signal_ends_at_zero(name, tmp_path):
-    out, message = tmp_path / "run", tmp_path / "last"
-    command = [
-        sys.executable,
-        "-c",
-        CHILD,
-        str(Path(__file__).parents[1] / "fixtures"),
-        str(out),
-        str(message),
-    ]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        while (line := child.stdout.readline()) and line != "pressed\n":
-            pass
-        child.send_signal(getattr(signal, name))
-        child.communicate(timeout=60)
-    finally:
-        child.kill()
-    last, largest, left = json.loads(message.read_text("utf-8"))
-    assert last == [0.0] * 6 and largest > PUSHING_N and left == 1
-    assert (SavedRun(out).status, SavedRun(out).problem) == (
-        "interrupted",
-        "Ctrl-C" if name == "SIGINT" else name,
-    )
-    assert child.returncode != 0
+    sent = []
+
+    def signalled(device):
+        if not sent:
+            sent.append(name)
+            os.kill(os.getpid(), getattr(signal, name))
+
+    device = Managed(signalled)
+    with pytest.raises(KeyboardInterrupt) as raised:
+        pressed(device, seconds=60.0, out=tmp_path / "run")
+    assert_left_alone(device)
+    saved = SavedRun(tmp_path / "run")
+    assert saved.status == "interrupted"
+    assert saved.problem == ("Ctrl-C" if name == "SIGINT" else name)
+    assert isinstance(raised.value, Terminated) == (name != "SIGINT")
 
 
 class Port(Managed):

@@ -12,10 +12,10 @@ import pytest
 from fuzz_files import Reading, damaged
 
 QUICK = {
-    "surface": 5,
-    "tets": 16,
-    "poses": 8,
-    "scene": 8,
+    "surface": 3,
+    "tets": 12,
+    "poses": 6,
+    "scene": 6,
     "predictor": 6,
     "observer": 10,
     "trials": 10,
@@ -113,4 +113,4 @@ def test_damaged_files_are_read_or_refused(sources, tmp_path):
 def test_many_damaged_files_are_read_or_refused(sources, tmp_path):
     outcomes, wrong = fuzz(sources, tmp_path, SLOW, FIRST_SEED + 1000)
     assert not wrong, "\n".join(wrong)
-    assert sum(outcomes.values()) >= 180
+    assert sum(outcomes.values()) >= 160

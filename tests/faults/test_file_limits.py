@@ -33,13 +33,6 @@ def reading():
     child.close()
 
 
-@pytest.fixture(scope="module")
-def limited():
-    child = Reading(longest_s=60.0, max_memory_GB=SMALLER_GB)
-    yield child
-    child.close()
-
-
 def nrrd(path, **fields):
     write.write_nrrd(path, FEW, AXES, ORIGIN, **fields)
 
@@ -199,12 +192,12 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_file_that_inflates_beyond_the_limit_is_refused(tmp_path, limited, name):
+def test_a_file_that_inflates_beyond_the_limit_is_refused(tmp_path, reading, name):
     reader, make = BOMBS[name]
     make(tmp_path / name)
     stored = sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file())
     assert stored < 0.02e9 * BOMB_GB
-    outcome, message = limited.read(reader, tmp_path / name)
+    outcome, message = reading.read(reader, tmp_path / name, max_memory_GB=SMALLER_GB)
     assert (
         outcome == "refused"
         and "--max-memory-GB" in message

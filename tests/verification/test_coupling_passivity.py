@@ -125,7 +125,7 @@ def assert_never_created(run, energies):
 
 
 def test_contact_never_creates_energy():
-    assert_never_created(*tapping(20.0, "passivity"))
+    assert_never_created(*tapping(10.0, "passivity"))
 
 
 @pytest.mark.slow

@@ -245,7 +245,6 @@ def pushed(tool, thrust_N, *, duration_s=0.35, max_mm_s=MAX_MM_S):
 @pytest.mark.parametrize(
     ("name", "thrust_N"),
     [
-        ("flat reamer", 40.0),
         ("flat reamer", 60.0),
         ("end mill", 60.0),
         ("ball", 40.0),

@@ -117,8 +117,9 @@ def test_a_pointed_blade_pushed_in_resists_with_its_width_at_the_surface(edge_de
         assert force[2] == pytest.approx(expected, rel=WITHIN)
 
 
-@pytest.mark.parametrize("edge_deg", [30.0, 45.0, 60.0, 90.0])
-@pytest.mark.parametrize("depth_mm", [2.0, 4.0])
+@pytest.mark.parametrize(
+    ("edge_deg", "depth_mm"), [(30.0, 2.0), (45.0, 4.0), (60.0, 2.0), (90.0, 4.0)]
+)
 def test_a_slice_resists_with_its_depth_at_any_angle_of_the_edge(edge_deg, depth_mm):
     """F = J d + 2 tau M against the motion, J d cot(a) upwards at a slanting edge.
 
@@ -169,8 +170,7 @@ def area_m2(places, tool):
     return float(deepest.sum() * 5e-6)
 
 
-@pytest.mark.parametrize("edge_deg", [30.0, 45.0, 90.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("edge_deg", "seed"), [(30.0, 0), (45.0, 1), (90.0, 2)])
 def test_work_is_toughness_times_area_and_friction(edge_deg, seed):
     """A wandering blade that ends outside: no energy is left in the tissue.
 

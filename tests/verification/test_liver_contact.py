@@ -152,14 +152,13 @@ to. The error at 12 tiles to 3.3 mm is 1 %.
 """
 
 
-@pytest.mark.parametrize("count", [8, 12])
-def test_a_deep_sphere_at_its_literal_numbers(count):
+def test_a_deep_sphere_at_its_literal_numbers():
     """A deep sphere has its literal numbers.
 
     Case 13, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49: Hertz' problem 0.0555 N, Sneddon's 0.0533 N,
     1 %.
     """
-    body = quarter_half_space(count, 3.3e-3 / count, 0.49)
+    body = quarter_half_space(12, 3.3e-3 / 12, 0.49)
     depths = np.linspace(DEPTH_M / 40.0, DEPTH_M, 40)
     square = (body[0][:, :2] ** 2).sum(axis=1)
     assert hertz_N(RADIUS_M, DEPTH_M, 0.49) == pytest.approx(0.0555, abs=5e-5)
@@ -342,8 +341,8 @@ KAPPA = {
 """Stiffening by a bonded base, by Poisson's ratio and a/h."""
 
 
-CELLS = [(0.3, 0.2), (0.45, 0.6), (0.49, 1.0), (0.49, 2.0)]
-SLOW = [(0.3, 2.0), (0.45, 1.5), (0.49, 0.2)]
+CELLS = [(0.3, 0.2), (0.49, 2.0)]
+SLOW = [(0.3, 2.0), (0.45, 0.6), (0.49, 0.2), (0.49, 1.0)]
 
 
 @pytest.mark.parametrize(

@@ -71,12 +71,11 @@ def test_a_punch_that_leaves_and_returns_has_the_force_of_maxwell_elements(name)
     assert np.abs(np.diff(found_m)).max() < 1.1 * np.abs(np.diff(surface_m)).max()
 
 
-@pytest.mark.parametrize("name", ["neo-hookean", "exponential"])
-def test_a_held_ball_relaxes_by_the_reduced_function(name):
+def test_a_held_ball_relaxes_by_the_reduced_function():
     """The force of a held ball is the hereditary integral of the elastic force, within 0.2 %."""
     given = {
         "probe": SphereProbe(6e-3),
-        "law": law_of(name, 0.3),
+        "law": law_of("exponential", 0.3),
         "poisson_ratio": 0.3,
         "width_m": 0.04,
         "across": 6,

@@ -43,16 +43,6 @@ class Drilled:
         monkeypatch.setattr(StressField, "solve", solve)
         self.run = tissue.simulate(tissue.load_scene("molar", DEEP))
         self.trace, self.model = self.run.trace, self.run.parts.tissue
-        self.force = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
-
-    def inside(self, layer):
-        """Return the ticks in which the bur touches one layer only.
-
-        Its half ball is 0.5 mm high, enamel ends near -1.4.
-        """
-        high, low = {"enamel": (-0.5, -1.2), "dentin": (-2.0, -4.5)}[layer]
-        depth = self.trace["tool_z_mm"]
-        return (depth < high) & (depth > low)
 
 
 @pytest.fixture(scope="module")

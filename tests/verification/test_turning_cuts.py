@@ -63,8 +63,7 @@ def plunge_and_slot(feed_m_s, length_m):
     return first, second
 
 
-@pytest.mark.parametrize("feed_m_s", [5e-4, 2e-3, 8e-3])
-@pytest.mark.parametrize("degrees", [0.0, 37.0])
+@pytest.mark.parametrize(("feed_m_s", "degrees"), [(5e-4, 37.0), (2e-3, 0.0), (8e-3, 37.0)])
 def test_a_tool_that_reverses_has_little_force_in_its_own_cut(feed_m_s, degrees):
     """The force is at most 2.2 % of the force before the turn, and 1.2 % on average over 0.12 mm.
 

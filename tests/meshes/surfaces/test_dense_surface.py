@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from meshes.base.grid import Grid
 from meshes.surfaces.repair import is_manifold, merge_vertices
 from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import surface_from_triangles
 from meshes.voxels.mesh_sampling import TriangleSampler
-from meshes.voxels.volume import Grid
 
 REGION_M = np.array([[-4e-3, -4e-3, -3e-3], [4e-3, 4e-3, 2e-3]])
 

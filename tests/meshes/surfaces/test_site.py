@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from voxel_surface import voxel_surface
 
+from meshes.base.grid import Grid
 from meshes.base.placement import Placement
 from meshes.shapes import sdf
 from meshes.surfaces.glenoid import glenoid, surface_anatomy
@@ -14,7 +15,6 @@ from meshes.surfaces.landmarks import find_glenoid
 from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 from meshes.voxels.mesh_sampling import TriangleSampler
-from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 

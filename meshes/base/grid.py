@@ -1,0 +1,76 @@
+"""Grids of voxels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.arrays import Array, Ints, lattice
+
+__all__ = ["BLOCK", "Grid"]
+
+BLOCK = 8
+"""Number of voxels along the edge of a block."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Grid of voxels with indices relative to the frame's origin.
+
+    Voxel i spans [i, i + 1] spacings.
+
+    Attributes
+    ----------
+    spacing_m
+        Edge of a voxel [m].
+    first
+        Index of the lowest voxel along x, y and z; negative below the origin.
+    shape
+        Number of voxels along x, y and z.
+    """
+
+    spacing_m: float
+    first: tuple[int, int, int]
+    shape: tuple[int, int, int]
+
+    @property
+    def last(self) -> tuple[int, int, int]:
+        """Index of the highest voxel along x, y and z, plus one."""
+        x, y, z = (f + n for f, n in zip(self.first, self.shape, strict=True))
+        return x, y, z
+
+    @property
+    def origin_m(self) -> Array:
+        """Lowest corner [m], shape (3,)."""
+        return np.array(self.first) * self.spacing_m
+
+    def blocked(self) -> Grid:
+        """Return the smallest grid of whole blocks that contains this grid.
+
+        Blocks are counted from the frame's origin.
+        """
+        low = [f // BLOCK * BLOCK for f in self.first]
+        high = [-(-e // BLOCK) * BLOCK for e in self.last]
+        return Grid(
+            self.spacing_m,
+            (low[0], low[1], low[2]),
+            (high[0] - low[0], high[1] - low[1], high[2] - low[2]),
+        )
+
+    def slab(self, start: int, stop: int) -> Grid:
+        """Return the part with the local x indices `start` to `stop`."""
+        return Grid(
+            self.spacing_m,
+            (self.first[0] + start, *self.first[1:]),
+            (stop - start, *self.shape[1:]),
+        )
+
+    def block_firsts(self) -> Ints:
+        """Return the index of the lowest voxel of each block of a blocked grid, shape (n, 3).
+
+        The blocks are in C order.
+        """
+        axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
+        firsts: Ints = lattice(*axes)
+        return firsts
