@@ -61,11 +61,16 @@ def test_a_normal_end_ramps_the_force_off(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "error",
-    [OSError("the cable is out"), ValueError(), KeyboardInterrupt(), SystemExit(3)],
-    ids=repr,
+    ("kind", "error"),
+    [
+        (Recording, OSError("the cable is out")),
+        (Recording, KeyboardInterrupt()),
+        (Managed, ValueError()),
+        (Managed, SystemExit(3)),
+        (Computed, OSError("the cable is out")),
+        (Computed, KeyboardInterrupt()),
+    ],
 )
-@pytest.mark.parametrize("kind", KINDS)
 def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, tmp_path):
     device, is_error = kind(raising(error)), isinstance(error, Exception)
     with pytest.raises(DeviceError if is_error else type(error)) as raised:

@@ -314,14 +314,19 @@ def checked_keys(files):
     return found
 
 
-def without_effect(kind, files, folder):
+@pytest.fixture(scope="module")
+def checked(files):
+    """Keys that each kind of scene checks."""
+    return checked_keys(files)
+
+
+def without_effect(kind, keys, files, folder):
     """Return the keys that a kind checks whose other value changes nothing.
 
     A key refused for another reason than having no effect counts too.
     """
     table, base = kinds(files)[kind], folder / "base.toml"
     base.write_text(tomli_w.dumps(table))
-    keys = checked_keys(files)[kind]
     if not keys:
         return []
     plain, found = fingerprint(load_scene(base)), []
@@ -351,8 +356,8 @@ def is_refused(key, message):
     "kind", [pytest.param(kind, marks=[] if kind in QUICK else pytest.mark.slow) for kind in NAMES]
 )
 @pytest.mark.timeout(900)
-def test_another_value_of_every_key_changes_the_run_or_is_refused(kind, files, tmp_path):
-    assert without_effect(kind, files, tmp_path) == []
+def test_another_value_of_every_key_changes_the_run_or_is_refused(kind, checked, files, tmp_path):
+    assert without_effect(kind, checked[kind], files, tmp_path) == []
 
 
 def test_every_kind_of_scene_is_walked_through():

@@ -37,7 +37,7 @@ A file that is parsed in a process of its own takes most of a second, and belong
 """
 FIRST_SEED = int(os.environ.get("TISSUE_FUZZ_SEED", "0"))
 """Of the damage: set the variable for other damage."""
-SLOW = {reader: 2 if reader.endswith(" apart") else count for reader, count in QUICK.items()}
+SLOW = {reader: 2 * reader.endswith(" apart") for reader in QUICK}
 
 
 @pytest.fixture(scope="session")
@@ -85,7 +85,7 @@ def fuzz(sources, work, counts, first_seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("apart", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("apart", [False, True])
 def test_whole_files_are_read(sources, apart):
     folder, by_reader = sources
     reading = Reading()
@@ -110,7 +110,7 @@ def test_damaged_files_are_read_or_refused(sources, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_many_damaged_files_are_read_or_refused(sources, tmp_path):
+def test_damaged_files_that_are_parsed_apart_are_read_or_refused(sources, tmp_path):
     outcomes, wrong = fuzz(sources, tmp_path, SLOW, FIRST_SEED + 1000)
     assert not wrong, "\n".join(wrong)
-    assert sum(outcomes.values()) >= 160
+    assert sum(outcomes.values()) >= 26

@@ -112,10 +112,10 @@ def spread(name, plate_m, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("plate_m", [np.inf, 4.5e-4], ids=["smooth", "layered"])
 @pytest.mark.parametrize("name", CUTTERS)
-def test_no_frame_of_many_changes_the_force(name, plate_m):
-    found = spread(name, plate_m, 6)
+def test_no_frame_of_many_changes_the_force(name):
+    """The bone has slanted layers, which a frame moves most."""
+    found = spread(name, 4.5e-4, 6)
     print(f"\n{name}: {100 * found:.3f} %")
     assert found < SPREAD
 
