@@ -304,6 +304,16 @@ CASES = {
     "cutter, 100 N s/m": (in_bone, {"bone": Drag(1e2)}, 1.29),
 }
 """Loop, its arguments, and the measured critical stiffness over the judged one."""
+LIKE_ANOTHER = {
+    "wall, six-dof",
+    "wall, 8 ms, hand with a reflex",
+    "relaxing in 0.5 s, at rest",
+    "stopped burr, six-dof",
+    "cutter, blocked, six-dof",
+    "cutter, blocked, 4 ms, hand with a reflex",
+    "cutter, 1000 N s/m",
+}
+"""Loops that differ from another one in the device, the hand or the delay; the slow tests."""
 
 
 @pytest.mark.parametrize("reflex", [False, True])
@@ -322,7 +332,10 @@ def test_the_measured_growth_is_that_of_the_eigenvalues(share, reflex):
     assert abs(expected) > 0.3
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in LIKE_ANOTHER)) for name in CASES],
+)
 def test_no_loop_has_a_critical_stiffness_below_the_judged_one(name):
     """The critical stiffness lies within 2 % of the table, and above 0.995 of the judged one."""
     make, given, ratio = CASES[name]

@@ -19,8 +19,9 @@ def on_the_wall():
     return run_of("wall")
 
 
-@pytest.mark.parametrize("device", ["touch", "omni", "six-dof"])
-@pytest.mark.parametrize("law", ["penalty", "passivity", "proxy"])
+@pytest.mark.parametrize(
+    ("device", "law"), [("touch", "penalty"), ("omni", "passivity"), ("six-dof", "proxy")]
+)
 def test_every_device_and_renderer_stays_within_its_limits(device, law):
     run, limits = (
         run_of("wall", device=device, renderer=law, duration_s=0.8),
