@@ -158,7 +158,7 @@ def pressed_depth_m(settings, stiffness_N_m):
     return min(force_N, 1.5) * (1.0 / stiffness_N_m + 1.0 / settings.person.stiffness_N_m)
 
 
-def on_wall(share, *, ratio=RIGID, known=True, slide_m_s=0.0, reflex=False, seconds=2.6, **changes):
+def on_wall(share, *, ratio=RIGID, known=True, slide_m_s=0.0, reflex=False, seconds=2.2, **changes):
     """Return the growth on a wall, whose stiffness is a ratio of the coupling's."""
     scene = "wall" if known else "palpation"
     settings = exact_settings(scene, **({"device": "touch"} | changes))

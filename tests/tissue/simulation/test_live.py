@@ -15,7 +15,6 @@ from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.window import WindowProcess
-from tissue.simulation.observer import WallClock
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
 
@@ -197,7 +196,7 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
 
 def test_ctrl_c_is_given_back(monkeypatch):
     before = signal.getsignal(signal.SIGINT)
-    observer = LiveObserver(load_scene("wall"), None, WallClock())
+    observer = LiveObserver(load_scene("wall"), None)
     observer.on_begin(None, ())
     assert signal.getsignal(signal.SIGINT) != before
     signal.raise_signal(signal.SIGINT)

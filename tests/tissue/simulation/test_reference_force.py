@@ -97,7 +97,7 @@ def test_the_spring_of_a_tool_that_cuts_pulls_from_the_observed_position(delay_m
         "device": "touch",
         "prediction": "none",
         "coupling.delay_ms": delay_ms,
-        "duration_s": 0.4,
+        "duration_s": 0.6,
         "voxels.spacing_mm": 0.5,
     }
     run = simulate(load_scene("milling", entries))
