@@ -293,7 +293,7 @@ CASES = {
     "cutter, blocked": (in_bone, {"bone": BLOCKED}, 1.0),
     "cutter, blocked, 4 ms, hand with a reflex": (
         in_bone,
-        {"bone": BLOCKED, "delay_ms": 4, "reflex": True},
+        {"bone": BLOCKED, "delay_ms": 4, "reflex": True, "seconds": 3.0},
         1.0,
     ),
     "cutter, blocked, six-dof": (in_bone, {"bone": BLOCKED, "device": "six-dof"}, 1.0),
