@@ -25,7 +25,6 @@ from tissue.simulation.live.run import LiveObserver  # noqa: E402
 from tissue.simulation.observer import (  # noqa: E402
     Observers,
     Prioritised,
-    WallClock,
 )
 from tissue.simulation.simulate import TICK_S, simulate  # noqa: E402
 
@@ -43,7 +42,7 @@ def ticks_of(name, raised, loaded):
     busy = [subprocess.Popen([sys.executable, "-c", COUNT]) for _ in range(count if loaded else 0)]
     try:
         scene = load_scene(name, {"duration_s": TURN_S})
-        observer = LiveObserver(scene, None, WallClock())
+        observer = LiveObserver(scene, None)
         prioritised = Prioritised()
         run = simulate(scene, observer=Observers(prioritised, observer) if raised else observer)
     finally:

@@ -4,14 +4,13 @@ Each command is run over folders and files that it did not write.
 """
 
 import hashlib
-import json
 import os
 import shutil
 
 import pytest
 from coarse_run import COARSE
 
-from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run import Run
 from tissue.system.owned_folder import MARKER, OwnedFolder
 
 WALL = ("wall", "--set", "duration_s=0.05")
@@ -129,21 +128,18 @@ def test_single_files_are_replaced_on_request_and_only_where_they_are_regular(
         assert "must lie in a folder that exists" in refused(*arguments, option, f"no/such/{file}")
 
 
-def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, tmp_path):
+def test_a_run_of_version_0_2_is_read_and_copied_and_never_replaced(refused, made, tmp_path):
+    """Its folder has no marker."""
     folder = shutil.copytree(made, tmp_path / "old")
     (folder / MARKER).unlink()
-    put(folder, ["notes.txt", "pictures/mine.png", "carving/mine.txt", "band/mine.toml"])
-    mine = {
-        name: each for name, each in content(folder).items() if "mine" in name or "notes" in name
-    }
-    assert SavedRun(folder).complete
-    assert command("run", *WALL, "--no-pictures", "--out", folder)[0] == 2
-    assert command("run", *WALL, "--no-pictures", "--out", folder, "--overwrite")[0] == 0
-    assert {
-        name: each for name, each in content(folder).items() if "mine" in name or "notes" in name
-    } == mine
-    listed = json.loads((folder / MARKER).read_text())["files"]["run"]
-    assert set(listed) == {"trace.csv", "timing.csv", "scene.toml", "summary.json"}
+    put(folder, ["notes.txt", "pictures/mine.png"])
+    before = content(folder)
+    message = refused("run", *WALL, "--no-pictures", "--out", folder, "--overwrite")
+    assert message.startswith("out must not hold files of other origin")
+    assert content(folder) == before
+    copied = content(Run.load(folder).save(tmp_path / "copy"))
+    assert {"trace.csv", "timing.csv", "scene.toml", "summary.json"} <= set(copied)
+    assert "notes.txt" not in copied and "pictures/mine.png" not in copied
 
 
 def test_a_lock_of_the_user_is_kept(refused, tmp_path):

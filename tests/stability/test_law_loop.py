@@ -117,7 +117,7 @@ def growth(tangent, share, *, extra_s, late_ticks):
     tool = PressingTool(spring, start)
     low_pass = LowPass(1e-3, step_s=STEP_S)
     response = model.respond(block.motion)
-    played_N = np.zeros(3200)
+    played_N = np.zeros(2600)
     for tick in range(len(played_N)):
         time_s = tick * STEP_S
         wanted_m = start + motion_scale * (np.array(device.read(time_s).position_m) - start)
@@ -139,7 +139,7 @@ def growth(tangent, share, *, extra_s, late_ticks):
     return rate
 
 
-@pytest.mark.parametrize("late_ticks", [0, 100])
+@pytest.mark.parametrize("late_ticks", [pytest.param(0, marks=pytest.mark.slow), 100])
 def test_a_loop_within_the_judged_limit_fades(tangent, late_ticks):
     """The nudge fades by a factor of ten in 1.1 s, also where each solve of the law is 0.1 s late."""
     assert growth(tangent, 0.97, extra_s=STEP_S, late_ticks=late_ticks) < -2.1

@@ -1,7 +1,6 @@
 """Folder of a run: preparation, writing during the run, its summary, and reading."""
 
 import json
-import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -20,26 +19,8 @@ from tissue.scene.load import OldSceneWarning, converted, load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
-from tissue.system.owned_folder import OwnedFolder, identity, is_alive, listed_files, require_folder
+from tissue.system.owned_folder import OwnedFolder, identity, is_alive, require_folder
 from tissue.system.stopping import Terminated
-
-__all__ = [
-    "FORMAT",
-    "PICTURE_FORMATS",
-    "RunFolder",
-    "SavedRun",
-    "Summary",
-    "added_to_run",
-    "copy_run",
-    "files_of_run",
-    "named_as_run_files",
-    "picture_format",
-    "read_summary",
-    "run_file_names",
-    "saved_placement",
-    "summary_of",
-]
-
 
 Summary = dict[str, Any]
 """Contents of ``summary.json``; see docs/files.md."""
@@ -99,8 +80,6 @@ PICTURES = (
     "wall",
 )
 """Names of pictures that any run may have; an anatomy may have additional pictures."""
-KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
-"""Pattern of the beginning of the scene file in a run folder."""
 
 
 def run_file_names() -> tuple[str, ...]:
@@ -140,8 +119,7 @@ class RunFolder:
 
     A folder that holds a run is refused unless `overwrite` is set. Only files that the marker file
     of the folder lists are replaced or removed. A folder that contains other files with the same
-    names is refused. `begin` is the first method that changes the folder. A folder without a marker
-    file counts as a run of version 0.2 if its files contain a run.
+    names is refused. `begin` is the first method that changes the folder.
 
     Parameters
     ----------
@@ -158,10 +136,7 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
-        adopted = _adopted(path)
-        self._owned = OwnedFolder(
-            path, "run", run_file_names(), overwrite=overwrite, adopted=adopted
-        )
+        self._owned = OwnedFolder(path, "run", run_file_names(), overwrite=overwrite)
         self.path = path
         self._writers: list[TraceWriter] = []
         self._summary: Summary = {}
@@ -169,7 +144,7 @@ class RunFolder:
     @staticmethod
     def check(path: Path, *, overwrite: bool) -> None:
         """Refuse a folder into which a run cannot be written."""
-        require_folder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))
+        require_folder(path, "run", run_file_names(), overwrite=overwrite)
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
         """Remove the files of a replaced run, and record in the folder that a run has begun."""
@@ -366,7 +341,7 @@ def added_to_run(path: Path) -> OwnedFolder:
 
     The folder is locked during the block.
     """
-    return OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))
+    return OwnedFolder(path, "run", (), shared=run_file_names())
 
 
 def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
@@ -388,46 +363,14 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
             f"{saved.path}, which is still running",
             "wait until the run ends",
         )
-    names = files_of_run(saved.path)
-    with OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out)):
-        for name in names:
+    names = named_as_run_files(saved.path)
+    with OwnedFolder(out, "run", run_file_names(), overwrite=overwrite):
+        for name in sorted(names):
             if not pictures and name.startswith("pictures/"):
                 continue
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             with whole_file(out / name) as temporary:
                 shutil.copyfile(saved.path / name, temporary)
-
-
-def files_of_run(path: Path) -> list[str]:
-    """Return the names of the files that a run wrote into its folder.
-
-    For a run without a marker file, these are the files that are named like files of a run.
-    """
-    there = listed_files(path).get("run")
-    names = named_as_run_files(path) if there is None else there
-    return sorted(name for name in names if (path / name).is_file())
-
-
-def _adopted(path: Path) -> set[str]:
-    """Return the files of a run that version 0.2 wrote, without a marker file.
-
-    The result is empty if the folder does not contain such a run.
-    """
-    if "run" in listed_files(path):
-        return set()
-    kept = path / "scene.toml"
-    table = path / "trace.csv"
-    try:
-        saved = SavedRun(path)
-        if saved.scene is None or not isinstance(saved.summary.get("tissue"), str):
-            return set()
-        is_kept = saved.scene.name == saved.summary["scene"] and KEPT_SCENE.match(
-            kept.read_text("utf-8")
-        )
-        whole = not saved.complete or (table.is_file() and (path / "timing.csv").is_file())
-    except (InputError, OSError):
-        return set()
-    return named_as_run_files(path) if is_kept and whole else set()
 
 
 def _status_of(summary: Summary) -> str:

@@ -10,7 +10,7 @@ import platform
 import sys
 import threading
 import weakref
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -91,8 +91,6 @@ class OwnedFolder:
         True to remove the files of an earlier output of this kind.
     shared
         Names of files that every output of this kind replaces, even without ``overwrite``.
-    adopted
-        Files that are treated as listed if the marker lists no output of this kind.
 
     Raises
     ------
@@ -109,10 +107,8 @@ class OwnedFolder:
         *,
         overwrite: bool = False,
         shared: Iterable[str] = (),
-        adopted: Collection[str] = (),
     ) -> None:
         self._kind = kind
-        self._adopted = adopted
         self._path = path
         self._place = Path(os.path.abspath(path))
         self._files: Files = {}
@@ -124,7 +120,6 @@ class OwnedFolder:
             tuple(names),
             overwrite=overwrite,
             shared=tuple(shared),
-            adopted=adopted,
         )
         self._check()
         self._lock = OutputLock(path, folder=True)
@@ -133,7 +128,7 @@ class OwnedFolder:
         """Remove the files of an earlier output, and mark the folder as an output of tissue."""
         replaced = self._check()  # another process may have written files since the first check
         self._files = listed_files(self._path)
-        listed = self._files.setdefault(self._kind, set(self._adopted))
+        listed = self._files.setdefault(self._kind, set())
         self._write_marker()
         for name in sorted(replaced, reverse=True):
             (self._path / name).unlink(missing_ok=True)
@@ -208,7 +203,6 @@ def require_folder(
     *,
     overwrite: bool = False,
     shared: Iterable[str] = (),
-    adopted: Collection[str] = (),
 ) -> set[str]:
     """Check that a folder can be used for an output, without changing the folder.
 
@@ -226,7 +220,7 @@ def require_folder(
     """
     require_place(path, folder=True)
     files = listed_files(path)
-    listed = files.get(kind, set(adopted))
+    listed = files.get(kind, set())
     there = _present(path, names)
     for name in sorted(there | _present(path, shared)):
         if name not in listed or _is_foreign(path, name):

@@ -89,8 +89,7 @@ def shaken(count, *, seed=0, step_m=2e-5):
     return np.cumsum(step_m * np.random.default_rng(seed).normal(size=(count, 3)), axis=0)
 
 
-@pytest.mark.parametrize("stiffness_N_m", [8e3, 3e4])
-@pytest.mark.parametrize("mass_kg", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize(("stiffness_N_m", "mass_kg"), [(8e3, 0.5), (3e4, 0.02)])
 def test_an_oblique_pull_ends_at_the_velocity_of_the_device(stiffness_N_m, mass_kg):
     """An oblique pull ends at the velocity of the device.
 
@@ -110,37 +109,41 @@ def test_below_the_ramp_the_edge_force_is_in_proportion():
     advance, ramp = NORMAL @ PULL_M_S, 2e-2
     share = advance / ramp
     pull = (400.0 * advance + 4.0 * share) * NORMAL + (900.0 * advance + 5.0 * share) * TANGENT
-    course = pulled(3.0, ramp_m_s=ramp)
+    course = pulled(1.5, ramp_m_s=ramp)
     np.testing.assert_allclose(8e3 * course.stretch_m[-1], pull, atol=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("step_s", "course_um", "force_N"), [(1e-3, 1.6, 0.012), (1e-4, 0.16, 0.0012)]
+    ("step_s", "seconds", "course_um", "force_N"),
+    [(1e-3, 0.5, 1.6, 0.012), (1e-4, 0.2, 0.16, 0.0012)],
 )
-def test_the_course_of_an_oblique_pull_is_the_independent_one(damped, step_s, course_um, force_N):
+def test_the_course_of_an_oblique_pull_is_the_independent_one(
+    damped, step_s, seconds, course_um, force_N
+):
     """The course of an oblique pull is the independent one.
 
     The bounds are 5 to 15 % above the differences of the present tool, and fall with the step.
     """
     damped(40.0, 0.1, 8e3)
-    course = pulled(0.5, step_s=step_s)
-    rows = np.round(COURSE[:, 0] / step_s).astype(int) - 1
-    off_um = 1e6 * course.tips_m[rows][:, [0, 2]] - 1e3 * COURSE[:, 1:3]
-    off_N = course.wrenches[rows][:, [0, 2]] - COURSE[:, 3:]
+    course = pulled(seconds, step_s=step_s)
+    expected = COURSE[COURSE[:, 0] <= seconds]
+    rows = np.round(expected[:, 0] / step_s).astype(int) - 1
+    off_um = 1e6 * course.tips_m[rows][:, [0, 2]] - 1e3 * expected[:, 1:3]
+    off_N = course.wrenches[rows][:, [0, 2]] - expected[:, 3:]
     print(f"step {1e3 * step_s:g} ms: {np.abs(off_um).max():.3f} um, {np.abs(off_N).max():.5f} N")
     assert np.abs(off_um).max() < course_um
     assert np.abs(off_N).max() < force_N
 
 
-@pytest.mark.parametrize("mass_kg", [1e-3, 0.1, 0.5])
+@pytest.mark.parametrize("mass_kg", [1e-3, 0.5])
 def test_the_momentum_balances_to_rounding_in_every_tick(mass_kg):
     """The momentum balances to rounding in every tick.
 
     m (v - v_before) / T = k (x_device - x) + b (v_device - v) + F, also in a tick in which the
     device jumps.
     """
-    devices = around(0.4) + shaken(400)
-    devices[200] += 1e-3
+    devices = around(0.2) + shaken(200)
+    devices[100] += 1e-3
     balls = BallOnBlock(count=100), BallOnBlock(spin=0.0, count=100)
     for tissue in (*balls, oblique(), None):
         tool = held_tool(1e4, tissue, mass_kg=mass_kg)
@@ -353,13 +356,13 @@ def test_a_spinning_ball_has_no_chatter_of_its_step():
     """A spinning ball has no chatter of its step.
 
     Tangential forces push it aside by more than its feed force. On bone that is not removed, it
-    moves round and round. Its mean force and the fluctuation are those of a step ten times smaller.
+    moves round and round. Its mean force and the fluctuation are those of a step five times smaller.
     """
     found = []
-    for step in (1e-3, 1e-4):
-        times = step * np.arange(round(0.8 / step))
+    for step in (1e-3, 2e-4):
+        times = step * np.arange(round(0.4 / step))
         devices = np.column_stack(
-            [5e-3 * np.maximum(times - 0.3, 0.0), 0.0 * times, -4e-3 * np.minimum(times, 0.3)]
+            [5e-3 * np.maximum(times - 0.1, 0.0), 0.0 * times, -12e-3 * np.minimum(times, 0.1)]
         )
         tool = held_tool(1e4, BallOnBlock(count=100))
         forces = lead(tool, devices, step_s=step).wrenches[len(times) // 2 :, :3]
@@ -381,8 +384,8 @@ SCAN = list(
         (0.0, 1e2, 1e4),  # chip force per speed [N s/m]
         (1e-4, 1e-3, 1e-2),  # step [s]
     )
-)[::2]
-"""Every other combination: each pair of values of two parameters is among them."""
+)[::4]
+"""Every fourth combination: each pair of values of two parameters is among them."""
 
 
 def balanced(tissue, stiffness_N_m, mass_kg, step_s, devices):
@@ -439,6 +442,6 @@ def test_the_balance_is_found_over_decades(kind, most, mean):
 
 def test_steady_cutting_needs_two_evaluations():
     """In steady cutting, one Newton step solves a force that is linear at the speed of the tool."""
-    steps = pulled(3.0).steps[-500:]
+    steps = pulled(1.0).steps[-200:]
     assert steps.max() <= 2
     assert lead(held_tool(1e4), around(0.01)).steps.max() == 0

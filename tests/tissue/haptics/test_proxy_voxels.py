@@ -32,8 +32,7 @@ def slab_store(normal, offset, thickness=1.0):
     )
 
 
-@pytest.mark.parametrize("lever", [None, 2e-3])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "lever"), [(0, None), (1, 2e-3), (2, None)])
 def test_never_inside_voxels_and_pushed_out_of_them(seed, lever):
     store = bumpy_store(seed)
     field = ContactField(store=store)
@@ -85,7 +84,7 @@ def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
     """
     random = np.random.default_rng(7)
     for number, normal in enumerate(
-        [np.eye(3)[2], np.array([0.0, 0.6, 0.8]), *random.normal(size=(6, 3))]
+        [np.eye(3)[2], np.array([0.0, 0.6, 0.8]), *random.normal(size=(3, 3))]
     ):
         for shell in (ToolShell.ball(), BURR):
             lowest, stopped = push_through(
@@ -101,7 +100,7 @@ def test_pushing_in_and_out_slowly_gains_no_energy(friction):
     Work on the device along closed paths in a bumpy block is not negative; the trapezoid rule
     leaves 1e-3 of the work put in.
     """
-    for seed in range(4):
+    for seed in range(2):
         proxy = Proxy(BURR, ContactField(store=bumpy_store(seed)), friction=friction)
         random = np.random.default_rng(seed)
         start = np.array([4e-3, 4e-3, 6.5e-3])

@@ -15,7 +15,6 @@ from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.window import WindowProcess
-from tissue.simulation.observer import WallClock
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
 
@@ -43,9 +42,10 @@ def test_the_command_runs_live_without_a_display(no_display, command, here):
 
 
 class FakeWindow:
-    """A window whose pointer goes 8 mm down at once, and that is closed after 600 ticks."""
+    """A window whose pointer goes 8 mm down at once, and that is closed after 400 ticks."""
 
     paused = reset = False
+    ticks = 400
 
     def __init__(self, scene, parts, columns):
         self.closed, self.shown, self._announced = False, 0, False
@@ -62,7 +62,7 @@ class FakeWindow:
 
     def show(self, index, row, clock):
         self.shown += 1
-        self.closed = index >= 599
+        self.closed = index == self.ticks - 1
 
     def failed(self):
         return None
@@ -78,7 +78,7 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
-    assert len(run.trace.rows) == 600 and run.scene.held.kind == "touch"
+    assert len(run.trace.rows) == 400 and run.scene.held.kind == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
     # 400 N/m at the device in series with the wall.
     scale = chosen_scale(run.scene).factor
@@ -105,6 +105,7 @@ def stalled(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     monkeypatch.setattr(FakeWindow, "frames", property(frames))
+    monkeypatch.setattr(FakeWindow, "ticks", 600)
     monkeypatch.setattr("tissue.simulation.live.run.STALLED_S", 0.1)
 
 
@@ -133,7 +134,7 @@ def test_a_pause_is_no_lateness_and_is_reported(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     monkeypatch.setattr(FakeWindow, "paused", property(paused))
     run = run_live(load_scene("wall"))
-    assert len(run.trace.rows) == 600
+    assert len(run.trace.rows) == 400
     ((time_s, what),) = [event for event in run.events if "paused" in event[1]]
     assert (
         time_s == 0.3
@@ -184,11 +185,11 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
     run = run_live(load_scene("wall"), LiveSettings(opened=addresses.append), out=out)
     (page,) = FakePage.made
     assert addresses == ["http://127.0.0.1:1/?token=x"] and page.closed
-    assert [window.shown for window in page.windows] == [200, 600]
-    assert len(run.trace.rows) == 600 and run.trace["time_s"][0] == 0.0
+    assert [window.shown for window in page.windows] == [200, 400]
+    assert len(run.trace.rows) == 400 and run.trace["time_s"][0] == 0.0
     run.save(out, pictures=False)
     saved = SavedRun(out)
-    assert saved.complete and len(saved.trace.rows) == 600
+    assert saved.complete and len(saved.trace.rows) == 400
     assert (
         saved.summary["notes"]["live"]
         == "the mouse moves the tool in a browser; the force is shown but cannot be felt"
@@ -197,7 +198,7 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
 
 def test_ctrl_c_is_given_back(monkeypatch):
     before = signal.getsignal(signal.SIGINT)
-    observer = LiveObserver(load_scene("wall"), None, WallClock())
+    observer = LiveObserver(load_scene("wall"), None)
     observer.on_begin(None, ())
     assert signal.getsignal(signal.SIGINT) != before
     signal.raise_signal(signal.SIGINT)

@@ -68,7 +68,7 @@ def largest_difference(got, want):
     ("kind", "exponent"),
     [
         ("bone, density", 2.3),
-        ("molar, caries", 0.8),
+        pytest.param("molar, caries", 0.8, marks=pytest.mark.slow),
         pytest.param("block", None, marks=pytest.mark.slow),
         pytest.param("block, replay", None, marks=pytest.mark.slow),
         pytest.param("glenoid", 1.2, marks=pytest.mark.slow),

@@ -5,7 +5,7 @@ import threading
 from tissue import load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.simulation.live.run import LiveObserver
-from tissue.simulation.observer import Observers, Prioritised, WallClock
+from tissue.simulation.observer import Observers, Prioritised
 
 HALF = {"duration_s": 0.5}
 
@@ -27,7 +27,7 @@ class FakePriority:
 def live_by(priority, changes=HALF, device=None):
     scene = load_scene("wall", {"device": "touch"} | changes)
     prioritised = Prioritised(priority)
-    both = Observers(prioritised, LiveObserver(scene, None, WallClock()))
+    both = Observers(prioritised, LiveObserver(scene, None))
     return simulate(scene, on_tick=both, device=device), prioritised
 
 

@@ -6,18 +6,15 @@ A run can be made again from them, and the files after a kill are checked.
 import json
 import re
 import shutil
-import subprocess
 import sys
 
 import pytest
 from coarse_run import COARSE
 
 from tissue import InputError, load_scene, simulate
+from tissue.cli.main import main
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.simulation.scheduling import spin_time_s
-
-MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
-"""Most of a killed run's wall time that may be missing from its trace."""
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +32,10 @@ def made(tmp_path_factory):
         "--out",
         str(out),
     ]
-    subprocess.run([*MAIN, *arguments, "--cores", "1"], check=True, capture_output=True)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
+        patch.setattr(sys, "argv", ["tissue", *arguments, "--cores", "1"])
+        main()
+    assert ended.value.code == 0
     return out
 
 
@@ -69,20 +69,21 @@ def test_the_folder_holds_every_file(made):
 
 
 @pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, cores):
+def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(
+    made, tmp_path, cores, monkeypatch, command
+):
     """A run is made again bit for bit on any number of cores.
 
     Threads are forced to share every launch: few launches of the coarse scene are long enough by
     themselves.
     """
-    split = (
-        ("import kernels.launcher as l; l.SPLIT_ABOVE_S = l.LEAST_GAIN = 0.0; ")
-        if cores > 1
-        else ""
-    )
-    again = [sys.executable, "-c", f"{split}from tissue.cli.main import main; main()"]
-    arguments = ["run", str(made / "scene.toml"), "--no-pictures", "--out", str(tmp_path / "again")]
-    subprocess.run([*again, *arguments, "--cores", str(cores)], check=True, capture_output=True)
+    if cores > 1:
+        monkeypatch.setattr("kernels.launcher.SPLIT_ABOVE_S", 0.0)
+        monkeypatch.setattr("kernels.launcher.LEAST_GAIN", 0.0)
+    arguments = ["run", made / "scene.toml", "--no-pictures", "--out", tmp_path / "again"]
+    assert command(*arguments, "--cores", cores)[0] == 0
+    scheduling = json.loads((tmp_path / "again" / "summary.json").read_text())["scheduling"]
+    assert (scheduling["split_launches"] > 0) == (cores > 1)
     assert (tmp_path / "again" / "trace.csv").read_bytes() == (made / "trace.csv").read_bytes()
     assert (tmp_path / "again" / "scene.toml").read_bytes() == (made / "scene.toml").read_bytes()
 

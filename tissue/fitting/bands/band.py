@@ -46,8 +46,9 @@ from tissue.scene.anatomy import Tooth
 from tissue.scene.scene import Scene
 from tissue.show.figures.fit_pictures import draw_band, draw_sobol
 from tissue.simulation.load_record import record_loads, why_not_linear
-from tissue.simulation.run_folder import Summary, added_to_run, files_of_run, read_summary
+from tissue.simulation.run_folder import Summary, added_to_run, read_summary
 from tissue.simulation.simulate import simulate
+from tissue.system.owned_folder import listed_files
 
 __all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save_band"]
 
@@ -425,7 +426,7 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
 def _earlier_samples(folder: Path) -> list[Path]:
     """Return the files of an earlier band's samples."""
     held = (folder / SAMPLES).parent
-    names = (folder / name for name in files_of_run(folder))
+    names = sorted(folder / name for name in listed_files(folder).get("run", ()))
     return [path for path in names if path.parent == held and path.suffix == ".toml"]
 
 

@@ -20,8 +20,6 @@ from tissue.motion.quaternion import (
     turn_between,
 )
 
-__all__ = ["Plant", "SimulatedDevice"]
-
 
 class Plant:
     """Mass with viscous and Coulomb friction behind an amplifier, with a spring and a damper.

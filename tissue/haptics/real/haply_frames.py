@@ -20,18 +20,6 @@ from tissue.haptics.real.adapter import HardwareSample, checked_url
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
 from tissue.system.stopping import returned_within
 
-__all__ = [
-    "ServiceState",
-    "StateOrder",
-    "asked_version",
-    "force_frame",
-    "opening_frame",
-    "problem_of",
-    "service_address",
-    "spelling_of",
-    "version_in",
-]
-
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Kinds of handles with orientation and buttons, in search order."""
 VECTOR_SINCE = (3, 5)
@@ -129,13 +117,12 @@ class ServiceState:
         grips = [each for group in GRIPS for each in self._known.get(group, {}).values()]
         held = _part(grips[0] if grips else {}, "state")
         position = _numbers(state.get("cursor_position"), "xyz")
-        velocity = _numbers(state.get("cursor_velocity"), "xyz")
-        turned = _numbers(held.get("orientation"), "xyzw")
         if not position:
             return None
-        return HardwareSample(
-            position, velocity or NOTHING, turned or UPRIGHT, buttons=_buttons(held)
-        )
+        x, y, z = position
+        u, v, w = _numbers(state.get("cursor_velocity"), "xyz") or NOTHING
+        a, b, c, d = _numbers(held.get("orientation"), "xyzw") or UPRIGHT
+        return HardwareSample((x, y, z), (u, v, w), (a, b, c, d), buttons=_buttons(held))
 
     def model(self) -> str:
         """Return type, id, firmware and handedness of the device as a text, as far as known."""
@@ -285,7 +272,7 @@ def _part(whole: object, name: str) -> dict[str, Any]:
     return part if isinstance(part, dict) else {}
 
 
-def _numbers(table: object, names: str) -> Any:
+def _numbers(table: object, names: str) -> tuple[float, ...]:
     """Return the named numbers of a table; empty if a number is missing, not finite or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
     # bool is a subclass of int.

@@ -18,30 +18,16 @@ from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.perception.laws import D_PRIME_75
 from tissue.scene.coupling import WallAnatomy
-from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Blade, Needle, Probe, ThrustMotion, Tool
+from tissue.simulation.builders import organ_scene
 from tissue.simulation.builders.cutting import VoxelBone, cutter_of
 from tissue.simulation.builders.loop import USUAL_N_M
-from tissue.simulation.builders.organ_scene import blade_of, pierced_tissue
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.voxels import volume_of
-
-__all__ = [
-    "ForceScale",
-    "Met",
-    "Series",
-    "chosen_scale",
-    "cut",
-    "force_met",
-    "incised",
-    "pierced",
-    "pressed",
-    "scale_for",
-    "slot_force_N",
-]
 
 POSES = 250
 FINE_POSES = 3000
@@ -272,10 +258,8 @@ def _met(table: str, _inputs: tuple[object, ...]) -> Met:
         return Met(stiffness * depth, stiffness, depth)
     if isinstance(scene.tool, Tool):
         return cut(scene)
-    if isinstance(scene.tool, Needle):
-        return pierced(scene)
-    if isinstance(scene.tool, Blade):
-        return incised(scene)
+    if isinstance(scene.tool, Needle | Blade):
+        return crossed(scene)
     return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else Met(0.0)
 
 
@@ -334,27 +318,14 @@ def pressed(scene: Scene) -> Met:
     return Met(max(start, end) * slope * depth, sqrt(start * end) * slope, depth)
 
 
-def pierced(scene: Scene) -> Met:
-    """Return the largest force of a needle on the scripted motion."""
-    from tissue.models.needle.model import NeedleModel
-
-    assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
-    tissue = pierced_tissue(scene)
+def crossed(scene: Scene) -> Met:
+    """Return the largest force of a needle or a blade on the scripted motion."""
+    is_needle = isinstance(scene.tool, Needle)
+    build = organ_scene.pierced if is_needle else organ_scene.incised
+    without_frames = scene.anatomy.model_copy(update={"interval_ms": 0.0})
     motion = motion_of(scene)
-    diameter_m = 1e-3 * scene.tool.diameter_mm
-    return Met(_largest(motion, NeedleModel(tissue, diameter_m=diameter_m), FINE_POSES))
-
-
-def incised(scene: Scene) -> Met:
-    """Return the largest force of a blade on the scripted motion."""
-    from tissue.models.incision.model import IncisionModel
-    from tissue.models.incision.parameters import incised_tissue
-
-    assert isinstance(scene.anatomy, IncisedAnatomy)
-    blade = blade_of(scene)
-    tissue = incised_tissue(scene.anatomy.material, blade, constants=scene.constants)
-    motion = motion_of(scene)
-    return Met(_largest(motion, IncisionModel(tissue, blade), POSES))
+    parts = build(scene.model_copy(update={"anatomy": without_frames}), motion, report=silent)
+    return Met(_largest(motion, parts.tissue, FINE_POSES if is_needle else POSES))
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Events
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.load import REPLACED_DEVICE
@@ -28,18 +29,15 @@ from tissue.simulation.live.publisher import (
 )
 from tissue.simulation.live.window import Page, WindowProcess, push, require_web
 from tissue.simulation.observer import (
-    BEHIND_S,
     LOOK_TICKS,
     Observers,
+    Paced,
     Prioritised,
-    WallClock,
 )
 from tissue.simulation.run import DEADLINE_US, Run
-from tissue.simulation.simulate import TICK_S, RunObserver, RunSettings, simulate
+from tissue.simulation.simulate import RunSettings, simulate
 from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
-
-__all__ = ["LiveObserver", "LiveSettings", "live"]
 
 LONGEST_S = 600.0
 """Default duration of a run that the mouse moves [s]; the trace of such a run is kept in memory.
@@ -206,7 +204,7 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
                 x, y, z = motion_of(scene).sweep_m()[0].tolist()
                 mouse = MouseDevice((x, y, z))
             pointer = None if how.by_slicer else mouse
-            observer = LiveObserver(scene, pointer, WallClock(), page)
+            observer = LiveObserver(scene, pointer, page)
             prioritised = Prioritised()
             publishers: dict[str, Publisher] = {}
             if how.slicer is not None:
@@ -237,7 +235,7 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     return run
 
 
-class LiveObserver(RunObserver):
+class LiveObserver(Paced):
     """Observer that runs the ticks on time, shows the run in a window, and ends it on request.
 
     Parameters
@@ -246,8 +244,6 @@ class LiveObserver(RunObserver):
         Scene of the run.
     mouse
         Device that the pointer of the window moves; None for no window.
-    clock
-        Clock that paces the run.
     page
         Page that shows the run instead of a window on the display. The page stays open after the
         run.
@@ -259,20 +255,16 @@ class LiveObserver(RunObserver):
     """
 
     timing_columns = ("late_us", "skipped_us")
-    paces = True
 
-    def __init__(
-        self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, mouse: MouseDevice | None, page: Page | None = None) -> None:
+        super().__init__()
         self._scene = scene
         self._mouse = mouse
-        self._clock = clock
         self._page = page
         self.reset = False
         self._window: WindowProcess | None = None
         self._stopped = False
         self._missed = 0
-        self._skipped_s = 0.0
         self._events: Events = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames = -1
@@ -298,7 +290,7 @@ class LiveObserver(RunObserver):
                 self._pause(self._window, index)
             if index % LOOK_TICKS == 0:
                 self._hold(self._window, index)
-        self._clock.wait(index)
+        super().before_tick(index)
         if self._window is not None and self._mouse is not None:
             pointed = self._window.pointed_m()
             if pointed is not None:
@@ -311,14 +303,6 @@ class LiveObserver(RunObserver):
         times[-2:] = late, skipped
         self._missed += times[0] + late > DEADLINE_US
         time_s = float(row[0])
-        if skipped > 0.0:
-            if self._skipped_s == 0.0:
-                what = (
-                    f"the ticks were more than {1e3 * BEHIND_S:g} ms late: the clock "
-                    "skipped this time"
-                )
-                self._events.append((time_s, f"{what} from here"))
-            self._skipped_s += self._clock.skipped_s
         window = self._window
         if window is None:
             return not self._stopped
@@ -382,7 +366,7 @@ class LiveObserver(RunObserver):
         if self._window is not None and self._page is None:
             self._window.end()
         self._window = None
-        return self._events
+        return self._events + super().on_end()
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self._stopped = True

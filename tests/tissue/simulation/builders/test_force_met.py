@@ -18,10 +18,9 @@ from tissue.simulation.builders.force_met import (
     Met,
     Series,
     chosen_scale,
+    crossed,
     cut,
     force_met,
-    incised,
-    pierced,
     pressed,
 )
 
@@ -32,8 +31,8 @@ LIBRARY = {
     "caries": cut,
     "liver-press": pressed,
     "palpation": pressed,
-    "needle": pierced,
-    "incision": incised,
+    "needle": crossed,
+    "incision": crossed,
 }
 
 

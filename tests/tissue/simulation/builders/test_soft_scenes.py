@@ -19,9 +19,9 @@ PRESS = {
     "anatomy.edge_mm": 22.0,
     "organ.material": "liver",
     "organ.law": "linear",
-    "organ.interval_ms": 100.0,
+    "organ.interval_ms": 50.0,
     "motion.points_mm": [[0, 0, 1], [0, 0, -6], [3, 0, -6], [3, 0, 1]],
-    "motion.feed_mm_s": 20.0,
+    "motion.feed_mm_s": 40.0,
 }
 SLAB = {
     "anatomy.edge_mm": 12.0,
@@ -104,17 +104,19 @@ def test_paths_to_the_compliance_agree():
         np.testing.assert_allclose(other, forces[0], atol=1e-3 * forces[0].max())
 
 
-def test_a_run_repeats_bit_for_bit(pressed):
-    again = press()
-    assert again.trace.rows.tobytes() == pressed.trace.rows.tobytes()
-    last, before = (run.parts.tissue.fields.frames[-1] for run in (again, pressed))
+def test_a_run_repeats_bit_for_bit():
+    first, again = slab(**SMALL), slab(**SMALL)
+    assert again.trace.rows.tobytes() == first.trace.rows.tobytes()
+    assert first.trace["model_force_z_N"].any()
+    last, before = (run.parts.tissue.fields.frames[-1] for run in (again, first))
     for name, values in before.points.items():
         np.testing.assert_array_equal(last.points[name], values)
 
 
 def test_force_scales_with_the_modulus():
     soft, hard = (
-        slab(**{"organ.young_kPa": young}).trace["model_force_z_N"] for young in (5.0, 20.0)
+        slab(**SMALL, **{"organ.young_kPa": young}).trace["model_force_z_N"]
+        for young in (5.0, 20.0)
     )
     np.testing.assert_allclose(hard, 4.0 * soft, atol=1e-3 * hard.max())
 
@@ -134,19 +136,22 @@ def test_a_viscous_slab_relaxes_to_its_long_term_share():
     assert force[-1] == pytest.approx(0.432 * elastic.trace["model_force_z_N"][-1], rel=0.02)
 
 
-@pytest.mark.parametrize("direction", [[1, 0, 0], [0, 0, 1]])
-def test_the_force_rises_with_the_ratio_of_fibres(direction):
+def test_the_force_rises_with_the_ratio_of_fibres():
     """The force rises with the ratio of fibres.
 
     Fibres lie across the press and along it, softer than the tissue around them and stiffer.
     """
-    fibres = {"organ.interval_ms": 0.0, "organ.fibre_direction": direction}
-    runs = [
-        slab(**({} if ratio == 1.0 else fibres | {"organ.fibre_modulus_ratio": ratio}))
-        for ratio in (0.5, 1.0, 3.0)
-    ]
-    forces = np.array([run.trace["model_force_z_N"].max() for run in runs])
-    assert (np.diff(forces) > 0.01 * forces[1]).all(), forces / forces[1]
+
+    def largest_N(**fibres):
+        return slab(**{"organ.interval_ms": 0.0}, **fibres).trace["model_force_z_N"].max()
+
+    plain = largest_N()
+    for direction in ([1, 0, 0], [0, 0, 1]):
+        soft, stiff = (
+            largest_N(**{"organ.fibre_direction": direction, "organ.fibre_modulus_ratio": ratio})
+            for ratio in (0.5, 3.0)
+        )
+        assert soft < 0.99 * plain and stiff > 1.01 * plain, (soft / plain, stiff / plain)
 
 
 def test_fibres_are_the_same_in_a_turned_organ():
@@ -254,7 +259,7 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(scene, changes, sentence):
-    coarse = {"anatomy.edge_mm": 22.0} if scene == "liver-press" else {}
+    coarse = {"anatomy.edge_mm": 35.0} if scene == "liver-press" else {}
     with pytest.raises(InputError) as refused:
         simulate(load_scene(scene, coarse | changes))
     assert sentence in str(refused.value) and "\n" not in str(refused.value)
