@@ -178,10 +178,13 @@ def test_the_version_is_that_of_the_project(command):
     assert tissue.__version__ == project["version"]
 
 
-def test_the_command_line_starts_without_numpy():
-    code = "import sys, tissue.cli.main; print('numpy' in sys.modules)"
+def test_the_command_line_starts_without_numpy_and_a_bone_without_warp():
+    code = (
+        "import sys, tissue.cli.main; print('numpy' in sys.modules); "
+        "tissue.Bone; print('warp' in sys.modules)"
+    )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "False\n"
+    assert found.stdout == "False\nFalse\n"
 
 
 def test_a_list_that_begins_with_a_minus_is_the_value_of_its_option():
