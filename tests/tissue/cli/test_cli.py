@@ -136,7 +136,7 @@ def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeyp
 
 
 def test_a_run_prints_its_figures_and_where_they_are(command, here):
-    code, output, error = command("run", "milling", *COARSE, "--duration-s", 0.1)
+    code, output, error = command("run", "milling", *COARSE, "--duration-s", 0.03)
     assert (code, error) == (0, "")
     for word in (
         "removed cortical",
@@ -165,9 +165,8 @@ def test_scenes_are_listed_and_printed(command, here):
     code, output, _ = command("scenes")
     assert code == 0
     assert [line.split()[0] for line in output.splitlines()] == scene_names()
-    for name in scene_names():
-        code, output, _ = command("scenes", name)
-        assert code == 0 and f'name = "{name}"' in output
+    code, output, _ = command("scenes", scene_names()[0])
+    assert code == 0 and f'name = "{scene_names()[0]}"' in output
 
 
 def test_the_version_is_that_of_the_project(command):
