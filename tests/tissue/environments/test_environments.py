@@ -140,17 +140,6 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         tissue.environments.Palpation(materials=file)
 
 
-def test_a_patch_shows_what_is_left_around_the_burr():
-    env = gymnasium.make("tissue/Milling-v0", patch=True)
-    seen, _ = env.reset(seed=0, options={"start_x_mm": 0.0, "start_y_mm": 0.0, "start_z_mm": 0.3})
-    assert env.observation_space.contains(seen)
-    assert (seen["patch"][:, :, 0] == 1.0).all() and (seen["patch"][:, :, 4:] == 0.0).all()
-    for _ in range(5):
-        seen, *_ = env.step(np.array([0.0, 0.0, -1.0], dtype=np.float32))
-    cut, _, _, _, info = env.step(np.array([0.0, 0.0, -1.0], dtype=np.float32))
-    assert info["removed_mm3"] > 0.0 and 0.0 < cut["patch"][4, 4, 0] <= 1.0
-
-
 def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
     env = gymnasium.make("tissue/Drilling-v0").unwrapped
     env.reset(seed=0)

@@ -8,6 +8,7 @@ from meshes.base.errors import counted
 from tissue.scene.used_constants import Used
 from tissue.show.figures.figure import torque_unit
 from tissue.simulation.run_folder import SavedRun, Summary
+from tissue.system.html import html_list, html_picture
 
 __all__ = [
     "assessment_section",
@@ -78,12 +79,8 @@ def figures_of(saved: SavedRun, text: Text) -> str:
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
     """Return the section with heading, lines and PNG picture of an assessment."""
-    shown = "".join(f"<li>{text(line)}</li>" for line in lines)
-    data = b64encode(picture).decode()
-    return (
-        f"<h2>Assessment</h2><ul>{shown}</ul>"
-        f'<img src="data:{PICTURES["png"]};base64,{data}" alt="trainee and reference over time">'
-    )
+    shown = html_picture("trainee and reference over time", picture)
+    return f"<h2>Assessment</h2>{html_list(lines, text)}{shown}"
 
 
 def events_table(summary: Summary, text: Text) -> str:
@@ -210,9 +207,9 @@ def band_section(saved: SavedRun, text: Text) -> str:
         f"{counted(len(band['constants']), 'constant')} in their ranges. The error of the model "
         "itself is not in it."
     )
-    lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
     table = _table(("figure", "this run", "median", "50 %", "90 %"), rows)
-    return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
+    lines = html_list(band_lines(band), text)
+    return f"<h2>Bands</h2><p>{sentence}</p>{table}{lines}{_pictures(saved)}"
 
 
 def _pictures(saved: SavedRun) -> str:
@@ -221,8 +218,7 @@ def _pictures(saved: SavedRun) -> str:
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
-                data = b64encode(path.read_bytes()).decode()
-                found.append(f'<img src="data:{kind};base64,{data}" alt="{about}">')
+                found.append(html_picture(about, path.read_bytes(), kind))
     return "".join(found)
 
 
