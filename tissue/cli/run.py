@@ -34,7 +34,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     """Print the summary of a run as a table."""
     from rich.table import Table
 
-    from tissue.objects.html import run_rows
+    from tissue.show.report.page import band_lines, run_rows
 
     table = Table(
         title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
@@ -67,8 +67,6 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
-        from tissue.show.report.page import band_lines
-
         for line in band_lines(band):
             console.print(f"band: {line}")
     console.print(f"files in {folder}")
@@ -339,17 +337,10 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
         If an option has no effect, or the package for the server of the page is not installed.
     """
     if not options.live:
-        left_out(
-            "without --live",
-            "give --live, or show a finished run by `tissue view DIR --web`",
-            web=options.web,
-        )
-        left_out("without --live", "give --live", ros2=options.ros2)
-        left_out(
-            "without --live",
-            "give --live, or open the files of a finished run",
-            slicer=options.slicer,
-        )
+        remedy = "give --live, or show a finished run by `tissue view DIR --web`"
+        left_out("without --live", remedy, web=options.web)
+        remedy = "give --live, or open the files of a finished run"
+        left_out("without --live", remedy, ros2=options.ros2, slicer=options.slicer)
     if not options.slicer:
         idle = {"slicer_port": options.slicer_port, "slicer_drives": options.slicer_drives}
         left_out("without --slicer", "give --live --slicer, or remove it", **idle)
