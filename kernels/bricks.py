@@ -12,7 +12,7 @@ and the lower 16 bits hold the layer.
 
 import warp as wp
 
-from kernels.arrays import Int32s3D, Shorts2D, Singles, SingleVectors
+from kernels.arrays import Int32s3D, Shorts2D
 
 __all__ = [
     "BRICK",
@@ -31,7 +31,6 @@ __all__ = [
     "density_of",
     "layer_of",
     "plane_of",
-    "sample",
     "stored",
     "trilinear",
     "voxel_column",
@@ -266,22 +265,3 @@ def cube_behind_plane(plane: Plane, distance: float):
 
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def sample(
-    # points
-    point: SingleVectors,  # [voxel]
-    offset: int,
-    # grid
-    brick_of: Int32s3D,
-    remaining: Shorts2D,
-    # out
-    fraction_out: Singles,
-):
-    """Sample the filled fraction at each point, trilinear between voxel centres.
-
-    The fraction is 0 where no brick is stored.
-    """
-    i = wp.tid() + offset
-    fraction_out[i] = trilinear(brick_of, remaining, point[i])

@@ -34,31 +34,23 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     """Print the summary of a run as a table."""
     from rich.table import Table
 
+    from tissue.show.report.page import band_lines, run_rows
+
     table = Table(
         title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
     )
     table.add_column("quantity")
     table.add_column("value", justify="right")
-    for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
-        table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
+    for quantity, value in run_rows(summary):
+        table.add_row(quantity, value)
     band = summary.get("band")
-    for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
-        table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
+    for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N m")):
         # If the tool touches nothing, there is no band.
         if band is not None and band[key]["peak"]["p95"] > 0.0:
             table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     if heat := summary.get("bone_heat"):
         rises = f"{heat['largest_rise_K']:.1f} / {heat['rise_at_half_mm_K']:.2f} K"
         table.add_row("rise of the remaining bone, largest / 0.5 mm from the cut", rises)
-    tick = summary["tick_us"]
-    table.add_row(
-        "tick, median / 99 % / max",
-        f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs",
-    )
-    table.add_row(
-        "missed 1 ms deadlines",
-        f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}",
-    )
     for quantity, value in _scheduling_rows(summary):
         table.add_row(quantity, value)
     if "late_us" in summary:
@@ -75,8 +67,6 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
-        from tissue.show.report.page import band_lines
-
         for line in band_lines(band):
             console.print(f"band: {line}")
     console.print(f"files in {folder}")
@@ -95,10 +85,6 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
         yield "kernel launches on several cores", f"{large}, {chosen['cores']} cores"
         if "background" in chosen:
             yield "during the ticks", chosen["background"]
-
-
-def _pair(figures: dict[str, float], unit: str) -> str:
-    return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
@@ -351,17 +337,10 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
         If an option has no effect, or the package for the server of the page is not installed.
     """
     if not options.live:
-        left_out(
-            "without --live",
-            "give --live, or show a finished run by `tissue view DIR --web`",
-            web=options.web,
-        )
-        left_out("without --live", "give --live", ros2=options.ros2)
-        left_out(
-            "without --live",
-            "give --live, or open the files of a finished run",
-            slicer=options.slicer,
-        )
+        remedy = "give --live, or show a finished run by `tissue view DIR --web`"
+        left_out("without --live", remedy, web=options.web)
+        remedy = "give --live, or open the files of a finished run"
+        left_out("without --live", remedy, ros2=options.ros2, slicer=options.slicer)
     if not options.slicer:
         idle = {"slicer_port": options.slicer_port, "slicer_drives": options.slicer_drives}
         left_out("without --slicer", "give --live --slicer, or remove it", **idle)

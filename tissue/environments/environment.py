@@ -31,10 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PATCH_POINTS", "ContactEnvironment", "Entry", "RestorableBone"]
+__all__ = ["ContactEnvironment", "Entry", "RestorableBone"]
 
-PATCH_POINTS = 9
-"""Number of points along each side of a patch. With an odd number, one point is at the centre."""
 LAYER_BITS = 255
 """Mask of the layer in the material word of a voxel; the upper half of the word is the density
 [kg/m3].
@@ -116,16 +114,6 @@ class RestorableBone:
         """
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
-
-    def patch(self, centre_m: Array, spacing_m: float) -> Singles:
-        """Return the content of voxels (0 to 1) at points around a centre, shape (9, 9, 9).
-
-        The axes are along x, y and z.
-        """
-        side = spacing_m * (np.arange(PATCH_POINTS) - PATCH_POINTS // 2)
-        points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-        found = self.model.store.sample(centre_m + points).reshape((PATCH_POINTS,) * 3)
-        return np.clip(found, 0.0, 1.0, dtype=np.float32)
 
     def draw_section(
         self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
@@ -276,9 +264,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self._steps = max(round(self.duration_s / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
-        self.observation_space: spaces.Space[Any] = spaces.Box(
-            -1.0, 1.0, self._scales.shape, np.float32
-        )
+        self.observation_space = spaces.Box(-1.0, 1.0, self._scales.shape, np.float32)
         self._done_steps = 0
         self.score = 0.0
         self._loads = np.zeros(6)
@@ -409,8 +395,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     def named(self, observation: Any) -> dict[str, Array]:
         """Return the values of an observation, keyed by name, in the units of `entries`."""
-        state = observation["state"] if isinstance(observation, dict) else observation
-        values = np.asarray(state, np.float64) * self._scales
+        values = np.asarray(observation, np.float64) * self._scales
         places = np.cumsum([e.count for e in self.entries])
         return {
             entry.name: values[end - entry.count : end]

@@ -5,12 +5,11 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium import spaces
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Ints, Singles
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
-from tissue.environments.environment import PATCH_POINTS, ContactEnvironment, Entry, RestorableBone
+from tissue.environments.environment import ContactEnvironment, Entry, RestorableBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
@@ -41,11 +40,6 @@ TOLERANCE_MM = 0.25
 The distance applies to both sides of the wall. It is larger than half a voxel, and larger than the
 scallops between tracks 0.7 mm apart.
 """
-PATCH_MM = 0.6
-"""Distance between the points of the patch [mm].
-
-Nine points cover 1.2 times the diameter of the burr.
-"""
 DONE = 0.99
 """Removed share of the target at which the pocket is complete.
 
@@ -69,9 +63,7 @@ class Milling(ContactEnvironment):
     **Observation**, see `entries`: position of the tip relative to the middle of the pocket's
     opening, velocity of the tip, force and torque on the tool, vector from the tip to the nearest
     remaining voxel of the target, removed share of the target, ratio of overcut to target volume,
-    and remaining time. With ``patch=True`` the observation is a dictionary. The entry ``state``
-    contains these numbers. The entry ``patch`` contains the share of bone at 9 x 9 x 9 points
-    around the centre of the burr, 0.6 mm apart.
+    and remaining time.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
@@ -84,8 +76,6 @@ class Milling(ContactEnvironment):
 
     Parameters
     ----------
-    patch
-        Whether observations include the remaining bone around the burr.
     materials
         File of constants that replace the built-in constants, in the format that `tissue fit`
         writes.
@@ -125,15 +115,9 @@ class Milling(ContactEnvironment):
     # than the tolerance, so overcut is possible.
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
-    def __init__(
-        self, *, patch: bool = False, materials: str | PathLike[str] | None = None, **options: Any
-    ) -> None:
+    def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)
-        self._with_patch = patch
         self._materials = materials
-        if patch:
-            around = spaces.Box(0.0, 1.0, (PATCH_POINTS,) * 3, np.float32)
-            self.observation_space = spaces.Dict({"state": self.observation_space, "patch": around})
 
     @cached_property
     def bone(self) -> RestorableBone:
@@ -196,7 +180,7 @@ class Milling(ContactEnvironment):
     def _is_over(self) -> bool:
         return self._shares()[0] >= DONE
 
-    def _observe(self) -> Any:
+    def _observe(self) -> Singles:
         at, centres = self._target
         left = centres[self.bone.left(at)]
         away = left - self.tool.tip_m
@@ -204,13 +188,9 @@ class Milling(ContactEnvironment):
             1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)
         )
         velocity = 1e3 * self.tool.speed_m_s * self.tool.heading[0]
-        state = self._scaled(
+        return self._scaled(
             self.tip_mm, velocity, *self._loads_shown, nearest, *self._shares(), self.time_left
         )
-        if not self._with_patch:
-            return state
-        centre = self.tool.tip_m + np.array([0.0, 0.0, 0.5e-3 * BURR_MM])
-        return {"state": state, "patch": self.bone.patch(centre, 1e-3 * PATCH_MM)}
 
     def _facts(self) -> dict[str, Any]:
         share, over = self._shares()

@@ -1,7 +1,7 @@
 """Folder of a fit: constants for scenes, numbers, pictures, and a report as one file."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from html import escape
@@ -23,13 +23,12 @@ from tissue.show.figures.fit_pictures import (
     draw_residuals,
     draw_table,
 )
-from tissue.system.html import html_page, html_picture
+from tissue.system.html import html_list, html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
 __all__ = [
     "FILES",
     "FittedEntry",
-    "html_list",
     "unit_of",
     "write_fit",
     "write_fitted",
@@ -380,11 +379,6 @@ def write_results(
     )
     body = f"{above}{shown}{below}<h2>Notes</h2>{html_list(fit.sentences)}"
     write_text(folder / "report.html", html_page(f"Fit of {fit.name}", body))
-
-
-def html_list(lines: Iterable[str]) -> str:
-    """Return sentences as an HTML list."""
-    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def _above(fit: SceneFit) -> str:

@@ -11,13 +11,13 @@ from meshes.base.whole_file import package_version, write_columns
 from tissue.fitting.fit_files import (
     FILES,
     FittedEntry,
-    html_list,
     unit_of,
     write_fitted,
     write_results,
 )
 from tissue.fitting.probe_fit import ProbeFit
 from tissue.show.figures.fit_pictures import draw_presses
+from tissue.system.html import html_list
 from tissue.system.owned_folder import OwnedFolder
 
 __all__ = ["probe_verdicts", "write_probe_fit"]

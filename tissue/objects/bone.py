@@ -14,29 +14,17 @@ from meshes.base.errors import InputError, by, counted, names_of_caller, require
 from meshes.base.file_limits import memory_limit
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.volume import VoxelVolume, density_volume
-from tissue.cutters.cutter import Cutter
-from tissue.materials.scene_constants import Materials
-from tissue.models.bone.bricks_on_demand import BricksOnDemand
-from tissue.objects.bone_surface import Removed, bone_surface, plot_surface
-from tissue.objects.cut import Cut
-from tissue.objects.cutting import (
-    Structures,
-    TimedPoses,
-    clearance_of,
-    cut_along,
-    poses_of,
-    times_of,
-)
-from tissue.scene.part import SURFACE_SUFFIXES
-from tissue.scene.scene import Cutting
-from tissue.scene.used_constants import used_of_cutting
-from tissue.simulation.builders.arguments import given_note, require_known, stated
-from tissue.simulation.builders.cutting import VoxelBone, element_spacing_m
 
 if TYPE_CHECKING:
     import pyvista
 
     from meshes.images.reading import Spacing
+    from tissue.cutters.cutter import Cutter
+    from tissue.materials.scene_constants import Materials
+    from tissue.models.bone.bricks_on_demand import BricksOnDemand
+    from tissue.objects.bone_surface import Removed
+    from tissue.objects.cut import Cut
+    from tissue.objects.cutting import Structures
 
 __all__ = ["Bone"]
 
@@ -55,7 +43,7 @@ class BoneOptions(TypedDict, total=False):
 
     material: str
     cutting: Mapping[str, float] | None
-    materials: str | PathLike[str] | Materials | None
+    materials: "str | PathLike[str] | Materials | None"
 
 
 @dataclass(frozen=True)
@@ -76,7 +64,7 @@ class BoneSource:
         Density of a bone with a single density [kg/m3]; None for other bones.
     """
 
-    voxels: Callable[[], VoxelVolume | BricksOnDemand]
+    voxels: "Callable[[], VoxelVolume | BricksOnDemand]"
     outer: "Callable[[], pyvista.PolyData] | None" = None
     notes: Mapping[str, str] = field(default_factory=dict)
     density_kg_m3: float | None = None
@@ -96,6 +84,13 @@ class Bone:
     """
 
     def __init__(self, source: BoneSource, **options: Unpack[BoneOptions]) -> None:
+        # Not at the top of this file: `tissue.Bone` should not wait for Warp and SciPy.
+        from tissue.materials.scene_constants import Materials
+        from tissue.scene.scene import Cutting
+        from tissue.scene.used_constants import used_of_cutting
+        from tissue.simulation.builders.arguments import given_note, require_known, stated
+        from tissue.simulation.builders.cutting import VoxelBone
+
         require_known(options, BoneOptions, of="Bone")
         self._source = source
         self._options = options
@@ -165,6 +160,8 @@ class Bone:
         from meshes.surfaces.glenoid import surface_anatomy
         from meshes.surfaces.site import Site
         from meshes.surfaces.surface import read_surface
+        from tissue.scene.part import SURFACE_SUFFIXES
+        from tissue.simulation.builders.arguments import require_known
 
         require_known(options, BoneOptions, of="Bone")
         path = Path(file)
@@ -308,6 +305,7 @@ class Bone:
         from meshes.images.bone_image import image_cuts, image_volume
         from meshes.images.plane_files import plane_files
         from meshes.images.reading import read_image
+        from tissue.simulation.builders.arguments import require_known
 
         require_known(options, BoneOptions, of="Bone")
         remarks: list[str] = []
@@ -341,15 +339,15 @@ class Bone:
 
     def cut(
         self,
-        tool: Cutter,
+        tool: "Cutter",
         poses: ArrayLike,
         times_s: ArrayLike,
         *,
         axis: ArrayLike | None = None,
         depth_mm: float = 0.1,
         tolerance: float = 0.01,
-        keep_clear: Structures | None = None,
-    ) -> Cut:
+        keep_clear: "Structures | None" = None,
+    ) -> "Cut":
         """Move a rotating tool through poses, remove the swept bone and compute the forces.
 
         The bone keeps the cut. A second call with the same tool continues the cut if the first pose
@@ -388,6 +386,9 @@ class Bone:
             If an argument cannot be used, or a tooth would remove a chip that is thicker than the
             radius of the tool.
         """
+        from tissue.objects.cutting import TimedPoses, clearance_of, cut_along, poses_of, times_of
+        from tissue.simulation.builders.cutting import element_spacing_m
+
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))
         self.require_cutter(tool)
@@ -405,6 +406,8 @@ class Bone:
 
     def require_cutter(self, tool: object) -> None:
         """Refuse an object that cannot cut this bone."""
+        from tissue.cutters.cutter import Cutter
+
         if not isinstance(tool, Cutter):
             raise InputError(
                 "tool",
@@ -440,10 +443,13 @@ class Bone:
     @property
     def removed(self) -> "Removed":
         """Bone that tools have removed so far."""
+        from tissue.objects.bone_surface import Removed
+
         return Removed(self.voxel_bone)
 
     def surface(self) -> "pyvista.PolyData":
         """Return the current surface of the bone [mm], with the cell array ``layer``."""
+        from tissue.objects.bone_surface import bone_surface
 
         outer = self._source.outer
         return bone_surface(self.voxel_bone, outer() if outer is not None else None)
@@ -452,6 +458,8 @@ class Bone:
         """Show the current bone, coloured by layer; `options` are passed to
         ``pyvista.PolyData.plot``.
         """
+        from tissue.objects.bone_surface import plot_surface
+
         return plot_surface(self.surface(), self.layer_names, **options)
 
     def __repr__(self) -> str:
@@ -470,6 +478,8 @@ def _anatomy_source(
 
     `outer` is as for `BoneSource`.
     """
+    from tissue.models.bone.bricks_on_demand import BricksOnDemand
+
     spacing_m = 1e-3 * require_range("spacing_mm", spacing_mm, 1e-3, 5.0, "use about 0.1")
 
     def drawn() -> "pyvista.PolyData":

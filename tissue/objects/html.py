@@ -7,6 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.show.figures.force_time import event_lines
+from tissue.show.report.page import run_rows
 from tissue.simulation.run_folder import Summary
 
 __all__ = [
@@ -16,7 +17,6 @@ __all__ = [
     "intervals_of",
     "run_html",
     "run_line",
-    "run_rows",
     "scrolled",
     "table_html",
 ]
@@ -83,41 +83,6 @@ def run_line(summary: Summary) -> list[str]:
         f"{summary['simulated_s']:g} s",
         f"peak force {summary['force_N']['peak']:.3g} N",
         *cut,
-    ]
-
-
-def run_rows(summary: Summary) -> list[tuple[str, str]]:
-    """Return figures and their values as text, or the status of an incomplete run."""
-    if summary["status"] != "complete":
-        problem = summary.get("problem")
-        return [
-            ("status", str(summary["status"])),
-            *([("what ended it", str(problem))] if problem else []),
-        ]
-    force = summary["force_N"]
-    torque = summary["torque_Nm"]
-    tick = summary["tick_us"]
-    rows = [("simulated", f"{summary['simulated_s']:g} s")]
-    if summary["cuts"]:
-        rows += [
-            (f"removed {layer}", f"{removed:.3g} of {summary['start_mm3'][layer]:.4g} mm³")
-            for layer, removed in summary["removed_mm3"].items()
-        ]
-    return [
-        *rows,
-        (
-            "force, peak / mean in contact",
-            f"{force['peak']:.3g} / {force['mean_in_contact']:.3g} N",
-        ),
-        (
-            "torque, peak / mean in contact",
-            f"{torque['peak']:.3g} / {torque['mean_in_contact']:.3g} N m",
-        ),
-        ("tick, median / 99 %", f"{tick['median']:.0f} / {tick['p99']:.0f} µs"),
-        (
-            "missed 1 ms deadlines",
-            f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}",
-        ),
     ]
 
 

@@ -1,11 +1,11 @@
 """Self-contained HTML files with embedded pictures and one style for light and dark mode."""
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from hashlib import sha256
 from html import escape
 
-__all__ = ["html_page", "html_picture", "script_element"]
+__all__ = ["html_list", "html_page", "html_picture", "script_element"]
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --paper: #fdfdfb; --soft: #666;
@@ -91,9 +91,13 @@ def _hash(text: str) -> str:
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode('ascii')}'"
 
 
-def html_picture(title: str, png: bytes) -> str:
-    """Return an image element with the embedded picture."""
+def html_picture(title: str, data: bytes, kind: str = "image/png") -> str:
+    """Return an image element with the embedded picture of a media type."""
     return (
-        f'<img alt="{escape(title)}" '
-        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}">\n'
+        f'<img alt="{escape(title)}" src="data:{kind};base64,{b64encode(data).decode("ascii")}">\n'
     )
+
+
+def html_list(lines: Iterable[str], text: Callable[[str], str] = escape) -> str:
+    """Return a list of plain texts; `text` converts each of them to HTML."""
+    return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"

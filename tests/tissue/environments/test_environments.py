@@ -1,10 +1,8 @@
 """Environments for learning: contract, seeds, scores of known policies, vectors, pictures."""
 
 import pickle
-import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -16,7 +14,6 @@ from meshes.base.errors import InputError
 from tissue.fitting.fit_files import FittedEntry, write_fitted
 from tissue.materials.constants import constants
 
-ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
 
 
@@ -36,7 +33,7 @@ def test_the_contract_of_gymnasium_is_kept(env):
 def test_the_same_seed_and_actions_give_the_same_episode_bit_for_bit(env):
     env.action_space.seed(3)
     towards = 1.0 if env.spec.id == "tissue/Drilling-v0" else -1.0
-    actions = [env.action_space.sample() for _ in range(40)]
+    actions = [env.action_space.sample() for _ in range(20)]
     for action in actions:
         action[-1] = towards * abs(action[-1])
 
@@ -51,7 +48,7 @@ def test_the_same_seed_and_actions_give_the_same_episode_bit_for_bit(env):
 def test_a_restored_episode_continues_bit_for_bit(env):
     inner = env.unwrapped
     env.action_space.seed(4)
-    actions = [env.action_space.sample() for _ in range(30)]
+    actions = [env.action_space.sample() for _ in range(20)]
     for action in actions:
         action[-1] = abs(action[-1]) if env.spec.id == "tissue/Drilling-v0" else -abs(action[-1])
 
@@ -63,12 +60,12 @@ def test_a_restored_episode_continues_bit_for_bit(env):
         return np.array(found)
 
     inner.reset(seed=8)
-    run(actions[:15])
+    run(actions[:10])
     sent = pickle.dumps(inner.snapshot())
-    after = run(actions[15:])
+    after = run(actions[10:])
     drawn = inner.reset()[1]["drawn"]
     inner.restore(pickle.loads(sent))
-    assert np.array_equal(run(actions[15:]), after)
+    assert np.array_equal(run(actions[10:]), after)
     assert inner.reset()[1]["drawn"] == drawn
 
 
@@ -102,7 +99,7 @@ def test_an_option_fixes_what_would_be_drawn_and_leaves_the_rest(env):
 def test_a_picture_shows_the_episode(env):
     env.reset(seed=0)
     before = env.render()
-    for _ in range(20):
+    for _ in range(8):
         env.step(
             -env.action_space.high if env.spec.id != "tissue/Drilling-v0" else env.action_space.high
         )
@@ -126,7 +123,7 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
     for given in (None, file):
         made = tissue.environments.Milling(materials=given)
         made.reset(seed=0)
-        for _ in range(12):
+        for _ in range(8):
             made.step([1.0, 0.0, -1.0])
         forces.append(made.mean_force_N)
     assert np.linalg.norm(forces[0]) > 1.0
@@ -141,17 +138,6 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):
         tissue.environments.Palpation(materials=file)
-
-
-def test_a_patch_shows_what_is_left_around_the_burr():
-    env = gymnasium.make("tissue/Milling-v0", patch=True)
-    seen, _ = env.reset(seed=0, options={"start_x_mm": 0.0, "start_y_mm": 0.0, "start_z_mm": 0.3})
-    assert env.observation_space.contains(seen)
-    assert (seen["patch"][:, :, 0] == 1.0).all() and (seen["patch"][:, :, 4:] == 0.0).all()
-    for _ in range(5):
-        seen, *_ = env.step(np.array([0.0, 0.0, -1.0], dtype=np.float32))
-    cut, _, _, _, info = env.step(np.array([0.0, 0.0, -1.0], dtype=np.float32))
-    assert info["removed_mm3"] > 0.0 and 0.0 < cut["patch"][4, 4, 0] <= 1.0
 
 
 def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
@@ -173,7 +159,7 @@ def test_a_pushed_bur_balances_thrust_inertia_damping_and_the_force_of_the_same_
     env = gymnasium.make("tissue/Drilling-v0").unwrapped
     env.reset(seed=3)
     off, forces = [], []
-    for _ in range(400):
+    for _ in range(250):
         before = env._speed
         force = float(env._tick(np.array([1.0]), 1)[2])
         if 0.0 < env._speed < 0.01:
@@ -189,7 +175,7 @@ def test_a_palpated_slab_answers_in_proportion_to_its_modulus_however_it_is_turn
     forces = {}
     for modulus, turn in ((3.0, 0.0), (6.0, 0.0), (3.0, 180.0)):
         env.reset(options=fixed | {"modulus_kPa": modulus, "turn_deg": turn})
-        for _ in range(6):
+        for _ in range(4):
             env.step([0.0, 0.0, -1.0])
         forces[modulus, turn] = env.mean_force_N
     assert forces[3.0, 0.0][2] > 0.01
@@ -201,24 +187,19 @@ def test_a_palpated_slab_answers_in_proportion_to_its_modulus_however_it_is_turn
 def test_environments_in_one_process_do_not_touch_each_other():
     first, second = (gymnasium.make("tissue/Palpation-v0") for _ in range(2))
     first.reset(seed=1)
-    alone = [first.step(np.array([0.1, 0.0, -1.0], dtype=np.float32))[0] for _ in range(8)]
+    alone = [first.step(np.array([0.1, 0.0, -1.0], dtype=np.float32))[0] for _ in range(3)]
     first.reset(seed=1)
     second.reset(seed=2)
     mixed = []
-    for _ in range(8):
+    for _ in range(3):
         mixed.append(first.step(np.array([0.1, 0.0, -1.0], dtype=np.float32))[0])
         second.step(np.array([-0.5, 0.3, -1.0], dtype=np.float32))
     assert np.array_equal(alone, mixed)
 
 
-@pytest.mark.parametrize("first", ["", "import tissue.environments; "])
-def test_an_environment_is_made_by_its_name(first):
-    name = NAMES[0] if first else f"tissue.environments:{NAMES[0]}"
-    code = (
-        f"{first}import gymnasium; print(gymnasium.make({name!r}).spec.id, sorted(set({NAMES}) - "
-        "set(gymnasium.registry)))"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert (ended.stdout, ended.returncode) == (f"{NAMES[0]} []\n", 0), ended.stderr
+def test_an_environment_is_made_by_a_name_that_imports_its_module(monkeypatch):
+    monkeypatch.delitem(sys.modules, "tissue.environments")
+    for name in NAMES:
+        monkeypatch.delitem(gymnasium.registry, name)
+    made = gymnasium.make(f"tissue.environments:{NAMES[1]}")
+    assert made.spec.id == NAMES[1] and set(NAMES) <= set(gymnasium.registry)

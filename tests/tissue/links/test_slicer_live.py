@@ -87,10 +87,10 @@ def test_a_pose_of_a_client_moves_the_tool_on_the_devices_spring():
     first = load_scene("wall", {"anatomy.stiffness_kN_m": 40.0})
     greeted = Greeted(target((0.0, 0.0, -2.0), turn))
     run = live(
-        first, LiveSettings(slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.8)
+        first, LiveSettings(slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.4)
     )
     greeted.all()
-    assert run.scene.held.kind == "touch" and len(run.trace.rows) == 800
+    assert run.scene.held.kind == "touch" and len(run.trace.rows) == 400
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
     # 400 N/m at the device in series with the wall; turned about its tip a ball of 5 mm radius is 5
     # mm x (1 - 0.8) deeper than that.
@@ -143,12 +143,12 @@ def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monke
         "tissue.simulation.live.publisher.SlicerProcess",
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
-    scene = load_scene("wall", {} if drives else {"duration_s": 0.7})
+    scene = load_scene("wall", {} if drives else {"duration_s": 0.45})
     run = live(
         scene,
-        LiveSettings(slicer=SlicerLink(port=0, drives=drives), duration_s=0.7 if drives else None),
+        LiveSettings(slicer=SlicerLink(port=0, drives=drives), duration_s=0.45 if drives else None),
     )
-    assert len(run.trace.rows) == (401 if drives else 700)
+    assert len(run.trace.rows) == (401 if drives else 450)
     (what,) = [what for _, what in run.events if "3D Slicer" in what]
     assert what == (
         f"the link to 3D Slicer ended by itself{', and the run ended with it' if drives else ''}: "

@@ -23,7 +23,7 @@ def test_a_cutter_from_outside_cuts(added):
     """
     half = lambda diameter_m, length_m: cylinder(diameter_m=0.5 * diameter_m, length_m=length_m)  # noqa: E731
     added(CUTTERS, "half-cylinder", CutterEntry(half, ("length_mm",)))
-    changes = {"voxels.spacing_mm": 0.5, "duration_s": 1.0, "tool.length_mm": 5.0}
+    changes = {"voxels.spacing_mm": 0.5, "duration_s": 0.5, "tool.length_mm": 5.0}
     changes |= {"tool.diameter_mm": 6.0, "tool.spin_rpm": 500.0}
     thin, thick = (
         simulate(load_scene("milling", changes | {"tool.kind": kind}))
@@ -107,7 +107,15 @@ def test_a_needle_from_outside_pierces(added):
     added(NEEDLES, "blunt", lambda walls: replace(needle_tissue(), cutting_N=5.0))
     blunt, sharp = (
         simulate(
-            load_scene("needle", {"tool.kind": kind, "anatomy.interval_ms": 0.0, "device": "none"})
+            load_scene(
+                "needle",
+                {
+                    "tool.kind": kind,
+                    "anatomy.interval_ms": 0.0,
+                    "device": "none",
+                    "duration_s": 2.0,
+                },
+            )
         )
         for kind in ("blunt", "needle")
     )

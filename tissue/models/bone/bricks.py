@@ -8,9 +8,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
-from kernels.bricks import BRICK, BRICK_VOXELS, FULL, LOST, REACHED, sample
-from kernels.mirror import placed, put
-from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL, LOST, REACHED
+from kernels.mirror import put
+from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
@@ -357,18 +357,6 @@ class BrickStore:
         flags[before] &= LOST
         flags[rows] |= state.flags
         self._send("touched", flags)
-
-    def sample(self, points_m: Array) -> Singles:
-        """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.
-
-        The fraction is 0 where no brick is stored.
-        """
-        voxels = (np.asarray(points_m, np.float64) - self.grid.origin_m) / self.grid.spacing_m
-        device = self.remaining.device
-        found = wp.zeros(len(voxels), wp.float32, device)
-        inputs = placed(sample, [voxels, 0, self.brick_of, self.remaining], device)
-        wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
-        return found.numpy()
 
     def write_fraction(self, fraction: Bytes, rows: Ints) -> None:
         """Write the remaining fraction of some bricks into an array, 255 = full.

@@ -328,11 +328,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
         f"{run.scene.name}: {summary}", (8.0, per_mm * (v1 - v0) + 1.35), layout="compressed"
     )
     placed = {"origin": "lower", "extent": depth.extent_mm, "interpolation": "nearest"}
-    # Slopes are smoothed, because the depth of a hole would shade a rim around the hole.
-    uncut = np.where(depth.depth_mm < least, depth.height_mm * depth.outward, np.nan)
-    shade = _hillshade(uncut, spacing)
-    ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
-    ground[~(depth.bone & np.isfinite(uncut))] = 1.0
+    ground = np.where(depth.bone[..., None], BONE, 1.0)
     axes.imshow(ground.swapaxes(0, 1), **placed)
     image = axes.imshow(
         np.ma.masked_less(depth.depth_mm, least).T,
@@ -359,18 +355,3 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     axes.set(xlabel=x, ylabel=y)
     chart.legend(handles=handles, loc="outside lower center", ncols=4)
     save(chart, path)
-
-
-def _hillshade(height_mm: Array, spacing_mm: float) -> Array:
-    """Compute the brightness of a face that is lit from the upper left."""
-    from scipy.ndimage import gaussian_filter
-
-    # the filter of 2 voxels hides the steps of the voxels. 1e-6 keeps places far from bone finite.
-    # The light comes from the upper left, 60 degrees above the face, and the last line maps its
-    # share to a light grey
-    there = np.isfinite(height_mm)
-    weight = np.maximum(gaussian_filter(there.astype(np.float64), 2.0), 1e-6)
-    filled = gaussian_filter(np.where(there, height_mm, 0.0), 2.0) / weight
-    slope_u, slope_v = np.gradient(filled, spacing_mm)
-    lit = (0.35 * slope_u - 0.35 * slope_v + 0.87) / np.sqrt(1.0 + slope_u**2 + slope_v**2)
-    return np.asarray(np.clip(0.62 + 0.45 * lit, 0.35, 1.05))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Bytes
-from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, is_vector, save
+from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, save
 from tissue.system.offscreen import draw_apart
 
 if TYPE_CHECKING:
@@ -34,7 +34,8 @@ Two panels are 8 inches wide at 200 dpi.
 OVERSAMPLING = 2
 """Number of rendered pixels for a pixel of the picture, along each edge.
 
-Outlines are thus smooth even if the graphics card does not smooth them.
+Matplotlib averages them in a PNG picture, so outlines are smooth even if the graphics card does not
+smooth them. Vector files keep all of them.
 """
 AMBIENT = 0.34
 FIELD_AMBIENT = 0.72
@@ -174,30 +175,27 @@ def draw_shaded(
         cameras.extend(camera for _, camera in made)
         return pickle.dumps([(surface, asdict(camera)) for surface, camera in made])
 
-    # pixels along each edge that are averaged to one; a vector file keeps all of them
-    averaged = 1 if is_vector(path) else OVERSAMPLING
-    scale = OVERSAMPLING // averaged
     module = "tissue.show.figures.rendering"
     with TemporaryDirectory(prefix="tissue-") as folder:
-        problem = draw_apart(module, folder, str(averaged), str(ambient), prepare=prepare)
+        problem = draw_apart(module, folder, str(ambient), prepare=prepare)
         if problem is not None:
             return problem
         with np.load(Path(folder) / "pictures.npz") as drawn:
             pictures = list(drawn.values())
     head, foot = margins_px
-    tall = max(len(picture) for picture in pictures) // scale
-    wide = pictures[0].shape[1] // scale
+    tall = max(len(picture) for picture in pictures) // OVERSAMPLING
+    wide = pictures[0].shape[1] // OVERSAMPLING
     size = len(pictures) * (wide + GAP_PX) - GAP_PX, tall + head + foot
     with DRAWING:
         chart = figure(size[0] / DPI, size[1] / DPI)
         panels = []
         for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
-            high = len(picture) // scale
+            high = len(picture) // OVERSAMPLING
             left = index * (wide + GAP_PX)
             low = foot + tall - high
             axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
             ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
-            axes.imshow(picture, interpolation="nearest", extent=ends)
+            axes.imshow(picture, interpolation="auto", extent=ends)
             axes.set_axis_off()
             _draw_scale(axes, camera)
             panels.append(axes)
@@ -210,7 +208,7 @@ def draw_shaded(
     return None
 
 
-def _main(name: str, averaged: str, ambient: str) -> None:
+def _main(name: str, ambient: str) -> None:
     """Render the surfaces from standard input, and write the pictures into a folder."""
     import pyvista
 
@@ -220,22 +218,15 @@ def _main(name: str, averaged: str, ambient: str) -> None:
     warm.screenshot(None, return_img=True)
     warm.close()
     received = pickle.load(sys.stdin.buffer)
-    drawn = [
-        _draw(surface, Camera(**camera), int(averaged), float(ambient))
-        for surface, camera in received
-    ]
+    drawn = [_draw(surface, Camera(**camera), float(ambient)) for surface, camera in received]
     np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> Bytes:
-    """Render one surface.
-
-    Squares with `averaged` pixels along each edge are averaged.
-    """
+def _draw(mesh: "pyvista.PolyData", camera: Camera, ambient: float) -> Bytes:
+    """Render one surface."""
     import pyvista
 
-    width, height = (OVERSAMPLING * pixels // averaged for pixels in camera.size)
-    window = [averaged * width, averaged * height]
+    window = [OVERSAMPLING * pixels for pixels in camera.size]
     plotter = pyvista.Plotter(off_screen=True, window_size=window, lighting="none")
     plotter.disable_anti_aliasing()
     plotter.background_color = pyvista.Color("white")
@@ -264,10 +255,9 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
     # from the eye, which is 1 m before the centre, to 1 m behind it [mm]
     plotter.camera.clipping_range = (1.0, 2e3)
-    large = np.asarray(plotter.screenshot(None, return_img=True))[..., :3]
+    drawn = np.array(plotter.screenshot(None, return_img=True))[..., :3]
     plotter.close()
-    blocks = large.reshape(height, averaged, width, averaged, 3)
-    return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+    return drawn
 
 
 LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

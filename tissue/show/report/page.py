@@ -6,8 +6,8 @@ from typing import Any
 
 from meshes.base.errors import counted
 from tissue.scene.used_constants import Used
-from tissue.show.figures.figure import torque_unit
 from tissue.simulation.run_folder import SavedRun, Summary
+from tissue.system.html import html_list, html_picture
 
 __all__ = [
     "assessment_section",
@@ -18,6 +18,7 @@ __all__ = [
     "materials_table",
     "notes_table",
     "reproduce",
+    "run_rows",
     "status_of",
 ]
 
@@ -42,48 +43,58 @@ def status_of(saved: SavedRun, text: Text) -> str:
 
 def figures_of(saved: SavedRun, text: Text) -> str:
     """Return cards with the figures of a complete run."""
-    summary = saved.summary
     # the summary of an incomplete run has no figures
     if not saved.complete:
         return ""
-    cards = [
-        ("simulated", f"{summary['simulated_s']:g} s"),
-        ("largest force on the tool", f"{summary['force_N']['peak']:.3g} N"),
-        ("mean force in contact", f"{summary['force_N'].get('mean_in_contact', 0.0):.3g} N"),
-    ]
-    if summary["torque_Nm"]["peak"] > 0.0:
-        cards.append(("largest torque about the tip", _torque(summary["torque_Nm"]["peak"])))
-    removed = {name: value for name, value in summary.get("removed_mm3", {}).items() if value > 0.0}
-    for name, value in removed.items():
-        start = summary.get("start_mm3", {}).get(name, 0.0)
-        share = f" of {start:.4g}" if start > 0.0 else ""
-        cards.append((f"removed {name}", f"{value:.4g}{share} mm³"))
-    if summary.get("cuts") and not removed:
-        cards.append(("removed", "nothing"))
-    ticks = summary.get("tick_us", {})
-    if ticks:
-        cards.append(("computing a tick of 1 ms, median", f"{ticks['median']:.3g} µs"))
-    # only runs against the wall clock have deadlines
-    if "missed_deadlines" in summary:
-        count = round(1e3 * summary["simulated_s"])
-        cards.append(
-            ("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}")
-        )
     shown = (
         f'<div class="card"><span>{text(label)}</span><b>{text(value)}</b></div>'
-        for label, value in cards
+        for label, value in run_rows(saved.summary)
     )
     return f'<div class="cards">{"".join(shown)}</div>'
 
 
+def run_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return figures and their values as text, or the status of an incomplete run."""
+    if summary["status"] != "complete":
+        problem = summary.get("problem")
+        return [
+            ("status", str(summary["status"])),
+            *([("what ended it", str(problem))] if problem else []),
+        ]
+    force = summary["force_N"]
+    torque = summary["torque_Nm"]
+    tick = summary["tick_us"]
+    rows = [("simulated", f"{summary['simulated_s']:g} s")]
+    if summary["cuts"]:
+        rows += [
+            (f"removed {layer}", f"{removed:.3g} of {summary['start_mm3'][layer]:.4g} mm³")
+            for layer, removed in summary["removed_mm3"].items()
+        ]
+    return [
+        *rows,
+        (
+            "force, peak / mean in contact",
+            f"{force['peak']:.3g} / {force['mean_in_contact']:.3g} N",
+        ),
+        (
+            "torque, peak / mean in contact",
+            f"{torque['peak']:.3g} / {torque['mean_in_contact']:.3g} N m",
+        ),
+        (
+            "tick, median / 99 % / max",
+            f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs",
+        ),
+        (
+            "missed 1 ms deadlines",
+            f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}",
+        ),
+    ]
+
+
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
     """Return the section with heading, lines and PNG picture of an assessment."""
-    shown = "".join(f"<li>{text(line)}</li>" for line in lines)
-    data = b64encode(picture).decode()
-    return (
-        f"<h2>Assessment</h2><ul>{shown}</ul>"
-        f'<img src="data:{PICTURES["png"]};base64,{data}" alt="trainee and reference over time">'
-    )
+    shown = html_picture("trainee and reference over time", picture)
+    return f"<h2>Assessment</h2>{html_list(lines, text)}{shown}"
 
 
 def events_table(summary: Summary, text: Text) -> str:
@@ -151,11 +162,6 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
     )
 
 
-def _torque(torque_Nm: float) -> str:
-    unit, factor = torque_unit(torque_Nm)
-    return f"{factor * torque_Nm:.3g} {unit}"
-
-
 def _table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
 ) -> str:
@@ -210,9 +216,9 @@ def band_section(saved: SavedRun, text: Text) -> str:
         f"{counted(len(band['constants']), 'constant')} in their ranges. The error of the model "
         "itself is not in it."
     )
-    lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
     table = _table(("figure", "this run", "median", "50 %", "90 %"), rows)
-    return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
+    lines = html_list(band_lines(band), text)
+    return f"<h2>Bands</h2><p>{sentence}</p>{table}{lines}{_pictures(saved)}"
 
 
 def _pictures(saved: SavedRun) -> str:
@@ -221,8 +227,7 @@ def _pictures(saved: SavedRun) -> str:
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
-                data = b64encode(path.read_bytes()).decode()
-                found.append(f'<img src="data:{kind};base64,{data}" alt="{about}">')
+                found.append(html_picture(about, path.read_bytes(), kind))
     return "".join(found)
 
 

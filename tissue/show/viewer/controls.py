@@ -81,11 +81,7 @@ class LayerKeys:
 
 
 CLIP_KEY = "x"
-OUT = "comma"
-IN = "period"
-HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
-STEP = 0.02
-"""Distance by which a key moves the plane, relative to the diagonal of the mesh."""
+HELP = "x: clip plane    drag it: push it    drag its arrow: turn it"
 
 
 class ClipPlane:
@@ -108,8 +104,6 @@ class ClipPlane:
         self._widget: vtkImplicitPlaneWidget | None = None
         self._on = fields.clip is not None
         plotter.add_key_event(CLIP_KEY, self.switch)
-        plotter.add_key_event(OUT, lambda: self.push(STEP))
-        plotter.add_key_event(IN, lambda: self.push(-STEP))
         fields.drawn.append(self._follow)
         self._follow()
 
@@ -125,16 +119,6 @@ class ClipPlane:
         self._plane = (a, b, c), (x, y, z)
         if self._on:
             self._fields.cut(self._plane)
-
-    def push(self, share: float) -> None:
-        """Move the plane along its normal, by a share of the diagonal of the mesh."""
-        normal, origin = self._plane
-        moved = np.add(origin, share * self._fields.size_mm * np.array(normal)).tolist()
-        # the widget is made when the plane is first switched on
-        if self._widget is not None:
-            self._widget.SetOrigin(*moved)
-        self.move(normal, moved)
-        self._plotter.render()
 
     def _follow(self) -> None:
         """Show the handles of the plane while there is a mesh to cut."""

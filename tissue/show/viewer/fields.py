@@ -112,11 +112,6 @@ class FieldsShown:
         """Box around the first frame: low and high end along x, y and z [mm]."""
         return tuple(self._fields.frames[0].bounds)
 
-    @property
-    def size_mm(self) -> float:
-        """Diagonal of the box around the first frame [mm]."""
-        return self._fields.size_mm
-
     def show(self, name: str | None) -> None:
         """Show a field; hide the fields if the name is None."""
         self.name = name

@@ -152,7 +152,6 @@ class SiteWindow:
     def _aim(self) -> None:
         """Point the camera so that the site is visible and the head is up."""
         towards = EYE
-        middle = 1e3 * self._surface.vertices_m.mean(axis=0)
         if self.normal is not None:
             aside = np.cross(self.normal, [0.0, 0.0, 1.0])
             # the normal points to the head or the feet, so no direction is perpendicular to both
@@ -162,13 +161,7 @@ class SiteWindow:
         # the head cannot be up in a view along the head's direction; then the front of the patient
         # is up
         up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.95 else (0.0, -1.0, 0.0)
-        self.plotter.camera_position = [
-            # outside of the bone; `reset_camera` moves the eye to the right distance
-            tuple(middle + 3.0 * self._size_mm * towards),
-            tuple(middle),
-            up,
-        ]
-        self.plotter.reset_camera()
+        self.plotter.view_vector(towards, viewup=up)
         self.plotter.camera.zoom(ZOOM)
 
 

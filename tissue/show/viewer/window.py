@@ -268,14 +268,6 @@ class Window:
             self.names.mark(name)
         self.plotter.render()
 
-    def next(self) -> None:
-        """Show the next field; after the last field, show the bone."""
-        if self.fields is None or self._shown.series is None:
-            return
-        choices = [*self._shown.series.names, *([None] if self.bone is not None else [])]
-        at = choices.index(self.fields.name) if self.fields.name in choices else -1
-        self.choose(choices[(at + 1) % len(choices)])
-
     def pictures(self) -> Iterator[Bytes]:
         """Yield the pictures of a movie over the whole run.
 
@@ -317,11 +309,10 @@ class Window:
         plotter = self.plotter
         if fields is None or series is None:
             return
-        plotter.add_key_event("m", self.next)
         labels = [(name, field_words(name)) for name in series.names]
         bone = [(None, "bone")] if self.bone is not None else []
         names = self.names = NameList(
-            plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose
+            plotter, "shown (click)", [*bone, *labels], choose=self.choose
         )
         names.mark(fields.name)
         # 2 % of the run's size: visible, and small next to a layer

@@ -38,8 +38,8 @@ def test_an_event_that_comes_again_at_once_is_marked_once():
 
 @pytest.fixture(scope="module")
 def molar():
-    """The drilling of a molar down to its deepest point, without stress, in coarse voxels."""
-    changes = {"voxels.spacing_mm": 0.2, "stress": None, "duration_s": 2.4}
+    """The first part of the drilling of a molar, without stress, in coarse voxels."""
+    changes = {"voxels.spacing_mm": 0.25, "stress": None, "duration_s": 0.8}
     return tissue.simulate(tissue.load_scene("molar", changes))
 
 

@@ -7,10 +7,10 @@ from tissue.objects.simulate import simulate
 from tissue.scene.load import load_scene
 
 SHORT = {
-    "milling": {"voxels.spacing_mm": 0.4, "duration_s": 0.5},
+    "milling": {"voxels.spacing_mm": 0.5, "duration_s": 0.3},
     "palpation": {"duration_s": 0.6, "organ.order": 1},
     "needle": {"duration_s": 1.2, "anatomy.interval_ms": 300},
-    "wall": {"duration_s": 0.6},
+    "wall": {"duration_s": 0.3},
 }
 
 

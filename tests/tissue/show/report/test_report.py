@@ -71,7 +71,7 @@ def test_a_report_holds_what_the_run_holds(report_of, run_folder):
     )
     assert data["trace"]["rows"] == len(saved.trace.rows)
     assert {"force_x_N", "tool_x_mm", "removed_mm3"} <= set(data["trace"]["columns"])
-    assert f"{saved.summary['force_N']['peak']:.3g} N" in text
+    assert f"{saved.summary['force_N']['peak']:.3g} / " in text
     for note in saved.summary["notes"].values():
         assert str(note) in text
     # no power counts at the reference density

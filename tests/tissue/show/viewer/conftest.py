@@ -48,7 +48,7 @@ def drive(display):
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory):
     """Folder of a quick run that ended."""
-    scene = load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.3})
+    scene = load_scene("milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.2})
     return simulate(scene).save(tmp_path_factory.mktemp("runs") / "whole", pictures=False)
 
 

@@ -1,4 +1,4 @@
-"""Still pictures of a window: clean for a page, or with a scale bar."""
+"""Still pictures of a window, clean for a page."""
 
 import numpy as np
 import pytest
@@ -39,11 +39,3 @@ def test_a_clean_picture_shows_the_bone_alone(whole, tmp_path):
     assert there.mean() > 0.4
     shown = pixels[there][:, :3].astype(int)
     assert not (shown.max(axis=1) < 20).any()  # no black text
-
-
-@pytest.mark.slow
-def test_a_screenshot_has_a_scale_bar(whole, tmp_path):
-    pixels = _drawn(whole, tmp_path / "view.png")[..., :3].astype(int)
-    rows = pixels[560:580, 30:300].max(axis=2) < 60  # 380 pixels above the lower edge of 950
-    longest = max(np.count_nonzero(row) for row in rows)
-    assert 60 < longest < 215

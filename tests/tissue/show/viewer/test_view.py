@@ -19,22 +19,22 @@ def _screenshot(folder, picture, **options) -> str:
         raise
 
 
-def _colours(path) -> int:
+def test_screenshot_of_a_whole_run_has_a_scale_bar(whole, tmp_path):
     from PIL import Image
 
-    with Image.open(path) as picture:
-        assert picture.size == (1400, 950)
-        return len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::53], axis=0))
-
-
-def test_screenshot_of_a_whole_run(whole, tmp_path):
     picture = tmp_path / "view.png"
     picture.write_bytes(b"an older picture")
     with pytest.raises(InputError, match="screenshot"):
         _screenshot(whole, picture)
     report = _screenshot(whole, picture, overwrite=True)
     assert "milling" in report and str(picture) in report
-    assert _colours(picture) > 100
+    with Image.open(picture) as drawn:
+        pixels = np.asarray(drawn.convert("RGB"), dtype=int)
+    assert pixels.shape == (950, 1400, 3)
+    assert len(np.unique(pixels.reshape(-1, 3)[::53], axis=0)) > 100
+    rows = pixels[560:580, 30:300].max(axis=2) < 60  # 380 pixels above the lower edge of 950
+    longest = max(np.count_nonzero(row) for row in rows)
+    assert 60 < longest < 215
 
 
 @pytest.mark.parametrize(("kind", "name"), [("movie", "run.gif"), ("screenshot", "run.png")])
