@@ -287,7 +287,7 @@ def test_a_material_is_cut_and_another_is_pressed(tmp_path):
     file = tmp_path / "materials.toml"
     file.write_text(f"{FOAM}\n{GEL}\n")
     assert register.material(file) == ("foam", "gel")
-    changes = {"voxels.spacing_mm": 0.5, "duration_s": 0.5}
+    changes = {"voxels.spacing_mm": 0.5, "duration_s": 0.2}
     bone, foam = (
         simulate(load_scene("milling", changes | {"cutting.material": each}))
         for each in ("bone", "foam")
