@@ -6,7 +6,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import tissue
-from tissue.fitting.fit_files import FittedEntry, write_fitted
+from tissue.fitting.fit_files import write_fitted
+from tissue.materials.constants import Constant
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 PATH = [[-4, 0, 3], [-4, 0, -0.8], [3, 0.5, -0.8]]
@@ -60,11 +61,11 @@ def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
     """A file of constants has the effect of its values, like a scene's key `materials`."""
     names = {"radial_chip_N_mm2": 20.0, "radial_edge_N_mm": 3.0}
     fitted = tmp_path / "fitted.toml"
-    entries = [
-        FittedEntry(f"cutting.bone.{name}", value, value, value, "a test", "L")
+    entries = {
+        f"cutting.bone.{name}": Constant(value, value, value, "a test", "L")
         for name, value in names.items()
-    ]
-    write_fitted(fitted, entries, np.eye(2), remark=())
+    }
+    write_fitted(fitted, entries, np.eye(2))
     size = {"size_mm": (12, 8, 5), "spacing_mm": 0.4}
     bone = tissue.Bone.block(**size, materials=fitted)
     found, wanted = slot(bone), slot(tissue.Bone.block(**size, cutting=names))

@@ -7,7 +7,8 @@ import pyvista
 import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
-from tissue.fitting.fit_files import FittedEntry, write_fitted
+from tissue.fitting.fit_files import write_fitted
+from tissue.materials.constants import Constant
 from tissue.simulation.builders.organ import elasticity_of
 
 STIFF = {"modulus_kPa": 8.0, "poisson_ratio": 0.45}
@@ -349,10 +350,8 @@ def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
         "soft.liver.poisson_ratio": 0.46,
         "soft.kidney.modulus_kPa": 9.0,
     }
-    entries = [
-        FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()
-    ]
-    write_fitted(file, entries, np.eye(3), remark=())
+    entries = {name: Constant(value, value, value, "a test", "L") for name, value in values.items()}
+    write_fitted(file, entries, np.eye(3))
     organ = tissue.Organ.liver(edge_mm=40, materials=file)
     scene = tissue.load_scene(
         "liver-press", {"materials": str(file), "organ.material": "liver", "organ.law": "linear"}
