@@ -43,10 +43,10 @@ def summed(posterior):
     """
     target = posterior.target
     u = posterior.maximum
-    places = np.linspace(-5.0, 5.0, 81)
-    points, weights = np.polynomial.hermite_e.hermegauss(7)
+    places = np.linspace(-5.0, 5.0, 101)
+    points, weights = np.polynomial.hermite_e.hermegauss(5)
     offset_spread, bias_spread = np.sqrt(np.diag(posterior.covariance)[1:3])
-    logs = np.empty((len(places), 7, 7))
+    logs = np.empty((len(places), 5, 5))
     for i, z in enumerate(places):
         for j, a in enumerate(points):
             for k, b in enumerate(points):
