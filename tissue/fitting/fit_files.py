@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from hashlib import sha256
 from html import escape
 from pathlib import Path
@@ -61,7 +61,9 @@ def write_fitted(
         Lines of comment at the top.
     """
     rounded = {
-        name: Constant(*map(_rounded, (one.value, one.low, one.high)), one.source, one.confidence)
+        name: replace(
+            one, value=_rounded(one.value), low=_rounded(one.low), high=_rounded(one.high)
+        )
         for name, one in {**entries, **(fixed or {})}.items()
     }
     content: dict[str, object] = dict(toml_tables(rounded))

@@ -410,8 +410,9 @@ def _run_trials(
         work, list(waiting), workers=count, scheduler=scheduler, report=report_share
     ):
         for key, found in trials:
-            is_trial = isinstance(found, Trial)
-            folder.write(found if is_trial else _failed(plan, key, error_sentence(found)))
+            if isinstance(found, Exception):
+                found = _failed(plan, key, error_sentence(found))
+            folder.write(found)
             del waiting[key]
         report_share(f"trial {total - len(waiting)} of {total}")
 
