@@ -4,13 +4,11 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
-from inspect import signature
-from typing import ParamSpec, TypeVar
+from inspect import Parameter, signature
+from types import FunctionType
+from typing import Any
 
 __all__ = ["closest", "did_you_mean", "nearest", "suggests_arguments"]
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jk]|mm[23]")
 """Regular expression for a unit in a name. Units are ignored when names are compared."""
@@ -88,12 +86,46 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return did_you_mean(closest(word, known))
 
 
-def suggests_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function: the error for an unknown keyword argument suggests a known one."""
-    known = [name for name in signature(function).parameters if name != "self"]
+def suggests_arguments(of: Any) -> Any:
+    """Let the error for an unknown keyword argument suggest a known one.
+
+    Parameters
+    ----------
+    of
+        Function, which is returned in a wrapper, or class. The public methods and the constructor
+        of a class and of its own base classes are replaced in place. Functions that take any
+        keyword argument are not changed.
+    """
+    if isinstance(of, FunctionType):
+        return _checked(of)
+    if isinstance(of, type):
+        for each in of.__mro__:
+            if each.__module__.partition(".")[0] == of.__module__.partition(".")[0]:
+                _check_methods(each)
+    return of
+
+
+def _check_methods(of: type) -> None:
+    """Replace the public methods of a class by checked ones."""
+    for name, member in list(vars(of).items()):
+        if name.startswith("_") and name != "__init__":
+            continue
+        if isinstance(member, FunctionType):
+            setattr(of, name, _checked(member))
+        elif isinstance(member, classmethod | staticmethod):
+            setattr(of, name, type(member)(_checked(member.__func__)))
+
+
+def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that checks the names of its keyword arguments."""
+    parameters = signature(function).parameters
+    takes_any = any(each.kind is Parameter.VAR_KEYWORD for each in parameters.values())
+    if takes_any or hasattr(function, "suggests"):
+        return function
+    known = [name for name in parameters if name not in ("self", "cls")]
 
     @wraps(function)
-    def checked(*values: P.args, **options: P.kwargs) -> R:
+    def checked(*values: Any, **options: Any) -> Any:
         for name in options:
             if name not in known:
                 raise TypeError(
@@ -102,6 +134,7 @@ def suggests_arguments(function: Callable[P, R]) -> Callable[P, R]:
                 )
         return function(*values, **options)
 
+    checked.suggests = True  # type: ignore[attr-defined]
     return checked
 
 

@@ -11,13 +11,8 @@ from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
 from meshes.images.text_headers import header_lines
-from meshes.shapes.anatomy import Anatomy
-from meshes.surfaces.glenoid import (
-    CORTICAL_KG_M3,
-    SURFACE_LAYERS,
-    TRABECULAR_KG_M3,
-    sampled_anatomy,
-)
+from meshes.shapes.anatomy import CORTICAL_KG_M3, TRABECULAR_KG_M3, Anatomy
+from meshes.surfaces.glenoid import SURFACE_LAYERS, sampled_anatomy
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.tooth.layer_contact import inside_surface

@@ -10,6 +10,7 @@ from meshes.base.arrays import Array, Ints, Numbers, Singles
 from meshes.base.errors import InputError, require_positive, require_range
 from meshes.base.placement import Placement
 from meshes.images.frame import Image
+from meshes.shapes.anatomy import CORTICAL_KG_M3
 from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["image_cuts", "image_triangles", "image_volume", "spread_labels"]
@@ -27,7 +28,7 @@ def image_volume(
     image: Image,
     *,
     threshold: float,
-    density_kg_m3: float | Density = 1800.0,
+    density_kg_m3: float | Density = CORTICAL_KG_M3,
     resample_mm: float | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:

@@ -17,7 +17,23 @@ from meshes.base.grid import Grid
 from meshes.base.placement import Placement
 from meshes.shapes.sdf import Shape, box
 
-__all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
+__all__ = [
+    "CORTICAL_KG_M3",
+    "TRABECULAR_KG_M3",
+    "Anatomy",
+    "Classify",
+    "GridSampler",
+    "cortical_block",
+]
+
+CORTICAL_KG_M3 = 1800.0
+TRABECULAR_KG_M3 = 350.0
+"""Apparent densities that are assumed in a bone given by surfaces only.
+
+The cortical density is the same as in `meshes.surfaces.glenoid.GlenoidSizes`. The trabecular
+density is between the two densities of `GlenoidSizes`, deep in the vault and directly below the
+plate.
+"""
 
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
 """Function from positions and depths of points to layer indices and apparent densities.
@@ -78,7 +94,9 @@ class Anatomy:
 
 
 def cortical_block(
-    *, size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0), density_kg_m3: float = 1800.0
+    *,
+    size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0),
+    density_kg_m3: float = CORTICAL_KG_M3,
 ) -> Anatomy:
     """Build a block of cortical bone with one layer `cortical`.
 

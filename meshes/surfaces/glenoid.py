@@ -28,17 +28,15 @@ import numpy as np
 
 from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, Ranged, ranged, require_ranges
-from meshes.shapes.anatomy import Anatomy, Classify
+from meshes.shapes.anatomy import CORTICAL_KG_M3, TRABECULAR_KG_M3, Anatomy, Classify
 from meshes.shapes.sdf import Shape, half_space, intersection
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
 __all__ = [
-    "CORTICAL_KG_M3",
     "GLENOID_LAYERS",
     "SURFACE_LAYERS",
-    "TRABECULAR_KG_M3",
     "GlenoidSizes",
     "glenoid",
     "sampled_anatomy",
@@ -175,7 +173,7 @@ class GlenoidSizes(Ranged):
     vault_taper_deg: float = ranged(15.0, 0.0, 25.0)
     cortical_wall_mm: float = ranged(1.5, 0.5, 4.0)
     rim_blend_mm: float = ranged(1.5, 0.0, 4.0)
-    cortical_density_kg_m3: float = ranged(1800.0, 200.0, 2200.0)
+    cortical_density_kg_m3: float = ranged(CORTICAL_KG_M3, 200.0, 2200.0)
     subchondral_density_kg_m3: float = ranged(1300.0, 200.0, 2200.0)
     trabecular_density_kg_m3: float = ranged(300.0, 50.0, 1200.0)
     trabecular_density_below_plate_kg_m3: float = ranged(450.0, 50.0, 1200.0)
@@ -319,13 +317,6 @@ def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
 
 
 SURFACE_LAYERS = ("cortical", "trabecular")
-CORTICAL_KG_M3 = 1800.0
-TRABECULAR_KG_M3 = 350.0
-"""Apparent densities that are assumed in a bone given by surfaces only.
-
-The cortical density is the same as in `GlenoidSizes`. The trabecular density is between the two
-densities of `GlenoidSizes`, deep in the vault and directly below the plate.
-"""
 
 
 def surface_anatomy(

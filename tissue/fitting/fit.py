@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fitting.cutting import cutting_problem, fixed_densities
@@ -23,7 +25,7 @@ from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 
-__all__ = ["ConstantFit", "SceneFit", "TableFit", "fit_scene", "fit_table"]
+__all__ = ["ConstantFit", "Fitted", "SceneFit", "TableFit", "fit_scene", "fit_table"]
 
 
 FITTED = "fit a scene of bone, a tooth or an organ"
@@ -106,8 +108,39 @@ def _far_sentence(each: ConstantFit) -> str:
     )
 
 
+class Fitted:
+    """Result of a fit to any kind of measurement.
+
+    Attributes
+    ----------
+    source
+        Kind of the measurement, in a word.
+    meaning
+        Meaning of the numbers in the file of constants.
+    """
+
+    source: ClassVar[str] = "log"
+    meaning: ClassVar[str] = (
+        "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal "
+        "numbers of each."
+    )
+    constants: tuple[ConstantFit, ...]
+
+    @property
+    def of_material(self) -> tuple[int, ...]:
+        """Indices of the constants that belong to a material, not to the specimen or the scene."""
+        return tuple(
+            at for at, each in enumerate(self.constants) if not each.name.startswith(NUISANCES)
+        )
+
+    @property
+    def scene_keys(self) -> dict[str, float]:
+        """Fitted keys of the scene, which are not constants of a material."""
+        return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
+
+
 @dataclass(frozen=True, eq=False)
-class SceneFit:
+class SceneFit(Fitted):
     """Constants of a scene, fitted to a log.
 
     Attributes
@@ -185,21 +218,17 @@ class SceneFit:
         return tuple(found)
 
     @property
-    def of_material(self) -> tuple[int, ...]:
-        """Indices of the constants that belong to a material, not to the specimen of the log."""
-        return tuple(
-            at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES)
-        )
+    def correlation(self) -> Array:
+        """Correlation of the constants of materials."""
+        places = np.array(self.of_material, dtype=np.int64)
+        covariance = self.posterior.covariance_z[np.ix_(places, places)]
+        spread = np.sqrt(np.diag(covariance))
+        return np.asarray(covariance / np.outer(spread, spread))
 
     @property
-    def scene_keys(self) -> dict[str, float]:
-        """Medians of the fitted keys of the scene, which are not constants of a material."""
-        return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
-
-    @property
-    def source(self) -> str:
-        """Kind of the measurement, in a word."""
-        return "log"
+    def size(self) -> dict[str, float]:
+        """Size of the measurement, for programs."""
+        return {"block_s": self.block_s}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -240,10 +269,7 @@ class TableFit(SceneFit):
     table: SteadyTable
     laws: tuple[LawMisfit, ...]
 
-    @property
-    def source(self) -> str:
-        """See `SceneFit`."""
-        return "table"
+    source: ClassVar[str] = "table"
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -345,8 +371,7 @@ def fit_scene(
         raise _determines_nothing(posterior, log, is_mesh=not rough.is_empty)
     # between the start of the search, at 0.8, and the end
     progress("what to measure next", 0.9)
-    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
-    gains = expected_information(posterior, problem.candidates(), among=material)
+    gains = expected_information(posterior, problem.candidates(), among=fit.of_material)
     return replace(fit, gains=tuple(gains))
 
 

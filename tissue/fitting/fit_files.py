@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from hashlib import sha256
 from html import escape
 from pathlib import Path
@@ -12,63 +12,37 @@ import tomli_w
 
 from meshes.base.arrays import Array
 from meshes.base.whole_file import package_version, write_columns, write_text
+from tissue.fitting.bands.sample import toml_tables
 from tissue.fitting.fit import ConstantFit, SceneFit, TableFit
 from tissue.fitting.laws import LawMisfit, law_sentences
 from tissue.fitting.probe_fit import ProbeFit
 from tissue.fitting.problem import SD_PER_MAD
+from tissue.materials.constants import Constant
 from tissue.show.figures.fit_pictures import (
     FittedConstant,
     draw_constants,
     draw_measured,
+    draw_presses,
     draw_residuals,
     draw_table,
 )
 from tissue.system.html import html_list, html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = [
-    "FILES",
-    "FittedEntry",
-    "unit_of",
-    "write_fit",
-    "write_fitted",
-    "write_results",
-]
+__all__ = ["unit_of", "verdicts", "write_fit", "write_fitted"]
 
 
 DIGITS = 9
 """Significant digits of a number. The rounding is far smaller than any interval."""
 
 
-@dataclass(frozen=True)
-class FittedEntry:
-    """Constant after a fit.
-
-    Attributes
-    ----------
-    name
-        ``TABLE.MATERIAL.NAME``.
-    value, low, high
-        Median, 5 and 95 % of the posterior, in the constant's unit.
-    source, confidence
-        Source of the numbers, and their confidence: H, M or L.
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    source: str
-    confidence: str
-
-
 def write_fitted(
     path: Path,
-    entries: Sequence[FittedEntry],
+    entries: Mapping[str, Constant],
     correlation: Array,
     *,
-    fixed: Sequence[FittedEntry] = (),
-    remark: Sequence[str],
+    fixed: Mapping[str, Constant] | None = None,
+    remark: Sequence[str] = (),
 ) -> None:
     """Write fitted constants with their correlation.
 
@@ -77,7 +51,7 @@ def write_fitted(
     path
         File to write.
     entries
-        The n constants.
+        The n constants by their names, ``TABLE.MATERIAL.NAME``.
     correlation
         Correlation of their standard normal numbers, shape (n, n), see
         `tissue.materials.constants.Prior`.
@@ -86,22 +60,19 @@ def write_fitted(
     remark
         Lines of comment at the top.
     """
-    tables: dict[str, dict[str, dict[str, Mapping[str, object]]]] = {}
-    for entry in (*entries, *fixed):
-        table, material, name = entry.name.split(".", 2)
-        tables.setdefault(table, {}).setdefault(material, {})[name] = {
-            "value": _rounded(entry.value),
-            "range": [_rounded(entry.low), _rounded(entry.high)],
-            "source": entry.source,
-            "confidence": entry.confidence,
-        }
-    content: dict[str, object] = dict(tables)
+    rounded = {
+        name: replace(
+            one, value=_rounded(one.value), low=_rounded(one.low), high=_rounded(one.high)
+        )
+        for name, one in {**entries, **(fixed or {})}.items()
+    }
+    content: dict[str, object] = dict(toml_tables(rounded))
     # rounding may leave the matrix slightly unsymmetric; a single constant has no correlation
     if len(entries) > 1:
         matrix = 0.5 * (correlation + correlation.T)
         np.fill_diagonal(matrix, 1.0)
         content["correlation"] = {
-            "names": [entry.name for entry in entries],
+            "names": [*entries],
             "matrix": [[round(float(value), DIGITS) for value in row] for row in matrix],
         }
     lines = "".join(f"# {line}\n" for line in remark)
@@ -132,7 +103,7 @@ For a single constant, a gain of 0.1 nats narrows the interval by 10 %.
 """
 
 
-def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> None:
+def write_fit(fit: SceneFit | ProbeFit, folder: Path, *, overwrite: bool) -> None:
     """Write the files of a fit.
 
     Parameters
@@ -152,16 +123,26 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> None:
     digest = sha256(fit.path.read_bytes()).hexdigest()
     with OwnedFolder(folder, "fit", FILES, overwrite=overwrite):
         _write_constants(fit, folder / "fitted.toml", digest)
-        if isinstance(fit, TableFit):
+        if isinstance(fit, ProbeFit):
+            _write_presses(fit, folder)
+        elif isinstance(fit, TableFit):
             _write_table_loads(fit, folder)
         else:
             _write_log_loads(fit, folder)
-        pictures = {
-            "Constants before and after, 90 % intervals": "constants.png",
-            "Measured and simulated": "measured.png",
-            "What is left": "residuals.png",
-        }
-        write_results(fit, folder, _numbers(fit, digest), _above(fit), pictures, _next_logs(fit))
+        shown = [shown_constant(each) for each in fit.constants]
+        draw_constants(shown, folder / "constants.png", source=fit.source)
+        write_text(folder / "fit.json", json.dumps(_numbers(fit, digest), indent=1) + "\n")
+        write_text(folder / "report.html", html_page(f"Fit of {fit.name}", _report(fit, folder)))
+
+
+def _write_presses(fit: ProbeFit, folder: Path) -> None:
+    """Write forces as a function of the depth, as numbers and as a picture."""
+    depths_mm = 1e3 * fit.table.depths_m
+    forces = fit.table.forces_N
+    draw_presses(depths_mm, forces, fit.force_N, folder / "measured.png", law=fit.law)
+    low, middle, high = np.quantile(forces, [0.05, 0.5, 0.95], axis=0)
+    columns = {"depth_mm": depths_mm, "median_N": middle, "p05_N": low, "p95_N": high}
+    write_columns(folder / "loads.csv", columns | {"fitted_N": fit.force_N})
 
 
 def _write_log_loads(fit: SceneFit, folder: Path) -> None:
@@ -209,32 +190,31 @@ def unit_of(name: str) -> tuple[str, str]:
     return words, marks.get(unit, unit)
 
 
-def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
+def _write_constants(fit: SceneFit | ProbeFit, path: Path, digest: str) -> None:
     """Write the file for scenes: constants of the material with their correlation."""
     source = f"fitted to {fit.path.name} ({digest[:12]}) as {fit.name}"
     reservations = {
         "at its prior": ", which does not narrow the cited range",
         "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
     }
-    entries = []
+    is_table = isinstance(fit, ProbeFit)
+    entries = {}
     for at in fit.of_material:
         each = fit.constants[at]
         text = source + reservations.get(each.state, "")
         # a single log of one specimen gives medium confidence at best
-        confidence = "M" if each.state == "determined" else "L"
-        entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, confidence))
+        confidence = "M" if is_table or each.state == "determined" else "L"
+        entries[each.name] = Constant(each.value, each.low, each.high, text, confidence)
     text = "the density at which the fitted coefficients are stated"
-    fixed = [FittedEntry(name, value, value, value, text, "H") for name, value in fit.fixed.items()]
-    places = np.array(fit.of_material, dtype=np.int64)
-    covariance = fit.posterior.covariance_z[np.ix_(places, places)]
-    spread = np.sqrt(np.diag(covariance))
+    fixed = {name: Constant(value, value, value, text, "H") for name, value in fit.fixed.items()}
+    keys = " ".join(f"--set {name}={value:.4g}" for name, value in fit.scene_keys.items())
     remark = (
         f"Constants fitted by tissue {package_version()}; a scene takes them by: materials = "
         f'"{path.name}"',
-        "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal "
-        "numbers of each.",
+        f"keys of the scene: {keys or 'none'}",
+        fit.meaning,
     )
-    write_fitted(path, entries, covariance / np.outer(spread, spread), fixed=fixed, remark=remark)
+    write_fitted(path, entries, fit.correlation, fixed=fixed, remark=remark)
 
 
 def shown_constant(each: ConstantFit) -> FittedConstant:
@@ -267,14 +247,13 @@ def _autocorrelation(values: Array) -> Array:
     return np.mean([each / max(float(each[0]), 1e-300) for each in found], axis=0)
 
 
-def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
+def _numbers(fit: SceneFit | ProbeFit, digest: str) -> dict[str, object]:
     """Return all results as a dictionary for programs."""
     found: dict[str, object] = {
         "format": 1,
         "tissue": package_version(),
         "scene": fit.name,
-        "measured": {"file": fit.path.name, "sha256": digest, "block_s": fit.block_s},
-        "converged": fit.posterior.converged,
+        "measured": {"file": fit.path.name, "sha256": digest} | fit.size,
         "doubts": list(fit.doubts),
         "constants": [
             {
@@ -289,34 +268,40 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
             }
             for one in fit.constants
         ],
-        "combinations": [
-            {
-                "weights": one.weights,
-                "powers": one.powers,
-                "p05": one.low,
-                "p50": one.value,
-                "p95": one.high,
-                "contraction": one.contraction,
-            }
-            for one in fit.identified.combinations
-        ],
-        "next": [asdict(one) for one in fit.gains],
+        "notes": list(fit.sentences),
     }
+    if isinstance(fit, ProbeFit):
+        half = dict(zip(("p05", "p50", "p95"), fit.noise.tolist(), strict=True))
+        numbers = {"law": fit.law, "misfit": fit.misfit, "bias_N": fit.bias_N}
+        return found | numbers | {"half_difference": half}
+    found["converged"] = fit.posterior.converged
+    found["combinations"] = [
+        {
+            "weights": one.weights,
+            "powers": one.powers,
+            "p05": one.low,
+            "p50": one.value,
+            "p95": one.high,
+            "contraction": one.contraction,
+        }
+        for one in fit.identified.combinations
+    ]
+    found["next"] = [asdict(one) for one in fit.gains]
     if isinstance(fit, TableFit):
-        found["laws"] = [asdict(one) for one in fit.laws]
-    else:
-        each = fit.posterior.nuisances
-        low, high = fit.posterior.offset_interval_s
-        found["offset_s"] = [low, each.offset_s, high]
-        found["channels"] = list(fit.posterior.target.log.channels)
-        found["bias"] = each.bias.tolist()
-        found["noise_scale"] = each.scale.tolist()
-        found["noise_correlation"] = each.correlation.tolist()
-        found["noise_freedom"] = each.freedom.tolist()
-    return found | {"notes": list(fit.sentences)}
+        return found | {"laws": [asdict(one) for one in fit.laws]}
+    each = fit.posterior.nuisances
+    low, high = fit.posterior.offset_interval_s
+    return found | {
+        "offset_s": [low, each.offset_s, high],
+        "channels": list(fit.posterior.target.log.channels),
+        "bias": each.bias.tolist(),
+        "noise_scale": each.scale.tolist(),
+        "noise_correlation": each.correlation.tolist(),
+        "noise_freedom": each.freedom.tolist(),
+    }
 
 
-def verdicts(fit: SceneFit) -> list[str]:
+def verdicts(fit: SceneFit | ProbeFit) -> list[str]:
     """Return sentences on the results of the fit.
 
     The sentences are about contradictions to the priors, determined constants, combinations,
@@ -324,10 +309,12 @@ def verdicts(fit: SceneFit) -> list[str]:
     """
     found = [f"doubtful: {each}" for each in fit.doubts]
     for each in fit.constants:
-        if each.state == "determined":
+        if isinstance(fit, ProbeFit) or each.state == "determined":
             label, unit = unit_of(each.name)
             interval = f"{each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}"
             found.append(f"{label}: {interval}".rstrip())
+    if isinstance(fit, ProbeFit):
+        return found
     for combined in fit.identified.combinations[:SHOWN_COMBINATIONS]:
         # A constant whose prior has the median 0 has no weight over that median.
         weights = {name: weight for name, weight in combined.weights.items() if weight != 0.0}
@@ -352,44 +339,31 @@ def verdicts(fit: SceneFit) -> list[str]:
     return found
 
 
-def write_results(
-    fit: SceneFit | ProbeFit,
-    folder: Path,
-    numbers: Mapping[str, object],
-    above: str,
-    pictures: Mapping[str, str],
-    below: str = "",
-) -> None:
-    """Write the picture of the constants, the numbers for programs and the report page.
-
-    Parameters
-    ----------
-    above, below
-        Content of the report above and below its pictures, as HTML.
-    pictures
-        File names of the pictures by their titles. A missing file is left out.
-    """
-    constants = [shown_constant(each) for each in fit.constants]
-    draw_constants(constants, folder / "constants.png", source=fit.source)
-    write_text(folder / "fit.json", json.dumps(numbers, indent=1) + "\n")
-    shown = "".join(
-        f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"
-        for title, name in pictures.items()
-        if (folder / name).exists()
-    )
-    body = f"{above}{shown}{below}<h2>Notes</h2>{html_list(fit.sentences)}"
-    write_text(folder / "report.html", html_page(f"Fit of {fit.name}", body))
+PICTURES = {
+    "Constants before and after, 90 % intervals": "constants.png",
+    "Measured and simulated": "measured.png",
+    "What is left": "residuals.png",
+}
+"""Pictures of a report by their titles."""
 
 
-def _above(fit: SceneFit) -> str:
-    """Return the content of the report above its pictures."""
-    return (
+def _report(fit: SceneFit | ProbeFit, folder: Path) -> str:
+    """Return the content of the report, with the pictures in a folder."""
+    parts = [
         f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, tissue "
         f"{package_version()}. A scene "
         'takes the result by <code>materials = "fitted.toml"</code>.</p>'
         f"<h2>What the {fit.source} determines</h2>{html_list(verdicts(fit))}"
-        + (_law_table(fit.laws) if isinstance(fit, TableFit) else "")
-    )
+    ]
+    if isinstance(fit, TableFit):
+        parts.append(_law_table(fit.laws))
+    for title, name in PICTURES.items():
+        if (folder / name).exists():
+            picture = html_picture(title, (folder / name).read_bytes())
+            parts.append(f"<h2>{title}</h2>{picture}")
+    if isinstance(fit, SceneFit):
+        parts.append(_next_logs(fit))
+    return f"{''.join(parts)}<h2>Notes</h2>{html_list(fit.sentences)}"
 
 
 def _next_logs(fit: SceneFit) -> str:

@@ -9,8 +9,9 @@ shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import norm, t
@@ -19,7 +20,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.axisymmetric import FIRST
-from tissue.fitting.fit import ConstantFit
+from tissue.fitting.fit import ConstantFit, Fitted
 from tissue.fitting.organ_runs import organ_parameters
 from tissue.fitting.probe_laws import (
     SHAPES,
@@ -46,8 +47,6 @@ FINER = 1.5
 
 The force converges with second order, so the difference is more than half of the remaining error.
 """
-THICKER = 1.2
-"""Factor on the thickness of the layer in a second fit of the modulus, for a note."""
 DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
@@ -107,7 +106,7 @@ def fit_curves(curves: ProbeCurves, forces_N: Array) -> FittedCurve:
 
 
 @dataclass(frozen=True, eq=False)
-class ProbeFit:
+class ProbeFit(Fitted):
     """Constants of an elastic law, fitted to presses.
 
     Attributes
@@ -144,23 +143,21 @@ class ProbeFit:
     misfit: float
     noise: Array
     notes: tuple[str, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    source: ClassVar[str] = "table of presses"
+    meaning: ClassVar[str] = (
+        "value: best fit; range: 5 and 95 % of resampled presses and error of the mesh."
+    )
 
     @property
-    def source(self) -> str:
-        """Kind of the measurement, in a word."""
-        return "table of presses"
+    def correlation(self) -> Array:
+        """Correlation of the constants of materials, which is not known."""
+        return np.eye(len(self.of_material))
 
     @property
-    def of_material(self) -> tuple[int, ...]:
-        """Indices of the constants that belong to a material, not to the scene."""
-        return tuple(
-            at for at, each in enumerate(self.constants) if not each.name.startswith("organ.")
-        )
-
-    @property
-    def scene_keys(self) -> Mapping[str, float]:
-        """Fitted keys of the scene, which are not constants of a material."""
-        return {each.name: each.value for each in self.constants if each.name.startswith("organ.")}
+    def size(self) -> dict[str, float]:
+        """Size of the measurement, for programs."""
+        return {"presses": len(self.table.forces_N)}
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -264,15 +261,10 @@ def fit_probes(
             strict=True,
         )
     ]
-    thick = replace(fixed, thickness_m=THICKER * fixed.thickness_m)
-    thicker = fit_curves(
-        probe_curves(thick, table.depths_m, ()), median_curve(forces)[None]
-    ).modulus_Pa[0]
     notes = (
         *table.notes,
         f"a ball of {2e3 * layer.radius_m:g} mm without friction on a layer of "
-        f"{1e3 * layer.thickness_m:g} mm, bonded to its bed; a layer {THICKER - 1.0:.0%} thicker "
-        f"changes the modulus by {thicker / best.modulus_Pa[0] - 1.0:+.0%}",
+        f"{1e3 * layer.thickness_m:g} mm, bonded to its bed",
         f"intervals from {RESAMPLES} draws of {len(forces)} presses and from the error of the mesh",
     )
     middle = median_curve(forces)

@@ -5,7 +5,6 @@ The command `tissue assess` makes the same assessment.
 
 from pathlib import Path
 
-from meshes.base.hints import suggests_arguments
 from tissue.evaluation import assessment as engine
 from tissue.evaluation import ranking
 from tissue.evaluation.assessment_files import assessment_lines, write_assessment
@@ -31,7 +30,6 @@ class Assessment(engine.Assessment):
         return write_assessment(self, Path(folder), overwrite=overwrite)
 
 
-@suggests_arguments
 def assess(
     trainee: Run | str | Path,
     reference: Run | str | Path,

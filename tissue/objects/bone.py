@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.file_limits import memory_limit
-from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.shapes.anatomy import (
+    CORTICAL_KG_M3,
+    TRABECULAR_KG_M3,
+    Anatomy,
+    cortical_block,
+)
 from meshes.voxels.volume import VoxelVolume, density_volume
 
 if TYPE_CHECKING:
@@ -125,8 +130,8 @@ class Bone:
         spacing_mm: float = 0.1,
         scale_mm: float | None = None,
         cortical_thickness_mm: float = 1.5,
-        cortical_density_kg_m3: float = 1800.0,
-        trabecular_density_kg_m3: float = 350.0,
+        cortical_density_kg_m3: float = CORTICAL_KG_M3,
+        trabecular_density_kg_m3: float = TRABECULAR_KG_M3,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
         """Make a bone that fills a closed surface: a cortical shell of even thickness around
@@ -198,7 +203,7 @@ class Bone:
         cls,
         size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0),
         *,
-        density_kg_m3: float = 1800.0,
+        density_kg_m3: float = CORTICAL_KG_M3,
         spacing_mm: float = 0.1,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
@@ -269,7 +274,7 @@ class Bone:
         file: str | PathLike[str],
         *,
         threshold: float,
-        density_kg_m3: float = 1800.0,
+        density_kg_m3: float = CORTICAL_KG_M3,
         spacing_mm: "Spacing | None" = None,
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],

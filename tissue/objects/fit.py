@@ -11,7 +11,6 @@ from tissue.fitting.fit_files import verdicts, write_fit
 from tissue.fitting.laws import LawMisfit
 from tissue.fitting.log import log_of
 from tissue.fitting.log_files import read_columns
-from tissue.fitting.probe_files import probe_verdicts, write_probe_fit
 from tissue.fitting.probe_fit import ProbeFit, fit_probes
 from tissue.fitting.probe_table import is_probe_table, read_probes
 from tissue.fitting.table import is_table, read_table
@@ -41,8 +40,6 @@ class Fit:
         """Sentences on the constants that the data determine, on the other constants, and on the
         next measurement.
         """
-        if isinstance(self.fitted, ProbeFit):
-            return probe_verdicts(self.fitted)
         return verdicts(self.fitted)
 
     @property
@@ -83,10 +80,7 @@ class Fit:
         InputError
             If the folder holds another fit and `overwrite` is not set.
         """
-        if isinstance(self.fitted, ProbeFit):
-            write_probe_fit(self.fitted, Path(folder), overwrite=overwrite)
-        else:
-            write_fit(self.fitted, Path(folder), overwrite=overwrite)
+        write_fit(self.fitted, Path(folder), overwrite=overwrite)
         return Path(folder)
 
     def __repr__(self) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -12,7 +12,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, names_of_caller, require_positive, require_range
-from meshes.base.text_tables import unknown_name
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.hand_motion import HandMotion, Script
@@ -22,6 +21,7 @@ from tissue.motion.motion import StaysAt, frame_along
 from tissue.objects.bone import Bone
 from tissue.objects.cutting import Structures
 from tissue.objects.organ import Organ
+from tissue.objects.part_checks import checked_numbers
 from tissue.objects.tools import PressingTool, ball
 from tissue.prediction.guard import GuardedMaker, Observes
 from tissue.scene.coupling import Coupling
@@ -240,24 +240,10 @@ def _limits(
     """Return the parameters of a device from its name, from a mapping, or as given."""
     if isinstance(given, str):
         return device_parameters(given, constants)
-    if isinstance(given, Mapping):
-        known = [each.name for each in fields(DeviceParameters)]
-        if unknown := [name for name in given if name not in known]:
-            raise InputError(unknown_name("limits", known, str(unknown[0])))
-        try:
-            return DeviceParameters(**given)
-        except TypeError:
-            raise InputError(
-                "limits", "give mass_kg and damping_N_s_m", "neither or one", "add both"
-            ) from None
     if isinstance(given, DeviceParameters):
         return given
-    raise InputError(
-        "limits",
-        "be a device's name, tissue.DeviceParameters or a mapping of its numbers",
-        type(given).__name__,
-        "give one of these",
-    )
+    needed = ("mass_kg", "damping_N_s_m")
+    return DeviceParameters(**checked_numbers(DeviceParameters, given, needed=needed, of="limits"))
 
 
 @dataclass(frozen=True)

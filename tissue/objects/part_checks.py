@@ -15,7 +15,6 @@ from tissue.scene.registry import CUTTERS, TABLES
 __all__ = [
     "NAME",
     "check_callable",
-    "check_looks",
     "check_name",
     "check_parameters",
     "check_profile",
@@ -107,39 +106,26 @@ def check_parameters(kind: str, given: str, part: Any) -> None:
         )
 
 
-def checked_numbers(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
+def checked_numbers(
+    kind: Any, numbers: Any, *, needed: Sequence[str] = (), of: str = "numbers"
+) -> dict[str, float]:
     """Return the values of a class of parameters, from an instance or a checked mapping."""
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
         wanted = f"be a mapping with {' and '.join(needed) or 'numbers by name'}"
-        raise InputError("numbers", wanted, shown(numbers), "give names and values")
+        raise InputError(of, wanted, shown(numbers), "give names and values")
     known = [field.name for field in fields(kind)]
     if strange := [each for each in numbers if each not in known]:
         given = f"{shown(strange[0])}{nearest(str(strange[0]), known)}"
-        raise InputError("numbers", f"hold only {', '.join(known)}", given, "rename or remove it")
+        raise InputError(of, f"hold only {', '.join(known)}", given, "rename or remove it")
     if missing := [each for each in needed if each not in numbers]:
         lacking = " and ".join(missing)
         raise InputError(
-            "numbers", f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
+            of, f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
         )
     for each, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
     kind(**numbers)
     return dict(numbers)
-
-
-def check_looks(colour: str, marker: str) -> None:
-    """Refuse a colour or a marker that matplotlib cannot draw."""
-    from matplotlib.colors import is_color_like
-    from matplotlib.markers import MarkerStyle
-
-    if not is_color_like(colour):
-        raise InputError("colour", "be one of matplotlib's", shown(colour), "use for example red")
-    try:
-        MarkerStyle(marker)
-    except ValueError:
-        raise InputError(
-            "marker", "be one of matplotlib's", shown(marker), "use for example o"
-        ) from None

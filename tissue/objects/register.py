@@ -14,7 +14,6 @@ from tissue.materials.scene_constants import checked_constant
 from tissue.objects.part_checks import (
     NAME,
     check_callable,
-    check_looks,
     check_name,
     check_parameters,
     check_profile,
@@ -235,8 +234,6 @@ class register:
         make: F | None = None,
         *,
         trained: bool = False,
-        colour: str = PredictorEntry.colour,
-        marker: str = PredictorEntry.marker,
     ) -> Any:
         """Register a predictor of the force: a class with the methods `observe` and `predict`.
 
@@ -254,17 +251,12 @@ class register:
             scene.
         trained
             Whether `make` takes a `Trained`.
-        colour, marker
-            Colour and marker in charts, in matplotlib's notation.
         """
 
         def entry(part: Any) -> PredictorEntry:
             from tissue.prediction.guard import GuardedMaker
 
-            check_looks(colour, marker)
-            return PredictorEntry(
-                GuardedMaker(name, part, trained=trained), trained, colour, marker
-            )
+            return PredictorEntry(GuardedMaker(name, part, trained=trained), trained)
 
         return _added("predictor", name, make, PREDICTORS, entry, methods=("observe", "predict"))
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from tissue.objects.html import run_html, run_line
 from tissue.objects.trace import Trace
@@ -343,7 +342,6 @@ def assessed_run(run: Run | str | Path) -> "AssessedRun":
     return AssessedRun(run.path, run.summary, run.trace, run.status == "complete", scene)
 
 
-@suggests_arguments
 def report(
     run: Run | str | Path,
     out: str | Path | None = None,

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.hints import nearest, suggests_arguments
+from meshes.base.hints import nearest
 from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
@@ -180,7 +180,6 @@ def scene_text(name: str) -> str:
     )
 
 
-@suggests_arguments
 def load_scene(
     source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False
 ) -> Scene:

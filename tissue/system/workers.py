@@ -9,7 +9,8 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -20,17 +21,20 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import AbstractContextManager, contextmanager
+from itertools import islice
 from pathlib import Path
+from time import sleep
 from typing import TypeVar
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.extras import install_command
 from meshes.base.progress import Progress
 from meshes.base.whole_file import package_version
 from tissue.system.child import CHECK_S, ONE_THREAD, HangDetector, end_with
 
-__all__ = ["LOST", "executor", "first_done", "worker_pool"]
+__all__ = ["executor", "finished", "first_done", "worker_pool"]
 
+Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 
@@ -121,6 +125,119 @@ def _begin_worker(parent: int, strictly: bool) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, strictly=strictly)
+
+
+AHEAD = 3
+"""Number of jobs that are submitted in advance for each worker.
+
+With this number, no worker waits, and memory does not grow with the number of jobs.
+"""
+LOSSES = 3
+"""Number of lost workers after which a job is run alone.
+
+The count is that of workers that were lost while the job ran. The run alone shows whether the job
+itself ends its worker.
+
+One or two lost workers may be due to other jobs, or to the machine.
+"""
+BARREN = 20
+"""Number of consecutive losses of workers, without a finished job, after which the work stops.
+
+The pauses between the losses take 21 s in total.
+"""
+PATIENCE_S = 30.0
+"""Time that a scheduler may take to answer [s], because a cluster may still be starting."""
+
+
+def finished(
+    work: Callable[[Job], Result],
+    jobs: Iterable[Job],
+    *,
+    workers: int,
+    scheduler: str | None,
+    report: Callable[[str], None],
+) -> Iterator[list[tuple[Job, Result | Exception]]]:
+    """Run jobs in other processes, and yield the jobs that are done at a time with their results.
+
+    A lost worker is replaced and its jobs are run again. A job that always ends its worker has an
+    error as its result, like a job that raises one.
+
+    Parameters
+    ----------
+    work
+        Function that is run with each job.
+    jobs
+        Different jobs that can be keys of a dictionary.
+    workers, scheduler
+        Number of processes, or address of a Dask scheduler, see `executor`.
+    report
+        Called with the reason why workers were lost.
+
+    Raises
+    ------
+    InputError
+        If no scheduler answers, or workers are lost again and again.
+    """
+    waiting = dict.fromkeys(jobs)
+    losses: Counter[Job] = Counter()
+    barren = 0
+    connected = False
+    while waiting:
+        before = len(waiting)
+        suspects = [job for job in waiting if losses[job] >= LOSSES]
+        running: dict[Future[Result], Job] = {}
+        try:
+            with executor(1 if suspects else workers, scheduler, patience_s=PATIENCE_S) as pool:
+                connected = True
+                most = 1 if suspects else AHEAD * workers
+                fresh = iter(suspects[:1] or list(waiting))
+                while True:
+                    for job in islice(fresh, most - len(running)):
+                        running[pool.submit(work, job)] = job
+                    if not running:
+                        break
+                    done: list[tuple[Job, Result | Exception]] = []
+                    for future in first_done(pool, running, lambda doing, _: report(doing)):
+                        error = future.exception()
+                        if isinstance(error, LOST):
+                            raise error
+                        job = running.pop(future)
+                        found = error if isinstance(error, Exception) else future.result()
+                        done.append((job, found))
+                    for job, _ in done:
+                        del waiting[job]
+                    yield done
+        except LOST as error:
+            if not connected:
+                raise InputError(
+                    "scheduler",
+                    "answer",
+                    f"{scheduler} ({error})",
+                    "start it with `dask scheduler`",
+                ) from error
+            # consecutive losses without a finished job
+            barren = barren + 1 if len(waiting) == before else 1
+            if barren > BARREN:
+                raise InputError(
+                    "workers",
+                    "stay alive",
+                    f"{barren} losses with {counted(len(waiting), 'job')} left",
+                    "find out why they end, for example for lack of memory, and start again",
+                ) from error
+            report(
+                f"workers were lost ({type(error).__name__}), "
+                f"{counted(len(waiting), 'job')} left to run"
+            )
+            # a suspected job was alone on its worker, so it caused the loss
+            if suspects and running:
+                del waiting[suspects[0]]
+                why = RuntimeError("the worker was lost each time this job ran on it")
+                yield [(suspects[0], why)]
+            else:
+                losses.update(running.values())
+            # the pause [s] grows with the number of consecutive losses: a temporary cause, such as
+            # a full memory, then costs no jobs
+            sleep(min(2.0, 0.1 * barren))
 
 
 SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}

@@ -10,7 +10,7 @@ FADE = 0.9
 """Ratio of the slope of the force in a tick to the slope in the tick before."""
 
 
-@register.predictor("damped-line", colour="#8C564B", marker="X")
+@register.predictor("damped-line")
 class DampedLine:
     """Predictor that continues the force along a fading slope.
 

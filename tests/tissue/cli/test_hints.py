@@ -1,8 +1,11 @@
 """Suggestions for unknown keys, options and attributes, by spelling and by meaning."""
 
+import inspect
+import pickle
 import pydoc
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -34,6 +37,41 @@ def refusal(scene, key, value=1.0):
 def test_an_unknown_argument_is_refused_with_a_suggestion(call, given, meant):
     with pytest.raises(TypeError, match=rf"{given!r} \(did you mean {meant}\?\)\. It takes"):
         call(**{given: 1})
+
+
+def public_callables():
+    """Yield the name of each public function and method that takes named arguments, and itself."""
+    for title in tissue.__all__:
+        value = getattr(tissue, title)
+        held = {title: value}
+        if isinstance(value, ModuleType):
+            held = {f"{title}.{name}": getattr(value, name) for name in value.__all__}
+        for name, each in held.items():
+            members = {name: each}
+            if isinstance(each, type):
+                members = {
+                    f"{name}.{member}": getattr(each, member)
+                    for member in dir(each)
+                    if not member.startswith("_")
+                }
+            for member, function in members.items():
+                origin = getattr(function, "__module__", None) or ""
+                if inspect.isroutine(function) and origin.startswith(("tissue", "meshes")):
+                    kinds = {one.kind for one in inspect.signature(function).parameters.values()}
+                    if inspect.Parameter.VAR_KEYWORD not in kinds:
+                        yield member, function
+
+
+def test_all_public_functions_and_methods_refuse_unknown_arguments_with_their_own():
+    seen = dict(public_callables())
+    assert {"fit", "Bone.cut", "Run.save", "Organ.press", "register.tool", "study.run"} <= {*seen}
+    for name, function in seen.items():
+        with pytest.raises(TypeError, match=r"unexpected keyword argument 'misspelt'.* It takes"):
+            function(misspelt=1)
+        assert function.__name__ in name
+    with pytest.raises(TypeError, match="did you mean diameter_mm"):
+        tissue.ball(diamter_mm=3)
+    assert pickle.loads(pickle.dumps(tissue.fit)) is tissue.fit
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 import tissue.environments
 from meshes.base.errors import InputError
-from tissue.fitting.fit_files import FittedEntry, write_fitted
-from tissue.materials.constants import constants
+from tissue.fitting.fit_files import write_fitted
+from tissue.materials.constants import Constant, constants
 
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
 
@@ -115,10 +115,8 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         for name, one in cited.items()
         if name.endswith(("_N_mm", "_N_mm2"))
     }
-    entries = [
-        FittedEntry(name, value, value, value, "a test", "L") for name, value in twice.items()
-    ]
-    write_fitted(file, entries, np.eye(len(entries)), remark=())
+    entries = {name: Constant(value, value, value, "a test", "L") for name, value in twice.items()}
+    write_fitted(file, entries, np.eye(len(entries)))
     forces = []
     for given in (None, file):
         made = tissue.environments.Milling(materials=given)
@@ -128,12 +126,8 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         forces.append(made.mean_force_N)
     assert np.linalg.norm(forces[0]) > 1.0
     np.testing.assert_allclose(forces[1], 2.0 * forces[0], rtol=1e-6)
-    write_fitted(
-        file,
-        [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")],
-        np.eye(1),
-        remark=(),
-    )
+    modulus = Constant(5.0, 5.0, 5.0, "a test", "L")
+    write_fitted(file, {"soft.liver.modulus_kPa": modulus}, np.eye(1))
     with pytest.raises(InputError, match="must hold a constant that the environment uses"):
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):

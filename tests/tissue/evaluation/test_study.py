@@ -37,9 +37,9 @@ class Direct(Executor):
         self._lose, self.calls = lose, []
 
     def submit(self, act, /, *given):
-        self.calls.append(given[1])
+        self.calls.append(given[0])
         future = Future()
-        if self._lose(given[1]):
+        if self._lose(given[0]):
             future.set_exception(BrokenExecutor("a worker was killed"))
         else:
             try:
@@ -58,9 +58,9 @@ def pool(monkeypatch):
     def given(workers, scheduler, *, patience_s):
         yield held
 
-    monkeypatch.setattr(folder_module, "executor", given)
+    monkeypatch.setattr("tissue.system.workers.executor", given)
     monkeypatch.setattr(folder_module, "run_trial", cheap)
-    monkeypatch.setattr(folder_module, "sleep", lambda seconds: None)
+    monkeypatch.setattr("tissue.system.workers.sleep", lambda seconds: None)
     return held
 
 
@@ -167,7 +167,7 @@ def test_a_trial_that_ends_its_worker_is_kept_as_failed(tmp_path, pool):
     failed = folder.table("T2")
     assert failed.failed == len(METHODS) and set(failed.where(group="expert").failure) == {
         "",
-        "RuntimeError: the worker was lost each time this trial ran on it",
+        "RuntimeError: the worker was lost each time this job ran on it",
     }
     pool._lose = lambda key: False
     assert run_study(SMALL, tmp_path / "study").table("T2").failed == len(METHODS)

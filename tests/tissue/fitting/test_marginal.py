@@ -44,9 +44,9 @@ def summed(posterior):
     target = posterior.target
     u = posterior.maximum
     places = np.linspace(-5.0, 5.0, 101)
-    points, weights = np.polynomial.hermite_e.hermegauss(9)
+    points, weights = np.polynomial.hermite_e.hermegauss(5)
     offset_spread, bias_spread = np.sqrt(np.diag(posterior.covariance)[1:3])
-    logs = np.empty((len(places), 9, 9))
+    logs = np.empty((len(places), 5, 5))
     for i, z in enumerate(places):
         for j, a in enumerate(points):
             for k, b in enumerate(points):

@@ -92,9 +92,9 @@ def test_intervals_of_confounded_constants_are_those_of_a_sum_over_a_grid(plante
     forward, log = confounded(planted, seed)
     posterior = maximum_posterior(forward, log)
     noise = posterior.nuisances
-    z = np.linspace(-1.6, 1.6, 181)
+    z = np.linspace(-1.6, 1.6, 121)
     radial = forward.parameters[0].prior.x(z)
-    axial = np.linspace(0.0, 10.0, 121)
+    axial = np.linspace(0.0, 10.0, 101)
     # Bias and offset are known well and do not move the loads' shape: they are kept at the maximum.
     shifted = np.stack(
         [np.interp(TIMES_S - noise.offset_s, TIMES_S, each) for each in forward.basis[:, 0].T],

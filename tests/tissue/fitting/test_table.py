@@ -19,7 +19,7 @@ SIZE = {"cutting.size_exponent": 0.3, "cutting.minimum_chip_um": 0.1}
 FEEDS_MM_MIN, SPINS_RPM = (
     each.ravel() for each in np.meshgrid([20.0, 40.0, 80.0, 160.0, 320.0], [500.0, 1000.0, 2000.0])
 )
-SEEDS = 100
+SEEDS = 60
 
 
 def drill(**changes):

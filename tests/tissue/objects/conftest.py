@@ -27,7 +27,7 @@ def tables_as_they_were():
             table.remove(name)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def run(tmp_path_factory):
     """A block that a burr mills, saved."""
     made = tissue.simulate(tissue.load_scene("milling", COARSE))
@@ -35,13 +35,13 @@ def run(tmp_path_factory):
     return made
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def back(run):
     """Return the run as read back from disk."""
     return tissue.open_run(run.path)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wall():
     """A wall that a hand presses; it is not saved."""
     return tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.2}))

@@ -17,7 +17,7 @@ from tissue.simulation.builders.cutting import element_spacing_m
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 NERVE_MM = 0.3
 """Radius of a nerve along x, its axis 2 mm under the block's face."""
-TIPS, TIMES = tissue.feed_along([[-2, 0.4, 1], [-2, 0.4, -2.6], [1, 0.4, -0.2]], feed_mm_s=20)
+TIPS, TIMES = tissue.feed_along([[-2, 0.4, 1], [-2, 0.4, -2.6], [1, 0.4, -0.2]], feed_mm_s=40)
 EXACT_MM = np.hypot(TIPS[:, 1], TIPS[:, 2] + 1.5 + 2.0) - 1.5 - NERVE_MM
 """Distance of a ball from a cylinder at each pose."""
 
@@ -69,21 +69,21 @@ def test_a_cut_measures_its_distance_from_structures(tmp_path):
 def test_a_turned_and_moved_cut_measures_the_same():
     """A turned and moved cut has equal measures.
 
-    Its frame is 9 m away, and its poses are 20 ms apart with times of their own, for a surface from
+    Its frame is 9 m away, and its poses are 10 ms apart with times of their own, for a surface from
     pyvista.
     """
     turn, shift = Rotation.random(random_state=4), np.array([9000.0, -300.0, 40.0])
     vertices = turn.apply(np.asarray(nerve().vertices)) + shift
     surface = pyvista.PolyData.from_regular_faces(vertices, np.asarray(nerve().faces))
     quaternions = np.tile(turn.as_quat(), (len(TIPS), 1))
-    poses = np.hstack([turn.apply(TIPS) + shift, quaternions])[::20]
+    poses = np.hstack([turn.apply(TIPS) + shift, quaternions])[::10]
     bone = tissue.Bone.from_array(
         np.full((4, 4, 4), 1800.0), spacing_mm=0.5, origin_mm=shift + 50.0
     )
-    cut = bone.cut(BURR, poses, 7.0 + TIMES[::20], keep_clear={"nerve": surface})
-    found, exact = cut.distance_mm("nerve"), EXACT_MM[::20]
+    cut = bone.cut(BURR, poses, 7.0 + TIMES[::10], keep_clear={"nerve": surface})
+    found, exact = cut.distance_mm("nerve"), EXACT_MM[::10]
     assert (found <= exact + 1e-5).all() and (found >= exact - 0.01).all()
-    assert cut.events[0][0] == pytest.approx(7.0 + TIMES[::20][found < 0.0][0])
+    assert cut.events[0][0] == pytest.approx(7.0 + TIMES[::10][found < 0.0][0])
 
 
 def test_elements_follow_depth_and_tolerance():

@@ -175,20 +175,7 @@ def test_a_legend_names_files_without_their_folders(out):
     )
 
 
-def test_runs_of_other_scenes_are_not_replaced(pressed, out):
-    tissue.sweep(pressed, {"seed": [1, 2]}, out=out)
-    other = tissue.load_scene("wall", {"duration_s": 0.05, "hand": "novice"})
-    with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
-        tissue.sweep(other, {"seed": [1, 2]}, out=out)
-    foreign = out / "seed=3"
-    foreign.mkdir()
-    (foreign / "trace.csv").write_text("mine")
-    found = tissue.sweep(pressed, {"seed": [2, 3]}, out=out)
-    assert "seed=3" in found.failures
-    assert (foreign / "trace.csv").read_text() == "mine"
-
-
-def test_formats_of_pictures_and_of_the_traces(pressed, out):
+def test_formats_are_written_and_runs_of_other_scenes_are_not_replaced(pressed, out):
     found = tissue.sweep(pressed, {"seed": [1, 2]}, out=out, formats=("svg", "npz"))
     assert {path.name for path in out.iterdir() if path.is_file()} >= {
         "sweep.csv",
@@ -202,6 +189,15 @@ def test_formats_of_pictures_and_of_the_traces(pressed, out):
     with pytest.raises(InputError, match=r"format must be one of png, .*, got docx"):
         tissue.sweep(pressed, {"seed": [1, 2]}, out=out / "other", formats=("docx",))
     assert not (out / "other").exists()
+    other = tissue.load_scene("wall", {"duration_s": 0.05, "hand": "novice"})
+    with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
+        tissue.sweep(other, {"seed": [1, 2]}, out=out)
+    foreign = out / "seed=3"
+    foreign.mkdir()
+    (foreign / "trace.csv").write_text("mine")
+    found = tissue.sweep(pressed, {"seed": [2, 3]}, out=out)
+    assert "seed=3" in found.failures
+    assert (foreign / "trace.csv").read_text() == "mine"
 
 
 def test_the_machine_is_no_figure_of_a_sweep(pressed, out):

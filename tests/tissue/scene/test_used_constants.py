@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.fitting.fit_files import FittedEntry, write_fitted
-from tissue.materials.constants import constants, listed
+from tissue.fitting.fit_files import write_fitted
+from tissue.materials.constants import Constant, constants, listed
 from tissue.materials.scene_constants import TABLES
 from tissue.scene.used_constants import used_constants
 
@@ -52,10 +52,10 @@ def other(one):
 def figures(name, changes, values, tmp_path):
     """All numbers of a run's trace, with constants changed."""
     if values:
-        entries = [
-            FittedEntry(each, value, value, value, "a test", "L") for each, value in values.items()
-        ]
-        write_fitted(tmp_path / "changed.toml", entries, np.eye(len(entries)), remark=())
+        entries = {
+            each: Constant(value, value, value, "a test", "L") for each, value in values.items()
+        }
+        write_fitted(tmp_path / "changed.toml", entries, np.eye(len(entries)))
         changes = changes | {"materials": str(tmp_path / "changed.toml")}
     scene = tissue.load_scene(name, changes)
     run = tissue.simulate(scene)

@@ -3,19 +3,15 @@
 import gc
 import json
 import os
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, Future
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import cache
-from itertools import islice
+from functools import cache, partial
 from pathlib import Path
-from time import sleep
 
 from pydantic import TypeAdapter
 
-from meshes.base.errors import InputError, counted, require_range
+from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import read_json
@@ -34,7 +30,7 @@ from tissue.evaluation.study.registration import (
 )
 from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial, trial_seed
 from tissue.system.owned_folder import LOCK, MARKER, OwnedFolder, require_listed
-from tissue.system.workers import LOST, executor, first_done
+from tissue.system.workers import finished
 
 __all__ = ["StudyFolder", "run_study"]
 
@@ -321,28 +317,6 @@ def _write(path: Path, content: Mapping[str, object]) -> None:
     write_text(path, json.dumps(content, indent=1))
 
 
-TRIALS_PER_WORKER = 3
-"""Number of trials that are submitted in advance for each worker.
-
-With this number, no worker waits, and memory does not grow with the number of trials of a study.
-"""
-LOSSES = 3
-"""Number of lost workers after which a trial is run alone.
-
-The count is that of workers that were lost while the trial ran. The run alone shows whether the
-trial itself ends its worker.
-
-One or two lost workers may be due to other trials, or to the machine.
-"""
-BARREN = 20
-"""Number of consecutive losses of workers, without a finished trial, after which a study stops.
-
-The pauses between the losses take 21 s in total.
-"""
-PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s], because a cluster may still be starting."""
-
-
 def run_study(
     plan: Plan,
     out: Path,
@@ -424,102 +398,23 @@ def _run_trials(
     scheduler: str | None,
     report: Progress,
 ) -> None:
-    """Run the missing trials of a plan, and replace workers that are lost."""
+    """Run the missing trials of a plan and write each when it is finished."""
     total = len(list(plan.all_trials()))
     waiting = dict.fromkeys(missing)
-    losses: Counter[TrialKey] = Counter()
-    barren = 0
-    connected = False
-
-    def keep(trial: Trial) -> None:
-        """Write a finished trial, and remove it from the waiting trials.
-
-        A second copy of a trial has the same content.
-        """
-        folder.write(trial)
-        waiting.pop(trial.key, None)
 
     def report_share(doing: str) -> None:
         report(doing, _done_share(plan, waiting))
 
-    while waiting:
-        before = len(waiting)
-        suspects = [key for key in waiting if losses[key] >= LOSSES]
-        running: dict[Future[Trial], TrialKey] = {}
-        try:
-            with executor(1 if suspects else count, scheduler, patience_s=PATIENCE_S) as pool:
-                connected = True
-                most = 1 if suspects else TRIALS_PER_WORKER * count
-                wanted = suspects[:1] or list(waiting)
-                for trials in _results(pool, plan, wanted, running, most, report_share):
-                    for trial in trials:
-                        keep(trial)
-                    report_share(f"trial {total - len(waiting)} of {total}")
-        except LOST as error:
-            if not connected:
-                raise InputError(
-                    "scheduler",
-                    "answer",
-                    f"{scheduler} ({error})",
-                    "start it with `dask scheduler`",
-                ) from error
-            # consecutive losses without a finished trial
-            barren = barren + 1 if len(waiting) == before else 1
-            if barren > BARREN:
-                raise InputError(
-                    "workers",
-                    "stay alive",
-                    f"{barren} losses with {counted(len(waiting), 'trial')} left",
-                    (
-                        "find out why they end, for example for lack of memory, and run "
-                        "the study again to continue"
-                    ),
-                ) from error
-            report_share(
-                f"workers were lost ({type(error).__name__}), "
-                f"{counted(len(waiting), 'trial')} left to run"
-            )
-            # a suspected trial was alone on its worker, so it caused the loss
-            if suspects and running:
-                failure = "RuntimeError: the worker was lost each time this trial ran on it"
-                keep(_failed(plan, suspects[0], failure))
-            else:
-                losses.update(running.values())
-            # the pause [s] grows with the number of consecutive losses: a temporary cause, such as
-            # a full memory, then costs no trials
-            sleep(min(2.0, 0.1 * barren))
-
-
-def _results(
-    pool: Executor,
-    plan: Plan,
-    keys: Iterable[TrialKey],
-    running: dict[Future[Trial], TrialKey],
-    most: int,
-    report: Callable[[str], None],
-) -> Iterator[list[Trial]]:
-    """Submit a few trials in advance, and yield the results that are available at a time.
-
-    ``running`` holds the submitted trials.
-    """
-    fresh = iter(keys)
-    while True:
-        for key in islice(fresh, most - len(running)):
-            running[pool.submit(_in_worker, plan, key)] = key
-        if not running:
-            return
-        done = []
-        for future in first_done(pool, running, lambda doing, _: report(doing)):
-            error = future.exception()
-            if isinstance(error, LOST):
-                raise error
-            key = running.pop(future)
-            # any error of a worker, such as a trial that always ends its worker
-            if isinstance(error, Exception):
-                done.append(_failed(plan, key, error_sentence(error)))
-            else:
-                done.append(future.result())
-        yield done
+    work = partial(_in_worker, plan)
+    for trials in finished(
+        work, list(waiting), workers=count, scheduler=scheduler, report=report_share
+    ):
+        for key, found in trials:
+            if isinstance(found, Exception):
+                found = _failed(plan, key, error_sentence(found))
+            folder.write(found)
+            del waiting[key]
+        report_share(f"trial {total - len(waiting)} of {total}")
 
 
 def _failed(plan: Plan, key: TrialKey, failure: str) -> Trial:

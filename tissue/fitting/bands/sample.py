@@ -1,12 +1,12 @@
 """Constants that vary, and samples of them by quasi-Monte Carlo."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+import tomli_w
 from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtri
 from scipy.stats import qmc
@@ -14,7 +14,7 @@ from scipy.stats import sobol_indices as scipy_indices
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
-from tissue.materials.constants import Constant, Prior
+from tissue.materials.constants import Constant, Entry, Prior
 from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
@@ -33,6 +33,7 @@ __all__ = [
     "sampled",
     "sobol_indices",
     "surrogate_indices",
+    "toml_tables",
 ]
 
 
@@ -191,16 +192,22 @@ def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
         for name, value in zip(names, x, strict=True)
         if name.startswith("density.")
     ]
-    for name, one in sampled(constants, names, x).given.items():
-        lines += [
-            "",
-            f"[{name}]",
-            f"value = {one.value!r}",
-            f"range = [{one.low!r}, {one.high!r}]",
-            f"source = {json.dumps(one.source)}",
-            f"confidence = {json.dumps(one.confidence)}",
-        ]
-    return "\n".join(lines).lstrip("\n") + "\n"
+    given = sampled(constants, names, x).given
+    return "\n".join([*lines, tomli_w.dumps(toml_tables(given))])
+
+
+def toml_tables(given: Mapping[str, Constant]) -> dict[str, dict[str, dict[str, Entry]]]:
+    """Return the tables of a file of constants, by the names ``TABLE.MATERIAL.NAME``."""
+    tables: dict[str, dict[str, dict[str, Entry]]] = {}
+    for full, one in given.items():
+        table, material, name = full.split(".", 2)
+        tables.setdefault(table, {}).setdefault(material, {})[name] = {
+            "value": one.value,
+            "range": [one.low, one.high],
+            "source": one.source,
+            "confidence": one.confidence,
+        }
+    return tables
 
 
 DRAWS = 400

@@ -2,9 +2,8 @@
 
 import re
 from collections.abc import Iterator
-from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,7 +21,7 @@ from tissue.simulation.load_record import LoadRecord
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.simulate import simulate
-from tissue.system.workers import LOST, executor, first_done
+from tissue.system.workers import finished
 
 __all__ = [
     "CHANNELS",
@@ -337,15 +336,6 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 
 Outcome = tuple[Array, dict[Figure, float]] | str
 """Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
-PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s]; the value is the same for a study."""
-LOST_WORKER = "the process that ran it was lost"
-BARREN = 5
-"""Number of consecutive losses of workers, without a finished sample, that end the run.
-
-A sample that ends its worker causes at most two losses: one together with other samples, and one
-alone.
-"""
 
 
 @dataclass(frozen=True)
@@ -362,99 +352,45 @@ def reruns(
 ) -> Iterator[tuple[int, Outcome]]:
     """Run each file of materials, and yield its number and outcome when its run ends.
 
-    If a worker is lost, its samples are run again, one at a time. A sample that is lost again is
-    counted as the cause of the loss.
-
     Raises
     ------
     InputError
         If no scheduler answers, or workers are lost again and again.
     """
+    samples = tuple(enumerate(files))
+    work = partial(_outcome, scene, workers.compute)
     # one process needs no pool
     if workers.count <= 1 and workers.scheduler is None:
-        for number, text in enumerate(files):
+        for number, text in samples:
             report(f"sample {number + 1} of {len(files)}", number / len(files))
-            yield number, _outcome(scene, text, workers.compute)
+            yield number, work((number, text))
         return
-    waiting = list(range(len(files)))
-    suspects = list[int]()
-    barren = 0
-    while waiting or suspects:
-        # all other samples come first, so that a sample that ends its worker does not delay them
-        alone = not waiting
-        numbers = [suspects.pop(0)] if alone else waiting
-        returned = set[int]()
-        given = set[int]()
-        for number, outcome in _in_pool(scene, files, numbers, workers, report):
-            if outcome is None:
-                given.add(number)
-            else:
-                given.remove(number)
-                returned.add(number)
-                yield number, outcome
-        barren = 0 if returned else barren + 1
-        if barren > BARREN:
-            raise InputError(
-                "workers",
-                "stay alive",
-                f"{barren} lost workers without a finished sample",
-                "run the samples without workers",
-            )
-        if alone:
-            yield from ((number, LOST_WORKER) for number in given)
-        else:
-            suspects += sorted(given)
-            waiting = [number for number in waiting if number not in returned | given]
+    ended = list[int]()
+
+    def report_share(doing: str) -> None:
+        report(doing, len(ended) / len(files))
+
+    for done in finished(
+        work,
+        samples,
+        workers=min(workers.count, len(files)),
+        scheduler=workers.scheduler,
+        report=report_share,
+    ):
+        for (number, _), outcome in done:
+            ended.append(number)
+            yield number, _sentence(outcome) if isinstance(outcome, Exception) else outcome
+        report_share(f"sample {len(ended)} of {len(files)}")
 
 
-def _in_pool(
-    scene: Scene, files: tuple[str, ...], numbers: list[int], workers: Workers, report: Progress
-) -> Iterator[tuple[int, Outcome | None]]:
-    """Yield outcomes of samples on one pool until it is lost.
+def _outcome(scene: Scene, compute: str, sample: tuple[int, str]) -> Outcome:
+    """Run the file of materials of a sample, and return the outcome or the reason of its failure.
 
-    When a sample is submitted, None is yielded as its outcome.
+    A sample consists of its number and its file.
     """
-    # two samples for each process keep it busy; if the pool is lost, all submitted samples are run
-    # again
-    most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
-    connected = False
-    fresh = iter(numbers)
-    running = dict[Future[Outcome], int]()
-    try:
-        with executor(
-            min(workers.count, len(numbers)), workers.scheduler, patience_s=PATIENCE_S
-        ) as pool:
-            connected = True
-            while True:
-                while len(running) < most and (number := next(fresh, None)) is not None:
-                    running[pool.submit(_outcome, scene, files[number], workers.compute)] = number
-                    yield number, None
-                if not running:
-                    return
-                report(f"{len(running)} samples are running", min(running.values()) / len(files))
-                for future in first_done(pool, running, report):
-                    error = future.exception()
-                    number = running[future]
-                    if isinstance(error, LOST):
-                        raise error
-                    del running[future]
-                    yield number, future.result() if error is None else _sentence(error)
-    except LOST as error:
-        if not connected:
-            raise InputError(
-                "scheduler",
-                "answer",
-                f"{workers.scheduler} ({error})",
-                "start it with `dask scheduler`",
-            ) from error
-        report("workers were lost, the other samples continue", 0.0)
-
-
-def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
-    """Run one file of materials and return the outcome or the reason of its failure."""
     with TemporaryDirectory(prefix="tissue-band-") as name:
         path = Path(name, "sample.toml")
-        path.write_text(file, "utf-8")
+        path.write_text(sample[1], "utf-8")
         try:
             run = simulate(changed(scene, {"materials": str(path)}), compute=compute, cores=1)
         except InputError as refused:

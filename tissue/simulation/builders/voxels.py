@@ -13,7 +13,7 @@ from meshes.base.cache import Kept
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.progress import Progress
 from meshes.shapes import sdf
-from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.shapes.anatomy import CORTICAL_KG_M3, Anatomy, cortical_block
 from meshes.surfaces.glenoid import glenoid
 from meshes.tooth import label_volume
 from meshes.tooth.layered_surfaces import layered_surfaces
@@ -274,8 +274,8 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         surface,
         site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
-        # 1800 kg/m3 is cortical bone. Anatomies without the key have cortical bone at the surface.
-        cortical_density_kg_m3=getattr(parameters, "density_kg_m3", 1800.0),
+        # Anatomies without the key have cortical bone at the surface.
+        cortical_density_kg_m3=getattr(parameters, "density_kg_m3", CORTICAL_KG_M3),
     )
 
 

@@ -86,12 +86,18 @@ def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density
     )
 
 
-def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
+@pytest.fixture(scope="module")
+def wide(block):
+    """Band of the cited constants."""
+    return band_of(block, 16, cores=1)
+
+
+def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, wide, tmp_path):
     """Reweighed against rerun, for every constant at once.
 
     Loads are interpolated between nodes of chip thickness, with an error of 0.2 % at most.
     """
-    band = band_of(block, 16, cores=1)
+    band = wide
     for number in (3, 11):
         file = tmp_path / "sample.toml"
         file.write_text(band.files[number], "utf-8")
@@ -103,12 +109,12 @@ def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
 
 def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
     run = simulate(block, cores=1)
-    band = run.band(50, cores=1)
-    assert band.summary["asked"] == 50
+    band = run.band(30, cores=1)
+    assert band.summary["asked"] == 30
     reason = "does not vary with the constants, because the path is given"
     names = "removed_mm3, contact_share, break_through, events"
     assert f"without a band: {names} ({reason})" in band_lines(band.summary)
-    assert band.summary["samples"] == len(band.values) == 64
+    assert band.summary["samples"] == len(band.values) == 32
     assert (np.diff(band.quantiles, axis=0) >= 0.0).all()
     peak = run.summary["band"]["force_N"]["peak"]
     assert peak["p05"] < peak["p25"] < peak["p50"] < peak["p75"] < peak["p95"]
@@ -140,7 +146,9 @@ def test_what_a_band_cannot_use_is_refused(tables, block):
         require_band(Scene(**tables["needle"]), 16, None, each_run=True)
 
 
-def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlates(block, tmp_path):
+def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlates(
+    block, wide, tmp_path
+):
     values = {
         name: one.value
         for name, one in constants("cutting", "bone").items()
@@ -156,7 +164,6 @@ def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlat
     file.write_text(
         f"{entries}[correlation]\nnames = {names}\nmatrix = [[1.0, 0.8], [0.8, 1.0]]\n", "utf-8"
     )
-    wide = band_of(block, 16, cores=1)
     fitted = band_of(changed(block, {"materials": str(file)}), 16, cores=1)
     spread = [
         each.summary["force_N"]["peak"]["p95"] / each.summary["force_N"]["peak"]["p05"]
