@@ -18,7 +18,7 @@ from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import OBSERVER_MEMORY, VELOCITY_MEMORY, ConstantAcceleration
 from tissue.haptics.loop.sampled_loop import force_later_N
-from tissue.models.tissue_model import TICK_S, TissueModel
+from tissue.models.tissue_model import TissueModel
 from tissue.prediction.delays import (
     COORDINATES,
     DELAYS,
@@ -40,7 +40,7 @@ from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
 from tissue.simulation.loop import Stepper
-from tissue.simulation.simulate import build
+from tissue.simulation.simulate import TICK_S, build
 
 __all__ = [
     "HORIZONS",

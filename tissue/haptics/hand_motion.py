@@ -21,6 +21,8 @@ from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import UPRIGHT, Quaternion
 from tissue.prediction.predictor import Contact, CuttingLaw, Predictor, SeesContact
 
+__all__ = ["HandMotion", "Rendering", "Script"]
+
 SMOOTH_S = 0.01
 SMOOTH_SAMPLES = 5
 """Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.

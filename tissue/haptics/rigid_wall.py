@@ -18,6 +18,8 @@ from tissue.haptics.hand.hand import Hand, HandParameters, waypoints
 from tissue.haptics.renderer import Renderer, renderer
 from tissue.models.tissue_model import TICK_S
 
+__all__ = ["WallRun", "knock", "press_wall"]
+
 DEPTH_M = 5e-3
 """Start position above the wall, and target of the hand below the wall [m]."""
 JERK_N = 2.0

@@ -16,6 +16,8 @@ from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
+__all__ = ["BreakThrough", "break_throughs", "shortfalls"]
+
 MOSTLY = 0.5
 """Share of the caries within reach that must be removed; below it, the caries counts as missed.
 

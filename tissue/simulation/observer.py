@@ -18,6 +18,16 @@ from tissue.simulation.simulate import RunObserver
 from tissue.simulation.trace import NO_LAYER
 from tissue.system.priorities import TickPriority
 
+__all__ = [
+    "BEHIND_S",
+    "LOOK_TICKS",
+    "Observers",
+    "OnTick",
+    "Paced",
+    "Prioritised",
+    "TickRow",
+    "WallClock",
+]
 LOOK_TICKS = 200
 """Interval between two checks of the load by ticks and of the processes of a live run [ticks].
 

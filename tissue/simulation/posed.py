@@ -18,6 +18,8 @@ from tissue.simulation import loop as engine
 from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.simulate import builder_of
 
+__all__ = ["PosedSession", "Region", "Snapshot", "posed_parts"]
+
 ACROSS = 5
 """Number of copies of a scene's path in each direction across the tool's axis; chosen."""
 LEFT_REGION = "the tool left the region in which the tissue is prepared: use a larger reach_mm"

@@ -16,6 +16,9 @@ from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import CarvedRun
 from tissue.simulation.trace import RECORDING, write_trace
 
+__all__ = ["write_formats", "write_recording"]
+
+
 DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
 """Default object names of the recorder, so that scripts for the recorder's files work."""

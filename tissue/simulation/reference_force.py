@@ -25,7 +25,7 @@ from tissue.haptics.loop.sampled_loop import (
     mean_over_ticks_N,
     motor_force_N,
 )
-from tissue.models.tissue_model import TICK_S, Finishes
+from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.loop import (
@@ -38,8 +38,19 @@ from tissue.simulation.builders.loop import (
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Stepper, undisturbed
 from tissue.simulation.run import Run
-from tissue.simulation.simulate import build, tick_count
+from tissue.simulation.simulate import TICK_S, build, tick_count
 from tissue.simulation.trace import LEAST_LOAD, Table
+
+__all__ = [
+    "MotorForces",
+    "ideal_force_N",
+    "ideal_scene",
+    "motor_forces",
+    "played_force_N",
+    "rendered_force_N",
+    "stretch_force_N",
+]
+
 
 PROMPT: dict[str, object] = {
     "renderer": "proxy",

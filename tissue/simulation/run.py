@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.carver import CarvingReplay
 
+__all__ = ["DEADLINE_US", "Run"]
+
 
 DEADLINE_US = 1000.0
 """Duration of a tick above which it misses its deadline [us]."""

@@ -17,6 +17,16 @@ from tissue.simulation.vtk_files import mesh_in_scene
 if TYPE_CHECKING:
     import pyvista
 
+__all__ = [
+    "SavedFields",
+    "field_label",
+    "field_limits",
+    "field_names",
+    "field_values",
+    "frames_of",
+    "require_whole",
+]
+
 
 PEAK = 99.8
 """Percentile of a cell field at the end of the colour scale; single cells at the tool exceed it."""

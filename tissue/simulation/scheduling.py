@@ -12,6 +12,8 @@ from kernels.cores import core_count
 from kernels.launcher import launch_counts
 from tissue.models.tissue_model import SchedulesBackground, TissueModel
 
+__all__ = ["MachineGaps", "Scheduling", "spin", "spin_time_s"]
+
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
 """Time for which the clock is polled before and after the ticks [s], and largest ratio of this time

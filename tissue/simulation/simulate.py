@@ -29,6 +29,9 @@ from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.trace import Table
 
+__all__ = ["TICK_S", "RunObserver", "RunSettings", "build", "builder_of", "simulate", "tick_count"]
+
+
 MOST_CORES = 4096
 """Largest accepted number of processor cores; a larger number is treated as a typing error."""
 

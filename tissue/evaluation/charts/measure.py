@@ -33,14 +33,13 @@ from tissue.evaluation.reference.history import (
     reference_force,
 )
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import changed
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe, Tool
 from tissue.simulation.reference_force import ideal_force_N, played_force_N
 from tissue.simulation.run import Run
-from tissue.simulation.simulate import simulate
+from tissue.simulation.simulate import TICK_S, simulate
 
 __all__ = [
     "BOUNDS",

@@ -39,13 +39,12 @@ from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand.pushing import FeltDrop, PushingHand
 from tissue.materials.constants import constants
 from tissue.models.needle.model import NeedleModel
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.run import Run
-from tissue.simulation.simulate import RunObserver, simulate
+from tissue.simulation.simulate import TICK_S, RunObserver, simulate
 
 __all__ = ["NOTICED", "RATE_N_S", "pierce"]
 

@@ -10,12 +10,12 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
-from tissue.models.tissue_model import TICK_S
 from tissue.perception.observer import Observer, reference_observer
 from tissue.scene.tool import PathMotion
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
+from tissue.simulation.simulate import TICK_S
 
 __all__ = ["intensity_ratios", "measured", "path_distances_mm"]
 

@@ -20,6 +20,8 @@ from tissue.motion.quaternion import (
     turn_between,
 )
 
+__all__ = ["Plant", "SimulatedDevice"]
+
 
 class Plant:
     """Mass with viscous and Coulomb friction behind an amplifier, with a spring and a damper.

@@ -25,6 +25,14 @@ from tissue.haptics.loop.sampled_loop import (
 )
 from tissue.haptics.loop.vibration import ENVELOPE_S
 
+__all__ = [
+    "StabilityChart",
+    "StabilityMap",
+    "growth_while_running",
+    "measured_critical_N_m",
+    "stability_map",
+]
+
 SOFTEST_N_M = 0.1
 STIFFEST_N_M = 1e6
 """Range of the bisection [N/m]; built-in devices have limits between 400 and 5000 N/m."""

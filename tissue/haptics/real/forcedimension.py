@@ -19,6 +19,8 @@ from tissue.motion.quaternion import NOTHING, UPRIGHT, of_matrix
 if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
+__all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
+
 
 FAILED = -1
 UNCHANGED = 1

@@ -22,6 +22,8 @@ from tissue.simulation.builders.voxels import (
     volume_of,
 )
 
+__all__ = ["heated_bone", "tooth_around"]
+
 CELLS = 16
 CELL_MM = 0.125, 0.5
 """Number of temperature cells across the tool's diameter, and limits of the edge of a cell [mm].

@@ -21,6 +21,8 @@ from tissue.scene.scene import KeepClear as Wanted
 from tissue.simulation.builders.arguments import surface_of
 from tissue.simulation.builders.parts import swept_box
 
+__all__ = ["keep_clear"]
+
 MARGIN_M = 10e-3
 """Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
 POINTS_ACROSS = 12.0

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from meshes.ct.labels import Labels
     from tissue.models.organ.soft_organ import SoftOrgan
 
+__all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
 
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a hyperelastic law that a caller gives as a mapping."""

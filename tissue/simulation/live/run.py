@@ -14,7 +14,6 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Events
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.load import REPLACED_DEVICE
@@ -35,9 +34,11 @@ from tissue.simulation.observer import (
     Prioritised,
 )
 from tissue.simulation.run import DEADLINE_US, Run
-from tissue.simulation.simulate import RunSettings, simulate
+from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
+
+__all__ = ["LiveObserver", "LiveSettings", "live"]
 
 LONGEST_S = 600.0
 """Default duration of a run that the mouse moves [s]; the trace of such a run is kept in memory.
