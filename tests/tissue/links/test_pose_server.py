@@ -21,7 +21,7 @@ from tissue.links.pose_server import serve_network, serve_ros2
 from tissue.scene.coupling import Hardware
 
 CLIENTS = Path(__file__).resolve().parents[3] / "examples/clients"
-STAND_INS = ("rclpy", "geometry_msgs", "stand_in_messages")
+STAND_INS = ("rclpy", "geometry_msgs", "crtk_msgs", "stand_in_messages")
 TIPS_MM = np.array([[0.0, 0.0, 1.0 - 0.01 * step] for step in range(120)])
 
 

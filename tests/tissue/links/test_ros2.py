@@ -17,7 +17,7 @@ from tissue.simulation.live.run import live as run_live
 
 SCENE = {"duration_s": 0.4, "device": "none"}
 TOPICS = ["/tissue/measured_cp", "/tissue/measured_cv", "/tissue/measured_cf"]
-STAND_INS = ("rclpy", "geometry_msgs", "stand_in_messages")
+STAND_INS = ("rclpy", "geometry_msgs", "crtk_msgs", "stand_in_messages")
 
 
 @pytest.fixture
@@ -96,6 +96,10 @@ def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_di
             for entry in entries
         ]
         assert np.all(np.diff(stamps) > 0.0)
-    assert len(found["shutdown"]) == 1
+    states = [entry["state"] for entry in found["/tissue/operating_state"]]
+    assert states[0] == "ENABLED" and states[-1] == "DISABLED" and len(found["shutdown"]) == 1
     count = len(found["/tissue/measured_cp"])
-    assert run.parts.notes["ros2"] == f"published {count} times as {', '.join(TOPICS)}"
+    assert (
+        run.parts.notes["ros2"]
+        == f"published {count} times as {', '.join(TOPICS)}, /tissue/operating_state"
+    )

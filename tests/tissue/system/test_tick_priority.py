@@ -81,7 +81,7 @@ def test_nothing_granted_is_noted_and_ends_nothing(monkeypatch):
     fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=False), TickPriority()
     priority.begin()
     assert priority.granted.startswith(
-        "ordinary priority: the system grants no other priority, see rtprio"
+        "ordinary priority: the system grants no other priority, see rtprio and nice"
     )
     priority.end()
     assert fake.policy == (0, 0) and fake.niceness == 0
