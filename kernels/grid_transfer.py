@@ -42,12 +42,9 @@ __all__ = [
     "assemble_rows",
     "coarse_stiffness",
     "first_residuals",
-    "first_sweep",
     "interpolate",
-    "invert_diagonal",
     "restrict",
     "sweep_colour",
-    "to_single",
 ]
 
 # nested loops over corners, compiled once
@@ -179,12 +176,13 @@ def assemble_rows(
     offset: int,
     # out
     block_out: Matrices,  # [block] [N/m]
-    # [node], a copy of the node's own block, with 1 for held components
-    diagonal_out: Matrices,
+    single_out: SingleMatrices,  # [block], the same in single precision, for the preconditioner
+    inverse_out: SingleMatrices,  # [node] [m/N], inverse of the node's own block
 ):
     """Assemble rows of ``M K M``, where M is the mask of the components that may move.
 
-    Held components have zero stiffness.
+    Held components have zero stiffness. The inverse has 1 for held components, and is zero at a
+    node that carries no load. A small multiple of the trace keeps half-empty blocks regular.
     """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
@@ -206,24 +204,10 @@ def assemble_rows(
                 block_out[place] = block_out[place] + wp.cw_mul(
                     mask, cell_block(stiffness, cell, a, b)
                 )
+    for place in range(row_start[node], row_start[node + 1]):
+        single_out[place] = wp.mat33f(block_out[place])
     centre = neighbour_block[node, 13]
-    diagonal_out[node] = block_out[centre] + wp.diag(wp.vec3d(ONE, ONE, ONE) - free_here)
-
-
-@wp.kernel
-def invert_diagonal(
-    rows: Int32s,
-    diagonal: Matrices,  # [node] [N/m]
-    offset: int,
-    # out
-    inverse_out: SingleMatrices,  # [node] [m/N]
-):
-    """Invert each node's diagonal block. The inverse is zero at a node that carries no load.
-
-    A small multiple of the trace keeps half-empty blocks regular.
-    """
-    node = rows[wp.tid() + offset]
-    block = diagonal[node]
+    block = block_out[centre] + wp.diag(wp.vec3d(ONE, ONE, ONE) - free_here)
     size = wp.trace(block)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -234,49 +218,10 @@ def invert_diagonal(
 
 
 @wp.kernel
-def to_single(
-    rows: Int32s,
-    row_start: Int32s,
-    block: Matrices,
-    offset: int,
-    # out
-    block_out: SingleMatrices,
-):
-    """Round rows to single precision, for the preconditioner."""
-    node = rows[wp.tid() + offset]
-    for place in range(row_start[node], row_start[node + 1]):
-        block_out[place] = wp.mat33f(block[place])
-
-
-@wp.kernel
-def first_sweep(
-    nodes: Int32s,  # nodes of one colour
+def first_residuals(
     row_start: Int32s,
     # [node], the node's own block; blocks of lower colours come before it, of higher colours after
     # it
-    diagonal_block: Int32s,
-    column: Int32s,
-    block: SingleMatrices,
-    inverse: SingleMatrices,  # [node], inverse of the node's own block
-    load: SingleVectors,
-    offset: int,
-    # out
-    vector_out: SingleVectors,  # [node]
-):
-    """Run the first Gauss-Seidel sweep, from zero displacements.
-
-    When a node is solved, only nodes of lower colours have nonzero displacements.
-    """
-    node = nodes[wp.tid() + offset]
-    left = load[node]
-    for place in range(row_start[node], diagonal_block[node]):
-        left -= block[place] * vector_out[column[place]]
-    vector_out[node] = inverse[node] * left
-
-
-@wp.kernel
-def first_residuals(
-    row_start: Int32s,
     diagonal_block: Int32s,
     column: Int32s,
     block: SingleMatrices,

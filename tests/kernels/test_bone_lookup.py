@@ -70,14 +70,13 @@ def random_points(random, count, shape):
     return random.uniform(1e-3, np.array(shape) - 1e-3, (count, 3)).astype(np.float32).astype(float)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_random_bytes_against_numpy(seed):
+def test_random_bytes_against_numpy():
     """Random bytes agree with NumPy.
 
     Three layers touch in every cell, a brick is left out, and bytes lie on both sides of every
     threshold.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     surface = random.integers(INSIDE, OUTSIDE + 1, SHAPE).astype(np.uint8)
     boundary, layer = (
         random.integers(1, FAR + 1, SHAPE).astype(np.uint8),

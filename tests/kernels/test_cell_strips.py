@@ -15,7 +15,7 @@ DOUBLE, SINGLE = 1e-13, 2e-6
 
 
 def body_of(particles, grid):
-    return ParticleBody(particles, grid, at_bottom(grid), drop_islands=False)
+    return ParticleBody(particles, grid, at_bottom(grid))
 
 
 def test_slots_are_apart_and_strips_hold_every_cell_once():

@@ -10,12 +10,9 @@ from kernels.grid_transfer import (
     assemble_rows,
     coarse_stiffness,
     first_residuals,
-    first_sweep,
     interpolate,
-    invert_diagonal,
     restrict,
     sweep_colour,
-    to_single,
 )
 
 ROUNDING = 1e-13
@@ -156,7 +153,7 @@ class Grid:
         return self.matrix().diagonal().reshape(-1, 3) + 1.0 - self.free > 0.0
 
     def rows(self):
-        """Kernel's blocks, diagonal, rounded blocks and inverses, as Warp arrays."""
+        """Kernel's blocks, rounded blocks and inverses, as Warp arrays."""
         split = self.cells.reshape(-1, 8, 3, 8, 3).transpose(0, 1, 3, 2, 4)
         packed = np.stack(
             [split[:, a, b] for a, b in combinations_with_replacement(range(8), 2)], axis=1
@@ -166,10 +163,9 @@ class Grid:
         rows, start = put(np.arange(count)[::-1], wp.int32), put(self.start, wp.int32)
         made = [
             put(np.full((len(self.column), 3, 3), 7.0), wp.mat33d),  # of an earlier assembly
-            wp.zeros(count, dtype=wp.mat33d, device="cpu"),
+            wp.zeros(len(self.column), dtype=wp.mat33f, device="cpu"),
+            wp.zeros(count, dtype=wp.mat33f, device="cpu"),
         ]
-        single = wp.zeros(len(self.column), dtype=wp.mat33f, device="cpu")
-        inverse = wp.zeros(count, dtype=wp.mat33f, device="cpu")
         inputs = [
             rows,
             start,
@@ -182,13 +178,7 @@ class Grid:
             0,
         ]
         wp.launch(assemble_rows, dim=count, inputs=inputs, outputs=made, device="cpu")
-        wp.launch(
-            to_single, dim=count, inputs=[rows, start, made[0], 0], outputs=[single], device="cpu"
-        )
-        wp.launch(
-            invert_diagonal, dim=count, inputs=[rows, made[1], 0], outputs=[inverse], device="cpu"
-        )
-        return *made, single, inverse
+        return made
 
 
 def dense(grid, block):
@@ -202,14 +192,13 @@ def dense(grid, block):
 @pytest.mark.parametrize("seed", range(3))
 def test_rows_are_those_of_the_assembled_matrix(seed):
     grid = Grid(seed)
-    block, diagonal, single, inverse = grid.rows()
+    block, single, inverse = grid.rows()
     right = grid.matrix()
     assert dense(grid, block.numpy()) == pytest.approx(right, abs=ROUNDING * np.abs(right).max())
     np.testing.assert_array_equal(single.numpy(), block.numpy().astype(np.float32))
     count = len(grid.free)
     middle = right.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
     middle = middle + (1.0 - grid.free)[:, :, None] * np.eye(3)
-    assert diagonal.numpy() == pytest.approx(middle, abs=ROUNDING * np.abs(right).max())
     unit = grid.carries()[:, :, None] * np.eye(3)
     assert inverse.numpy() @ middle == pytest.approx(unit, abs=SWEEP_SINGLE)
 
@@ -221,17 +210,18 @@ def test_sweeps_are_gauss_seidel_by_colours():
     that.
     """
     grid = Grid()
-    *_, single, inverse = grid.rows()
+    _, single, inverse = grid.rows()
     count, matrix = len(grid.free), grid.matrix()
     start, column = put(grid.start, wp.int32), put(grid.column, wp.int32)
     load = grid.load * grid.free * grid.carries()
-    middle, given = put(grid.place[:, 13], wp.int32), put(load, wp.vec3f)
+    given = put(load, wp.vec3f)
     vector = wp.zeros(count, dtype=wp.vec3f, device="cpu")
     left = wp.zeros(count, dtype=wp.vec3f, device="cpu")
     colours = [put(np.flatnonzero(grid.colour == each), wp.int32) for each in range(8)]
     for nodes in colours:
-        inputs = [nodes, start, middle, column, single, inverse, given, 0]
-        wp.launch(first_sweep, dim=len(nodes), inputs=inputs, outputs=[vector], device="cpu")
+        inputs = [nodes, start, column, single, inverse, given, 0]
+        wp.launch(sweep_colour, dim=len(nodes), inputs=inputs, outputs=[vector], device="cpu")
+    middle = put(grid.place[:, 13], wp.int32)
     inputs = [start, middle, column, single, vector, 0]
     wp.launch(first_residuals, dim=count, inputs=inputs, outputs=[left], device="cpu")
     rank = np.repeat(grid.colour, 3)

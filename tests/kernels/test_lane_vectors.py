@@ -15,7 +15,7 @@ from tissue.models.tooth.strips import LaneVector, StripLayout
 
 
 def body_of(particles, grid):
-    return ParticleBody(particles, grid, at_bottom(grid), drop_islands=False)
+    return ParticleBody(particles, grid, at_bottom(grid))
 
 
 def test_diagonal_and_its_inverse_follow_removal():

@@ -12,7 +12,14 @@ from tooth_bodies import GAUSS, block, particle_stress
 from kernels.particle_stiffness import principal_values
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet, PointSprings, shape_values
+from tissue.models.tooth.grid import (
+    NO_SPRINGS,
+    HexGrid,
+    NodeSupports,
+    ParticleSet,
+    PointSprings,
+    shape_values,
+)
 from tissue.models.tooth.recovery import stress_invariants
 from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
 
@@ -105,7 +112,7 @@ def test_inner_stiffness_vanishes_on_linear_fields():
 def test_product_and_rows_against_the_scattered_matrix():
     particles, grid = random_body(seed=1)
     supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
-    body = ParticleBody(particles, grid, supports, drop_islands=False)
+    body = ParticleBody(particles, grid, supports)
     body.cells.set_live(np.ones(grid.cell_count, dtype=bool))
     wanted = scattered(body.cells)
     vector = np.random.default_rng(0).normal(size=(grid.node_count, 3))
@@ -128,7 +135,7 @@ def test_springs_at_points_add_their_stiffness():
     particles, grid = random_body(seed=4)
     springs = random_springs(particles.position_m)
     bare, sprung = (
-        CellStiffness(particles, grid, inner_strength=0.1, springs=s) for s in (None, springs)
+        CellStiffness(particles, grid, inner_strength=0.1, springs=s) for s in (NO_SPRINGS, springs)
     )
     cell, place = grid.locate(springs.position_m)
     shape = np.zeros((len(cell), grid.node_count))

@@ -400,7 +400,9 @@ class Prior:
     @cached_property
     def _skewed(self) -> float:
         """Ratio of the shift c to the span of the log-normal distribution, cached."""
-        return float(_relative(self._skew))
+        from scipy.special import exprel
+
+        return float(exprel(self._skew))
 
     @cached_property
     def _span(self) -> float:
@@ -418,12 +420,14 @@ class Prior:
         return float(np.log((high - value) / (value - low)))
 
     def _y(self, z: Array) -> Array:
+        from scipy.special import exprel
+
         middle = self._knots[1]
         if self.fixed:
             return np.full(z.shape, middle)
         if self.is_one_sided:
             return middle + self._span * _absolute(z if self._span > 0.0 else -z) / W_95
-        return middle + self._span * z / Z_95 * _relative(self._skew * z / Z_95) / self._skewed
+        return middle + self._span * z / Z_95 * exprel(self._skew * z / Z_95) / self._skewed
 
     def _slope_y(self, z: Array) -> Array:
         if self.fixed:
@@ -453,14 +457,6 @@ class Prior:
         if self._is_near_zero:
             return self._squeeze * np.logaddexp(0.0, y / self._squeeze)
         return y
-
-
-def _relative(power: ArrayLike) -> Array:
-    """Return (exp(power) - 1) / power, which is one at zero."""
-    power = np.asarray(power, float)
-    # The quotient is 0 / 0 at zero. Two terms of its series are exact up to rounding errors.
-    small = np.abs(power) < 1e-9
-    return np.where(small, 1.0 + 0.5 * power, np.expm1(power) / np.where(small, 1.0, power))
 
 
 def _absolute(z: Array) -> Array:

@@ -274,7 +274,21 @@ class Finishes(Protocol):
         """Complete the work after the last tick; a second call has no effect."""
 
 
-class FreeSpace:
+class _Stateless:
+    """Tissue that is not cut and has no state."""
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Do nothing: the tool removes nothing."""
+
+    def state(self) -> State:
+        """Return an empty state."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Do nothing: the model has no state."""
+
+
+class FreeSpace(_Stateless):
     """Free space without any force: the simplest tissue model."""
 
     layer_names: tuple[str, ...] = ("nothing",)
@@ -288,22 +302,12 @@ class FreeSpace:
     def place(self, motion: ToolMotion) -> None:
         """Do nothing: free space has no surface."""
 
-    def advance(self, motion: ToolMotion) -> None:
-        """Do nothing: free space has nothing to remove."""
-
     def respond(self, motion: ToolMotion) -> Response:
         """Return zero force."""
         return self._response
 
-    def state(self) -> State:
-        """Return an empty state."""
-        return {}
 
-    def restore(self, state: State) -> None:
-        """Do nothing: free space has no state."""
-
-
-class WallModel:
+class WallModel(_Stateless):
     """Virtual wall: linear unilateral spring below the plane z = 0, F = k depth, without friction.
 
     The measure of the model is the depth of the ball's lowest point [mm]. ``engaged_m2`` is the
@@ -350,9 +354,6 @@ class WallModel:
                 "start higher",
             )
 
-    def advance(self, motion: ToolMotion) -> None:
-        """Do nothing: a spring has no internal state."""
-
     def respond(self, motion: ToolMotion) -> Response:
         """Return the force on the ball, and its torque about the tip."""
         response = self._response
@@ -369,13 +370,6 @@ class WallModel:
         response.engaged_m2[0] = pi * depth * max(2.0 * self._radius - depth, 0.0)
         response.measures[0] = 1e3 * depth
         return response
-
-    def state(self) -> State:
-        """Return an empty state."""
-        return {}
-
-    def restore(self, state: State) -> None:
-        """Do nothing: a spring has no internal state."""
 
     def _depth_m(self, motion: ToolMotion) -> float:
         """Return the depth of the ball's lowest point below the plane [m]; negative above it."""

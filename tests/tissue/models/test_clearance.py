@@ -60,7 +60,7 @@ def require_safe(found_mm, exact_m):
     assert 1e3 * exact_m - BELOW_MM <= found_mm <= 1e3 * exact_m + ABOVE_MM
 
 
-@pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
+@pytest.mark.parametrize("diameter_mm", [1.0, 0.3])
 def test_ball_and_cylinder(diameter_mm):
     """The distance of ball and cylinder is exact.
 
@@ -69,7 +69,7 @@ def test_ball_and_cylinder(diameter_mm):
     """
     frame = Frame(3, nerve(1e-3 * diameter_mm), BALL)
     rng = np.random.default_rng(1)
-    for apart in [0.0, 1e-5, 1.5e-3 + 0.5e-3 * diameter_mm, *rng.uniform(0.0, 4e-3, 60)]:
+    for apart in [0.0, 1e-5, 1.5e-3 + 0.5e-3 * diameter_mm, *rng.uniform(0.0, 4e-3, 30)]:
         angle = rng.uniform(0.0, 2.0 * np.pi)
         along = rng.uniform(-8e-3, 8e-3)
         turn = Rotation.random(random_state=rng.integers(1000))
@@ -78,7 +78,7 @@ def test_ball_and_cylinder(diameter_mm):
         require_safe(found, apart - 1.5e-3 - 0.5e-3 * diameter_mm)
 
 
-@pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
+@pytest.mark.parametrize("diameter_mm", [1.0, 0.3])
 def test_end_mill_and_cylinder(diameter_mm):
     """Under the face, next to the side and diagonally off the rim, where the distance is plain."""
     frame = Frame(5, nerve(1e-3 * diameter_mm), MILL)
@@ -109,7 +109,7 @@ def test_any_tool_and_a_small_ball(shape):
     made.apply_scale(radius / inner)  # the facets touch the ball from outside
     frame = Frame(11, made, shape)
     low, high = shape.height_range_m
-    for _ in range(60):
+    for _ in range(30):
         at = np.array(
             [rng.uniform(0.0, shape.radius_m + 2e-3), rng.uniform(low - 2e-3, high + 2e-3)]
         )
@@ -127,7 +127,7 @@ def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
     assert slack < 6e-6
     clear = KeepClear(BALL, {"nerve": Structure(vertices, faces, slack)})
     rng = np.random.default_rng(0)
-    for centre in rng.uniform(-3e-3, 3e-3, (60, 3)):
+    for centre in rng.uniform(-3e-3, 3e-3, (30, 3)):
         tool = ToolMotion(tip_m=centre - [0.0, 0.0, 1.5e-3])
         clear.measure(tool)
         require_safe(float(clear.measures[0]), float(shape.distance(centre[None])[0]) - 1.5e-3)

@@ -88,9 +88,10 @@ def test_all_cells_have_their_volume(series):
     assert (volumes > 0.0).all()
 
 
-def test_a_turned_cut_has_the_turned_opening(series):
+def test_a_turned_cut_near_the_planned_one_is_drawn_there_with_the_turned_opening(series):
     turn = Rotation.from_euler("z", 0.8).as_matrix()
-    other = cut_along(CORNERS_M @ turn.T, turn)
+    near = CORNERS_M + np.array([0.0, 0.5 * NEAR_M, 0.0])
+    other = cut_along(near @ turn.T, turn, planned_m=CORNERS_M @ turn.T)
     np.testing.assert_allclose(other.nodes_m, series.nodes_m @ turn.T, atol=1e-12)
     np.testing.assert_allclose(
         other.frames[1].points["displacement_mm"],
@@ -109,10 +110,10 @@ def test_a_block_follows_a_leaning_blade():
     assert other.frames[1].points["displacement_mm"].any()
 
 
-def test_a_cut_beside_the_planned_one_is_drawn_there_if_it_is_near():
-    for aside_m, drawn in ((0.5 * NEAR_M, True), (1.5 * NEAR_M, False)):
-        found = cut_along(CORNERS_M + np.array([0.0, aside_m, 0.0]), np.eye(3), planned_m=CORNERS_M)
-        assert found.frames[1].points["displacement_mm"].any() == drawn
+def test_a_cut_far_from_the_planned_one_is_not_drawn():
+    far = CORNERS_M + np.array([0.0, 1.5 * NEAR_M, 0.0])
+    found = cut_along(far, np.eye(3), planned_m=CORNERS_M)
+    assert not found.frames[1].points["displacement_mm"].any()
 
 
 def test_a_motion_that_stays_outside_has_no_track():

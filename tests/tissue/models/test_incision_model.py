@@ -1,5 +1,6 @@
 """Blade as a tissue model: the contract's laws, frames, small changes, reports, refused poses."""
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -58,14 +59,17 @@ STROKE = along([(0, 0, 1), (0, 0, -5), (12, 0.3, -5), (14, 0.3, -2), (6, 1.5, -4
 """Down, along, up and back, with the plane of the blade left."""
 
 
-def wander(seed, count=8):
-    """A path in the plane of the blade that dips in and out."""
+@cache
+def wander(seed):
+    """A path in the plane of the blade that dips in and out, and the force along it."""
+    count = 8
     random = np.random.default_rng(seed)
     points = np.zeros((count + 1, 3))
     points[0, 2] = 1.0
     points[1:, 0] = random.uniform(-8.0, 8.0, count)
     points[1:, 2] = random.uniform(-6.0, 2.0, count)
-    return along(points)
+    tips = along(points)
+    return tips, forces_N(tips)
 
 
 def test_nothing_touched_gives_no_force():
@@ -78,15 +82,21 @@ def test_nothing_touched_gives_no_force():
         assert response.gap_m == pytest.approx(1e-3 * tip[2])
 
 
-@pytest.mark.parametrize("lean_deg", [0.0, 25.0])
-@pytest.mark.parametrize("roll_deg", [0.0, 20.0])
+@cache
+def stroke_forces_N(lean_deg, roll_deg):
+    """Rotation of a blade, and its force at every point of `STROKE`."""
+    rotation = Rotation.from_euler("yx", (lean_deg, roll_deg), degrees=True).as_matrix()
+    return rotation, forces_N(STROKE, rotation=rotation)
+
+
+@pytest.mark.parametrize(("lean_deg", "roll_deg"), [(0.0, 0.0), (25.0, 20.0)])
 @pytest.mark.parametrize("kind", ["turned", "moved", "mirrored"])
 def test_the_frame_does_not_matter(kind, lean_deg, roll_deg):
     """A scene turned about the normal, moved along the surface or mirrored has its force turned
     and mirrored, for an upright blade and one that leans along and across its plane.
     """
     random = np.random.default_rng(3)
-    rotation = Rotation.from_euler("yx", (lean_deg, roll_deg), degrees=True).as_matrix()
+    rotation, plain = stroke_forces_N(lean_deg, roll_deg)
     shift = np.zeros(3)
     change = np.eye(3)
     if kind == "turned":
@@ -96,7 +106,6 @@ def test_the_frame_does_not_matter(kind, lean_deg, roll_deg):
     else:
         change = np.diag([1.0, -1.0, 1.0]) @ Rotation.from_euler("z", 0.7).as_matrix()
     mirror = np.diag([1.0, np.linalg.det(change), 1.0])
-    plain = forces_N(STROKE, rotation=rotation)
     other = forces_N(STROKE @ change.T + shift, rotation=change @ rotation @ mirror)
     assert np.abs(plain).max() > 1.0
     # Columns begin at the entry, so that rounding alone differs.
@@ -115,37 +124,45 @@ STROKES = {
 }
 
 
-@pytest.mark.parametrize("shift_m", [1e-9, 1e-7, 1e-6, 1e-5])
-@pytest.mark.parametrize("edge_deg", [25.0, 45.0, 90.0])
-@pytest.mark.parametrize("stroke", STROKES)
-def test_a_small_change_of_the_path_changes_the_force_little(stroke, edge_deg, shift_m):
+@pytest.mark.parametrize(
+    ("stroke", "edge_deg"),
+    [
+        ("straight", 45.0),
+        ("curved", 45.0),
+        ("oblique", 25.0),
+        ("oblique", 45.0),
+        ("oblique", 90.0),
+    ],
+)
+def test_a_small_change_of_the_path_changes_the_force_little(stroke, edge_deg):
     """A path that is shifted by a random small amount in every tick."""
     tool = Blade(width_m=6e-3, thickness_m=4e-4, edge_rad=np.radians(edge_deg))
     tips = along(STROKES[stroke])
-    shifts = np.random.default_rng(0).uniform(-shift_m, shift_m, tips.shape) * (1.0, 0.0, 1.0)
     plain = forces_N(tips, model=made(tool=tool))
-    other = forces_N(tips + shifts, model=made(tool=tool))
-    changed = np.linalg.norm(other - plain, axis=1).max()
-    assert changed <= LARGEST_CHANGE * SKIN.stiffness_N_m * shift_m
+    for shift_m in (1e-9, 1e-7, 1e-5):
+        shifts = np.random.default_rng(0).uniform(-shift_m, shift_m, tips.shape) * (1.0, 0.0, 1.0)
+        other = forces_N(tips + shifts, model=made(tool=tool))
+        changed = np.linalg.norm(other - plain, axis=1).max()
+        assert changed <= LARGEST_CHANGE * SKIN.stiffness_N_m * shift_m
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_blade_that_leaves_walls_between_its_strokes_is_rarely_sensitive(seed):
     """A blade that wanders to and fro leaves thin walls, which it cuts at once or a tick later.
 
     Measured are at most 1 % of the ticks, and 0.06 N of 10 N.
     """
-    tips = wander(seed)
+    tips, forces = wander(seed)
     shifts = np.random.default_rng(100 + seed).uniform(-1e-7, 1e-7, tips.shape) * (1.0, 0.0, 1.0)
-    changed = np.linalg.norm(forces_N(tips + shifts) - forces_N(tips), axis=1)
+    changed = np.linalg.norm(forces_N(tips + shifts) - forces, axis=1)
     assert (changed > LARGEST_CHANGE * SKIN.stiffness_N_m * 1e-7).mean() < 0.03
     assert changed.max() < 0.2
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_force_changes_between_ticks_as_little_as_the_path(seed):
     """|dF| <= 2 k |dx|: neither cutting nor leaving is a jump."""
-    forces = forces_N(wander(seed))
+    _, forces = wander(seed)
     assert np.linalg.norm(np.diff(forces, axis=0), axis=1).max() <= (
         2.0 * SKIN.stiffness_N_m * 1.5 * STEP_M
     )

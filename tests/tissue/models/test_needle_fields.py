@@ -40,10 +40,10 @@ def shallow():
     return fields_of(track())
 
 
-@pytest.fixture(scope="module", params=[0.0, 50.0], ids=["upright", "oblique"])
-def driven(request):
+@pytest.fixture(scope="module")
+def driven():
     """Return a needle with fields, its twin without them, and the organ's motion by frame."""
-    where = track(tilt_deg=request.param, entry_mm=(4.0, -7.0, 0.0), deepest_mm=25.0)
+    where = track(tilt_deg=50.0, entry_mm=(4.0, -7.0, 0.0), deepest_mm=25.0)
     fields = fields_of(where)
     models = [
         NeedleModel(needle_tissue(), diameter_m=NEEDLE_M, fields=each) for each in (fields, None)
@@ -147,7 +147,7 @@ def test_deeper_needles_take_more_force_and_double_deflection_takes_double(shall
     )
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 75.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 75.0])
 def test_the_block_has_nodes_all_along_the_needle(tilt_deg):
     where = track(tilt_deg=tilt_deg, entry_mm=(5.0, 1.0, 0.0), deepest_mm=30.0)
     mesh, nodes, depths = needle_block(where)

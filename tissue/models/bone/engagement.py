@@ -30,7 +30,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import effective_chip
 from tissue.models.bone.elements import edge_lengths_m, levers_of
 from tissue.models.bone.law_limits import THICKEST_M
-from tissue.models.bone.model import BoneModel
+from tissue.models.bone.model import BoneModel, MilledTissue
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = [
@@ -234,7 +234,7 @@ class EngagedElements:
         return points, shell.normals[met] @ motion.rotation.T, powers
 
 
-class EngagedBone:
+class EngagedBone(MilledTissue):
     """Bone model that returns loads for any cutting law instead of a force.
 
     It carves bone like the given model.
@@ -260,9 +260,8 @@ class EngagedBone:
     """
 
     def __init__(self, bone: BoneModel, chips_m: Array) -> None:
-        self.bone = bone
+        super().__init__(bone)
         self.chips_m = chips_m
-        self.layer_names = bone.layer_names
         self.measure_names: tuple[str, ...] = ()
         self.asked = True
         material = bone.store.material.numpy()
@@ -284,28 +283,6 @@ class EngagedBone:
         self._levers = levers_of(shell, cutter)
         self._elements = EngagedElements(bone)
 
-    @property
-    def start_m3(self) -> Array:
-        """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return self.bone.start_m3
-
-    @property
-    def removed_m3(self) -> Array:
-        """Volume removed from each layer so far [m3], shape (layers,)."""
-        return self.bone.removed_m3
-
-    def place(self, motion: ToolMotion) -> None:
-        """Put the tool at its first pose."""
-        self.bone.place(motion)
-
-    def advance(self, motion: ToolMotion) -> None:
-        """Carve the bone that the tool reaches at its new pose."""
-        self.bone.advance(motion)
-
-    def finish(self) -> None:
-        """Complete the carving that was spread over ticks."""
-        self.bone.finish()
-
     def respond(self, motion: ToolMotion) -> Response:
         """Return engaged areas and rate of removal; the force is zero.
 
@@ -322,7 +299,7 @@ class EngagedBone:
         layers = layer[met]
         response.engaged_m2[:] = np.bincount(layers, engaged, minlength=len(self.layer_names))
         response.removal_rate_m3_s = float(engaged @ speeds) * motion.speed_m_s
-        chip = self.bone.cutter.chip_per_speed_s * motion.speed_m_s * speeds
+        chip = self.milling.cutter.chip_per_speed_s * motion.speed_m_s * speeds
         # A tool at rest is loaded by a share of its edge force.
         pressed = 1.0 if motion.speed_m_s > 0.0 else motion.pressed
         levers = self._levers[met]

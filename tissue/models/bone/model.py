@@ -20,7 +20,7 @@ from tissue.models.bone.smooth_surface import SmoothSurface
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["BoneModel", "Removal"]
+__all__ = ["BoneModel", "MilledTissue", "Removal"]
 
 SHELL_ELEMENTS = 6000
 """Number of cutting elements of a cutter; on a ball their distance is 1/20 of the radius.
@@ -326,6 +326,42 @@ class BoneModel:
     def remaining(self) -> Bytes:
         """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
         return self.store.fraction()
+
+
+class MilledTissue:
+    """Tissue that is carved by a bone model and adds its own results.
+
+    Parameters
+    ----------
+    milling
+        Model with the voxels and the tool.
+    """
+
+    def __init__(self, milling: BoneModel) -> None:
+        self.milling = milling
+        self.layer_names = milling.layer_names
+
+    @property
+    def start_m3(self) -> Array:
+        """Volume of each layer before the first cut [m3], shape (layers,)."""
+        return self.milling.start_m3
+
+    @property
+    def removed_m3(self) -> Array:
+        """Volume removed from each layer so far [m3], shape (layers,)."""
+        return self.milling.removed_m3
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the tool at its first pose."""
+        self.milling.place(motion)
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve the material that the tool reaches at its new pose."""
+        self.milling.advance(motion)
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks."""
+        self.milling.finish()
 
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:

@@ -5,7 +5,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 
 from meshes.base.arrays import Array, Bytes, Flags
-from tissue.models.bone.model import BoneModel
+from tissue.models.bone.model import BoneModel, MilledTissue
 from tissue.models.heat.cutting_heat import CuttingHeat
 from tissue.models.tissue_model import Response, ToolMotion
 
@@ -53,7 +53,7 @@ def dose_rate(temperature_C: Array) -> Array:
     return np.where(temperature_C >= 43.0, 0.5, 0.25) ** (43.0 - temperature_C)
 
 
-class HeatedBone:
+class HeatedBone(MilledTissue):
     """Bone under a cutter: carving and forces of the bone model, and the temperature of the bone.
 
     The trace has the largest present temperature rise of the bone. The summary describes the bone
@@ -73,9 +73,8 @@ class HeatedBone:
     measure_names: tuple[str, ...] = ("bone_rise_K",)
 
     def __init__(self, milling: BoneModel, heat: CuttingHeat) -> None:
-        self.milling = milling
+        super().__init__(milling)
         self.heat = heat
-        self.layer_names = milling.layer_names
         self.notices = milling.notices
         self._response: Response | None = None
         cells = heat.field.filled.shape
@@ -91,27 +90,9 @@ class HeatedBone:
         self._summary: dict[str, float] = {}
 
     @property
-    def start_m3(self) -> Array:
-        """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return self.milling.start_m3
-
-    @property
-    def removed_m3(self) -> Array:
-        """Volume removed from each layer so far [m3], shape (layers,)."""
-        return self.milling.removed_m3
-
-    @property
     def heat_balance_J(self) -> dict[str, float]:
         """Energy of cutting and its distribution [J]."""
         return self.heat.balance_J
-
-    def place(self, motion: ToolMotion) -> None:
-        """Put the tool at its first pose."""
-        self.milling.place(motion)
-
-    def advance(self, motion: ToolMotion) -> None:
-        """Carve the bone that the tool reaches at its new pose."""
-        self.milling.advance(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return force and torque on the tool, and the largest rise of the bone."""
@@ -130,7 +111,7 @@ class HeatedBone:
 
     def finish(self) -> None:
         """Complete the carving and the heat conduction that were spread over ticks."""
-        self.milling.finish()
+        super().finish()
         if self.heat.end(self.milling.store.take_touched):
             self._record()
         self.heat.finish()

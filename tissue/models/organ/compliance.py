@@ -72,10 +72,6 @@ class Factor:
         if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
             self._last = np.union1d(self._last, nodes)
 
-    def solve_all(self, loads_N: Array) -> Array:
-        """Return displacements [m] under several loads [N], each of shape (loads, n, 3)."""
-        return np.stack([self.solve(load) for load in loads_N])
-
     def solve(self, load_N: Array) -> Array:
         """Return the displacement [m] under a load [N], shape (n, 3)."""
         found = self.solver.solve(load_N)

@@ -24,8 +24,6 @@ The residual is the largest unbalanced force divided by the largest force of the
 residual is smaller than in the solves between ticks (`tissue.models.organ.law`), because frames are
 solved after the run.
 """
-BATCH = 16
-"""Number of frames that are solved at once. The number limits the memory for displacements."""
 
 
 class OrganFields:
@@ -91,8 +89,8 @@ class OrganFields:
     def compute(self) -> None:
         """Solve the stored frames."""
         if self._windows is None:
-            for first in range(0, len(self._kept), BATCH):
-                self._compute_linear(self._kept[first : first + BATCH])
+            for time_s, force_N, crept_N, _ in self._kept:
+                self._compute_linear(time_s, force_N, crept_N)
         else:
             self._compute_large(self._windows)
         self._kept.clear()
@@ -155,7 +153,7 @@ class OrganFields:
         # The forces of the springs equal the contact forces within the tolerance.
         load[region.nodes] += (found.load_N - window.spread(crept_N))[: len(region.nodes)]
         load[region.all_nodes] += region.linear_difference_N(found.displacement_m)
-        moved = organ.factor.solve_all(load[None])[0]
+        moved = organ.factor.solve(load)
         reaction = (organ.body.stiffness @ moved.ravel()).reshape(-1, 3) - load
         # Cells outside the region keep the border displacements of the linear solve. The region
         # represents its border with few modes, which would change the pressure of nearly
@@ -169,28 +167,23 @@ class OrganFields:
             values[region.cells] = getattr(inside, name)
         return moved, stress, reaction
 
-    def _compute_linear(self, batch: list[tuple[float, Array, Array, Array | None]]) -> None:
-        """Solve frames of a linear organ that may creep.
+    def _compute_linear(self, time_s: float, force_N: Array, crept_N: Array) -> None:
+        """Solve a frame of a linear organ that may creep.
 
         Stress is computed from the acting forces, strain and displacement from the crept forces.
         """
         organ = self._organ
-        solve = organ.factor.solve_all
         rest_load, rest = organ.rest
-        loads = np.stack([self._spread(force) for _, force, *_ in batch])
-        elastic = solve(loads)
-        displaced = elastic
-        if any((force != crept).any() for _, force, crept, _ in batch):
-            displaced = solve(np.stack([self._spread(crept) for _, _, crept, _ in batch]))
-        for number, (time_s, *_) in enumerate(batch):
-            strained = elastic[number] + rest
-            moved = displaced[number] + rest
-            stress = cell_stress(self._space, strained, organ.elasticity)
-            strain = stress.strain
-            if displaced is not elastic:
-                strain = cell_stress(self._space, moved, organ.elasticity).strain
-            carried = (organ.body.stiffness @ strained.ravel()).reshape(-1, 3)
-            self._show(time_s, moved, stress, strain, carried - loads[number] - rest_load)
+        load = self._spread(force_N)
+        strained = organ.factor.solve(load) + rest
+        stress = cell_stress(self._space, strained, organ.elasticity)
+        moved = strained
+        strain = stress.strain
+        if (force_N != crept_N).any():
+            moved = organ.factor.solve(self._spread(crept_N)) + rest
+            strain = cell_stress(self._space, moved, organ.elasticity).strain
+        carried = (organ.body.stiffness @ strained.ravel()).reshape(-1, 3)
+        self._show(time_s, moved, stress, strain, carried - load - rest_load)
 
     def _spread(self, force_N: Array) -> Array:
         load = np.zeros((self._space.node_count, 3))

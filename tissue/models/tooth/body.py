@@ -19,6 +19,7 @@ from tissue.fem.conjugate_gradients import (
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.grid import (
     FULL_STEPS,
+    NO_SPRINGS,
     HexGrid,
     NodeSupports,
     ParticleSet,
@@ -44,11 +45,6 @@ LEAST_RESTRAINT = 1e-9
 
 The restraint is the stiffness against rigid motions. Rounding errors give a ratio of 1e-16. A part
 that is held at three corners of a cell has a ratio of 1e-2.
-"""
-ENOUGH = 200
-"""Number of springs, spread over a part, that are tried before all springs are tried.
-
-The molar has 4,796 springs. A few hundred of them also restrain it, and take less time to check.
 """
 
 
@@ -106,11 +102,6 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
         return False
-    if len(springs.position_m) > 2 * ENOUGH:  # if some springs restrain the part, all springs do
-        few = np.zeros(len(springs.position_m), np.bool_)
-        few[:: len(few) // ENOUGH] = True
-        if _restrained(grid, nodes[:0], held, springs.chosen(few)):
-            return True
     place = grid.node_place[some].astype(np.float64)
     sprung = (springs.position_m - grid.origin_m) / grid.edge_m
     centre = np.concatenate([place, sprung]).mean(axis=0)
@@ -174,8 +165,6 @@ class ParticleBody:
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
         it off.
-    drop_islands
-        True to remove parts without support. With False the stiffness may be singular.
     device, cores
         Warp device, and number of processor cores that share kernel launches (default: all cores).
         The results are bitwise equal for any number of cores.
@@ -196,16 +185,15 @@ class ParticleBody:
         grid: HexGrid,
         supports: NodeSupports,
         *,
-        springs: PointSprings | None = None,
+        springs: PointSprings = NO_SPRINGS,
         inner_strength: float = INNER_STRENGTH,
-        drop_islands: bool = True,
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
         self.particles = particles
         self.grid = grid
         self.supports = supports
-        self.springs = springs or PointSprings.none()
+        self.springs = springs
         self.cells = CellStiffness(
             particles,
             grid,
@@ -215,7 +203,6 @@ class ParticleBody:
             cores=cores,
         )
         self.displacement_m = supports.displacement_m.copy()
-        self._drop_islands = drop_islands
         self._hierarchy = GridHierarchy(self.cells, supports)
         self._tree = cKDTree(particles.position_m)
         self._springs_cell = grid.locate(self.springs.position_m)[0]
@@ -258,11 +245,9 @@ class ParticleBody:
         was_debris = self._is_debris
         filled = self.cells.fill >= LEAST_FILL
         if (filled != self._filled).any():
-            live = filled
-            if self._drop_islands:
-                live = supported_cells(
-                    self.grid, filled, self.supports, self.springs, self._springs_cell
-                )
+            live = supported_cells(
+                self.grid, filled, self.supports, self.springs, self._springs_cell
+            )
             self._filled = filled
             self.cells.set_live(live)
             # A cell with too little material to carry load, next to a cell that carries load, is
@@ -272,15 +257,13 @@ class ParticleBody:
             borders[pairs[live[pairs[:, 0]], 1]] = True
             borders[pairs[live[pairs[:, 1]], 0]] = True
             self._is_debris = ~live & (filled | ~borders)
-        else:
-            self._is_debris = was_debris
         cells = np.union1d(touched, np.flatnonzero(before != self.cells.live)).astype(np.int32)
         if len(cells):
             self._hierarchy.update(cells)
             self.carrying = np.zeros(self.grid.node_count, np.bool_)
             self.carrying[self.grid.cell_nodes[self.cells.live > 0]] = True
             self._free = (~self.supports.fixed & self.carrying[:, None]).astype(np.float64)
-            self._diagonal = self._hierarchy.diagonal()
+            self._diagonal = self._hierarchy.finest.diagonal.numpy()
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
     def _particles_in(self, cells: Flags) -> Ints:

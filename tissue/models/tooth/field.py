@@ -173,11 +173,6 @@ class StressField:
         )
         self.records: list[SolveRecord] = []
 
-    @property
-    def unknown_count(self) -> int:
-        """Number of displacement components."""
-        return 3 * self.body.grid.node_count
-
     def remove(
         self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from scipy.sparse import bsr_matrix
 
-from kernels.grid_transfer import assemble_rows, invert_diagonal, to_single
+from kernels.grid_transfer import assemble_rows
 from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
 from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
@@ -44,10 +44,8 @@ class NodeBlocks:
         colours come first.
     diagonal_block
         Index of each node's diagonal block, int32 (n,).
-    diagonal
-        Diagonal block of each node, with 1 at held components, float64 (n,).
     single, inverse
-        Blocks and inverses of the diagonal in single precision, for smoothing.
+        Blocks in single precision, and inverse of each node's diagonal block, for smoothing.
     """
 
     def __init__(
@@ -73,7 +71,6 @@ class NodeBlocks:
         self.free = put(np.ones((grid.node_count, 3)), wp.vec3d, device)
         self.block = wp.zeros(int(starts[-1]), wp.mat33d, device)
         self.single = wp.zeros(int(starts[-1]), wp.mat33f, device)
-        self.diagonal = wp.zeros(grid.node_count, wp.mat33d, device)
         self.inverse = wp.zeros(grid.node_count, wp.mat33f, device)
         self._gathered = [
             self.row_start,
@@ -89,21 +86,15 @@ class NodeBlocks:
         """Compute the rows of these nodes again from their cells."""
         if len(nodes) == 0:
             return
-        rows = put(nodes, wp.int32, self.device)
-
-        for kernel, inputs, outputs in (
-            (assemble_rows, self._gathered, [self.block, self.diagonal]),
-            (to_single, [self.row_start, self.block], [self.single]),
-            (invert_diagonal, [self.diagonal], [self.inverse]),
-        ):
-            run_once(kernel, len(nodes), [rows, *inputs], outputs)
+        outputs = [self.block, self.single, self.inverse]
+        run_once(assemble_rows, len(nodes), [nodes, *self._gathered], outputs)
 
     def matrix(self) -> bsr_matrix:
         """Return the assembled matrix [N/m], shape (3 n, 3 n).
 
         On a CPU the matrix shares its values with this object.
         """
-        count = len(self.diagonal)
+        count = len(self.inverse)
         arrays = (self.block.numpy(), self.column.numpy(), self.row_start.numpy())
         return bsr_matrix(arrays, shape=(3 * count, 3 * count), copy=False)
 

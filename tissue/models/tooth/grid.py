@@ -19,6 +19,7 @@ __all__ = [
     "CORNERS",
     "FULL_STEPS",
     "NEIGHBOURS",
+    "NO_SPRINGS",
     "HexGrid",
     "NodeSupports",
     "ParticleSet",
@@ -199,15 +200,12 @@ def shape_values(place: Array) -> Array:
 
 
 def _keys(place: Integers, shape: Integers) -> Ints:
-    x, y, z = place.astype(np.int64).T
-    return (x * int(shape[1]) + y) * int(shape[2]) + z
+    return np.ravel_multi_index(tuple(place.T), tuple(shape), mode="clip")
 
 
 def _unique_places(place: Integers, shape: Integers) -> Int32s:
     keys = np.unique(_keys(place, shape))
-    x, rest = np.divmod(keys, int(shape[1]) * int(shape[2]))
-    y, z = np.divmod(rest, int(shape[2]))
-    return np.stack([x, y, z], axis=1).astype(np.int32)
+    return np.stack(np.unravel_index(keys, tuple(shape)), axis=1).astype(np.int32)
 
 
 def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
@@ -217,9 +215,9 @@ def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
 
 def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
     inside = ((place >= 0) & (place < shape)).all(axis=1)
-    wanted = np.where(inside, _keys(place, shape), -1)
+    wanted = _keys(place, shape)
     row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[row] == wanted, row, -1).astype(np.int32)
+    return np.where(inside & (keys[row] == wanted), row, -1).astype(np.int32)
 
 
 FULL_STEPS = 65535
@@ -325,11 +323,6 @@ class PointSprings:
     position_m: Array
     stiffness_N_m: Array
 
-    @classmethod
-    def none(cls) -> "PointSprings":
-        """Return an empty set of springs."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
-
     def chosen(self, these: Flags) -> "PointSprings":
         """Return the springs for which ``these``, shape (k,), is True."""
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
@@ -358,6 +351,9 @@ class PointSprings:
                 (share[:, a] * share[:, b])[:, None, None] * stiffness, first, axis=0
             )
         return cells.astype(np.int32), blocks
+
+
+NO_SPRINGS = PointSprings(np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
 
 def bed_stiffness(

@@ -11,7 +11,7 @@ from kernels.structure_distance import clearance
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.base.errors import InputError
 from tissue.fem.fields import FieldSeries
-from tissue.models.bone.model import BoneModel
+from tissue.models.bone.model import BoneModel, MilledTissue
 from tissue.models.heat.cutting_heat import CuttingHeat
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import SLOW, Response, ToolMotion
@@ -38,7 +38,7 @@ Below 0.5 mm the pulp is at risk (from the literature, quoted from memory).
 """
 
 
-class ToothModel:
+class ToothModel(MilledTissue):
     """Tooth that a bur drills.
 
     The bone model computes removal and forces. The distance of the bur from the pulp is measured to
@@ -76,10 +76,9 @@ class ToothModel:
         heat: CuttingHeat | None = None,
         device: str = "cpu",
     ) -> None:
-        self.milling = milling
+        super().__init__(milling)
         self.stress = stress
         self.heat = heat
-        self.layer_names = milling.layer_names
         volume = milling.store.volume
         assert volume is not None, "the distance to the pulp is taken in the whole region"
         is_pulp = volume.layer == self.layer_names.index("pulp")
@@ -125,24 +124,14 @@ class ToothModel:
             device=device,
         )
 
-    @property
-    def start_m3(self) -> Array:
-        """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return self.milling.start_m3
-
-    @property
-    def removed_m3(self) -> Array:
-        """Volume removed from each layer so far [m3], shape (layers,)."""
-        return self.milling.removed_m3
-
     def place(self, motion: ToolMotion) -> None:
         """Put the bur at its first pose."""
-        self.milling.place(motion)
+        super().place(motion)
         self._measure_pulp(motion)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve the material that the bur reaches at its new pose."""
-        self.milling.advance(motion)
+        super().advance(motion)
         self._measure_pulp(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -288,7 +277,7 @@ class ToothModel:
                 self.stress.finish()
             except HelperLostError as lost:
                 self._lose_stress(lost)
-        self.milling.finish()
+        super().finish()
         if self.heat is not None:
             if self.heat.end(self._take_touched):
                 self._see_pulp(self.heat)

@@ -17,7 +17,6 @@ import warp as wp
 from kernels.grid_transfer import (
     coarse_stiffness,
     first_residuals,
-    first_sweep,
     interpolate,
     restrict,
     sweep_colour,
@@ -147,41 +146,36 @@ class GridLevel:
         self.residual = wp.zeros(grid.node_count, wp.vec3f, device)
         split = cores if grid.node_count > SPLIT_NODES else 1
         launch = partial(SplitLaunch, cores=split)
-        self._first, self._last = self._sweeps(launch)
+        self._sweeps = self._recorded(launch)
         blocks = self.blocks
         rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
         self._leave_residual = launch(
             first_residuals, grid.node_count, [*rows, self.vector], [self.residual]
         )
 
-    def _sweeps(
-        self, launch: Callable[..., SplitLaunch]
-    ) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
-        """Return two Gauss-Seidel sweeps: from zero, and in reverse colour order."""
+    def _recorded(self, launch: Callable[..., SplitLaunch]) -> list[SplitLaunch]:
+        """Return the launches of a Gauss-Seidel sweep, one for each colour."""
         blocks = self.blocks
-        first = []
-        last = []
+        sweeps = []
         for colour in range(8):
             nodes = np.flatnonzero(self.grid.node_colour == colour)
             count = len(nodes)
             if count == 0:
                 continue
-            starts = [put(nodes, wp.int32, self.device), blocks.row_start]
-            rows = [blocks.column, blocks.single, blocks.inverse, self.load]
-            from_zero = [*starts, blocks.diagonal_block, *rows]
-            first.append(launch(first_sweep, count, from_zero, [self.vector]))
-            last.append(launch(sweep_colour, count, [*starts, *rows], [self.vector]))
-        return first, last[::-1]
+            rows = [nodes, blocks.row_start, blocks.column, blocks.single, blocks.inverse]
+            sweeps.append(launch(sweep_colour, count, [*rows, self.load], [self.vector]))
+        return sweeps
 
     def relax_first(self) -> None:
         """Run the sweep that starts from zero, and compute the residual."""
-        for sweep in self._first:
+        self.vector.zero_()
+        for sweep in self._sweeps:
             sweep()
         self._leave_residual()
 
     def relax_last(self) -> None:
         """Run the reverse sweep, from the corrected displacement."""
-        for sweep in self._last:
+        for sweep in reversed(self._sweeps):
             sweep()
 
 
@@ -224,10 +218,6 @@ class GridHierarchy:
             changed = transfer.project(changed)
             level.blocks.update(np.unique(level.grid.cell_nodes[changed]))
         self._stale = True
-
-    def diagonal(self) -> Array:
-        """Return the diagonal of the finest stiffness [N/m], shape (n, 3)."""
-        return self.finest.diagonal.numpy()
 
     def refresh(self) -> None:
         """Decompose the stiffness of the coarsest grid anew after a change."""

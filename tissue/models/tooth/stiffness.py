@@ -11,7 +11,14 @@ from kernels.launcher import run_once
 from kernels.mirror import put
 from kernels.particle_stiffness import particle_stiffness
 from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
-from tissue.models.tooth.grid import CORNER_PAIRS, CORNERS, HexGrid, ParticleSet, PointSprings
+from tissue.models.tooth.grid import (
+    CORNER_PAIRS,
+    CORNERS,
+    NO_SPRINGS,
+    HexGrid,
+    ParticleSet,
+    PointSprings,
+)
 from tissue.models.tooth.strips import CellStrips, PackedProduct
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
@@ -60,7 +67,7 @@ class CellStiffness:
         grid: HexGrid,
         *,
         inner_strength: float,
-        springs: PointSprings | None = None,
+        springs: PointSprings = NO_SPRINGS,
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
@@ -89,14 +96,19 @@ class CellStiffness:
         self.live_on = wp.full(grid.cell_count, 1, dtype=wp.uint8, device=device)
         self._inner = put(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d, device)
         self._strength = float(inner_strength)
-        sprung, blocks = (springs or PointSprings.none()).by_cell(grid)
+        sprung, blocks = springs.by_cell(grid)
         row = np.full(grid.cell_count, -1)
         row[sprung] = np.arange(len(sprung))
         self._springs = [put(row, wp.int32, device), put(blocks, wp.mat33d, device)]
         self.displacement = wp.zeros(grid.node_count, wp.vec3d, device)
         self.force = wp.zeros(grid.node_count, wp.vec3d, device)
         self.strips = CellStrips(
-            grid, place[self.order], self.particle_cell, device=device, cores=cores
+            grid,
+            place[self.order],
+            self.particle_cell,
+            vector=self.displacement,
+            force=self.force,
+            cores=cores,
         )
         regular = self.strips.regular
         others = np.flatnonzero(~regular)
@@ -175,7 +187,7 @@ class CellStiffness:
         Forces and displacements have shape (n, 3).
         """
         self.displacement.assign(displacement_m)
-        self.strips.product(self.displacement, self.force)
+        self.strips.product()
         for each in (self.others, self._sprung):
             if each is not None:
                 each()

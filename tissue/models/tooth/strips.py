@@ -228,6 +228,9 @@ class CellStrips:
     place, particle_cell
         Position of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and its
         cell, shape (p,).
+    vector, force
+        Warp arrays of vec3d, shape (n,): displacement of the nodes [m], which `product` reads, and
+        the force [N], which it writes.
 
     Attributes
     ----------
@@ -238,8 +241,16 @@ class CellStrips:
     """
 
     def __init__(
-        self, grid: HexGrid, place: Array, particle_cell: Int32s, *, device: str, cores: int | None
+        self,
+        grid: HexGrid,
+        place: Array,
+        particle_cell: Int32s,
+        *,
+        vector: Any,
+        force: Any,
+        cores: int | None,
     ) -> None:
+        device = str(vector.device)
         self.layout = StripLayout(grid)
         # The cubes have half the cell's edge, so their centres lie at 1/4 and 3/4.
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
@@ -252,9 +263,15 @@ class CellStrips:
         self.strip_on = put(self.layout.strip, wp.vec2i, device)
         self.slot_on = put(self.layout.slot, wp.int32, device)
         moved, self._force = (LaneVector(self.layout, wp.float64, device=device) for _ in range(2))
-        self._vector = moved
+        count = len(vector)
+        self._take_vector = SplitLaunch(
+            to_lanes, count, [self.slot_on, vector], [moved.single], cores=cores
+        )
         self._product = StripProduct(
             self.layout, self.weight, moved, self._force, device=device, cores=cores
+        )
+        self._give_force = SplitLaunch(
+            from_lanes, count, [self.slot_on, self._force.single], [force], cores=cores
         )
 
     def update(
@@ -264,16 +281,12 @@ class CellStrips:
         inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength]
         run_once(cube_weights, len(cells), inputs, [self.weight, self.single])
 
-    def product(self, vector: Any, force_out: Any) -> None:
-        """Compute the product of the double-precision weights with a vector of nodes.
-
-        Both vectors are Warp arrays of vec3d, shape (n,).
-        """
-        count = len(vector)
-        run_once(to_lanes, count, [self.slot_on, vector], [self._vector.single])
+    def product(self) -> None:
+        """Compute the product of the double-precision weights with the displacement."""
+        self._take_vector()
         self._force.single.zero_()
         self._product()
-        run_once(from_lanes, count, [self.slot_on, self._force.single], [force_out])
+        self._give_force()
 
 
 def _pencil_keys(place: Int32s, width: int) -> Ints:
