@@ -2,7 +2,7 @@
 
 Prints (1) the cost of a trial, next to questplus where that is installed (it is under the GPL: for
 comparison only). (2) The number of trials until half of 300 thresholds lie within 10 % of the
-truth, next to staircases. (3) Interval coverage, and the bias that heavy tails and fatigue cause.
+truth, next to staircases. (3) Interval coverage, and the bias that other rates of lapses cause.
 
 Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage]
 """
@@ -22,20 +22,17 @@ from tissue.perception.laws import D_PRIME_75, two_interval
 def equal_people(count: int, **given: float) -> SimulatedObservers:
     """People of the same truth."""
     truth = {"alpha": 1.0, "beta": 1.7, "kappa": 0.07, "offset_N": 0.2, "lapse": 0.02, "sigma": 0.2}
-    noise = {name: given.pop(name) for name in ("freedom", "fatigue") if name in given}
     return SimulatedObservers(
-        **{name: np.full(count, given.get(name, value)) for name, value in truth.items()}, **noise
+        **{name: np.full(count, given.get(name, value)) for name, value in truth.items()}
     )
 
 
 def calibrated(people: SimulatedObservers, trials: int) -> AdaptiveThreshold:
     """Thresholds of people after some trials."""
     rng, found = np.random.default_rng(0), AdaptiveThreshold(observers=len(people))
-    for trial in range(trials):
+    for _ in range(trials):
         asked = found.propose()
-        found.answer(
-            asked, people.correct(found.base_N[asked], found.step_N[asked], rng, trial=trial)
-        )
+        found.answer(asked, people.correct(found.base_N[asked], found.step_N[asked], rng))
     return found
 
 
@@ -122,12 +119,10 @@ def staircase() -> None:
 
 
 def coverage() -> None:
-    """Coverage for people of a group, and bias under noise that the model does not know."""
+    """Coverage for people of a group, and bias under other rates of lapses."""
     rows = []
     cases = {
         "as modelled": {},
-        "heavy tails (t, 3)": {"freedom": 3.0},
-        "fatigue 50 % in 100 trials": {"fatigue": 0.5},
         "no lapses": {"lapse": 0.0},
         "lapse 6 %": {"lapse": 0.06},
         "lapse 10 %": {"lapse": 0.1},

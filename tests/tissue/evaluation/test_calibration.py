@@ -24,14 +24,16 @@ def log(tmp_path):
 
 
 def test_a_session_ends_with_observer_trials_and_picture(command, here):
-    code, out, error = command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")
+    asked = ["calibrate", "--observer", "simulated:4", "--out", "sub/one.json"]
+    asked += ["--trials", "40", "--numbers", "8"]
+    code, out, error = command(*asked)
     assert (code, error) == (0, "")
     assert "Weber fraction" in out and "Stevens' exponent" in out
     assert sorted(os.listdir(here / "sub")) == ["one.json", "one.png", "one.trials.jsonl"]
     assert (here / "sub" / "one.png").stat().st_size > 10_000
     truth, _ = simulated_observer("simulated:4")
     found = read_observer(here / "sub" / "one.json")
-    assert found.trials == 144
+    assert found.trials == 48
     # terminal and file give the same numbers
     plain = json.loads((here / "sub" / "one.json").read_text("utf-8"))
     assert f"threshold at {plain['threshold_at_N']:g} N {plain['threshold_N']:.3f} N" in out
@@ -40,29 +42,26 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
     # four standard deviations of this one session's own posterior
     assert abs(np.log(found.kappa / truth.kappa[0])) < 4.0 * found.covariance[2, 2] ** 0.5
     assert abs(found.beta - truth.beta[0]) < 4.0 * found.covariance[1, 1] ** 0.5
-    code, _, error = command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")
+    code, _, error = command(*asked)
     assert code == 2 and "out must not exist yet" in error
     before = (here / "sub" / "one.json").read_bytes()
-    assert (
-        command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json", "--overwrite")[0]
-        == 0
-    )
+    assert command(*asked, "--overwrite")[0] == 0
     assert (here / "sub" / "one.json").read_bytes() == before
     for name in ("one.json", "one.png"):  # as if stopped before they were written
         (here / "sub" / name).unlink()
-    assert command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")[0] == 0
+    assert command(*asked)[0] == 0
     assert (here / "sub" / "one.json").read_bytes() == before
 
 
 def test_a_session_goes_on_at_any_trial(tmp_path, log):
-    """Cut after every line, and within one, the session ends with the same bits."""
+    """Cut after every third line, and within one, the session ends with the same bits."""
     answers, whole = (
         simulated_answers(*simulated_observer("simulated:1")),
         log.read_bytes(),
     )
     _, straight = read_log(log)
     lines = whole.splitlines(keepends=True)
-    for kept in range(len(lines) + 1):
+    for kept in [*range(0, len(lines), 3), len(lines)]:
         for extra in (b"", (lines[kept][:-1] if kept < len(lines) else b"")):
             path = tmp_path / "cut.trials.jsonl"
             path.write_bytes(b"".join(lines[:kept]) + extra)

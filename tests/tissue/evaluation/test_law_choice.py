@@ -29,10 +29,11 @@ PRESS = {
 """0.57 of the ball's radius deep: 10 % by the chart."""
 
 
-@pytest.fixture
-def scene(tmp_path, monkeypatch):
-    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
-    return load_scene("palpation", PRESS)
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TISSUE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield load_scene("palpation", PRESS)
 
 
 def test_the_error_of_the_linear_law_grows_with_the_depth():

@@ -174,13 +174,19 @@ def test_the_metric_knows_a_perfect_stop_from_a_wrong_one():
     assert excess_travel_mm([30.0, 10.0, 11.0], puncture_tick=1) == 1.0
 
 
-def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
+@pytest.fixture(scope="module")
+def released(parts):
+    """Push of the needle that a spring holds and then frees."""
+    return run("sight", tool__kind="free", hand="stiff")
+
+
+def test_a_release_without_friction_is_that_of_a_mass_on_a_spring(released):
     """A release without friction follows a mass on a spring.
 
     M s'' + (b + c) s' + k s = k a(t) + b a', a linear in t, from the state at the puncture; the tip
     loses its stretch.
     """
-    found = run("sight", tool__kind="free", hand="stiff")
+    found = released
     at, device = round(found.puncture_s / 1e-3), -found.run.trace["device_z_mm"]
     mass, k, damping = 0.145, 300.0, 4.2
     aim, lead = (
@@ -227,9 +233,10 @@ def test_a_push_through_a_liver_is_that_of_its_equations(notice, needle, viscous
     assert found.excess_mm == pytest.approx(1e3 * excess, rel=0.02)
 
 
-def test_the_place_of_the_puncture_does_not_matter():
-    there = run(motion__points_mm=[[3, -2, 0.05], [3, -2, -40]])
-    assert there.excess_mm == pytest.approx(run().excess_mm, abs=1e-9)
+def test_the_place_of_the_puncture_does_not_matter(released):
+    path = [[3, -2, 0.05], [3, -2, -40]]
+    there = run("sight", tool__kind="free", hand="stiff", motion__points_mm=path)
+    assert there.excess_mm == pytest.approx(released.excess_mm, abs=1e-9)
 
 
 def test_a_step_is_noticed_when_its_mean_has_passed_the_threshold():

@@ -107,7 +107,7 @@ def runs(tmp_path_factory):
                         "hand": hand,
                         "seed": 5 + number,
                         "motion.feed_mm_s": feed,
-                        "duration_s": 3.2,
+                        "duration_s": 2.2,
                     },
                 )
             )

@@ -134,10 +134,11 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
 
     Stopped after every trial in turn, it runs each once and gives the table of an unbroken study.
     """
-    run_study(SMALL, tmp_path / "whole", workers=2)
+    plan = replace(SMALL, trials=2)
+    run_study(plan, tmp_path / "whole", workers=2)
     whole = len(pool.calls)
     pool.calls.clear()
-    out, total = tmp_path / "broken", len(list(SMALL.all_trials()))
+    out, total = tmp_path / "broken", len(list(plan.all_trials()))
 
     class StopError(Exception):
         pass
@@ -148,15 +149,15 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
 
     for done in range(1, total + 1):
         with pytest.raises(StopError):
-            run_study(SMALL, out, workers=1, report=stop)
+            run_study(plan, out, workers=1, report=stop)
         assert (
             len(list((out / "trials").glob("*.json"))) == min(3 * done, total) or done * 3 > total
         )
         if len(list((out / "trials").glob("*.json"))) == total:
             break
-    run_study(SMALL, out, workers=1)
+    run_study(plan, out, workers=1)
     assert table(out) == table(tmp_path / "whole")
-    assert whole == total and set(pool.calls) == set(SMALL.all_trials())
+    assert whole == total and set(pool.calls) == set(plan.all_trials())
 
 
 def test_a_trial_that_ends_its_worker_is_kept_as_failed(tmp_path, pool):

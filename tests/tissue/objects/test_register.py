@@ -21,7 +21,6 @@ from tissue.evaluation.charts.prediction import (
     draw_tasks,
 )
 from tissue.evaluation.stability_report import scene_stability
-from tissue.evaluation.statistics.intervals import Interval
 from tissue.evaluation.training import HORIZONS
 from tissue.haptics.device.device import DeviceParameters, Sample
 from tissue.motion.motion import Motion
@@ -71,8 +70,8 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     errors = {
         kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS
     }
-    costs, nothing = dict.fromkeys(PREDICTORS, (1.0, 2.0)), Interval(0.0, 0.0, 0.0)
-    found = PredictorComparison("wall", errors, costs, {1: nothing}, {})
+    costs = dict.fromkeys(PREDICTORS, (1.0, 2.0))
+    found = PredictorComparison("wall", errors, costs, {})
     assert any("drift" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
     with pytest.raises(InputError, match="did you mean drift"):

@@ -267,7 +267,7 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
         rng = np.random.default_rng([seed, 2, trial])
         if isinstance(asked, Magnitude):
             return float(people.number(asked.force_N, rng)[0])
-        right = bool(people.correct(asked.base_N, asked.step_N, rng, trial=trial)[0])
+        right = bool(people.correct(asked.base_N, asked.step_N, rng)[0])
         # 3 minus an interval is the other interval, 1 or 2
         return asked.greater if right else 3 - asked.greater
 

@@ -14,7 +14,6 @@ people with a higher exponent. The mean over a population may increase or decrea
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from scipy.special import ndtr
 
 from meshes.base.arrays import Array
 from tissue.evaluation.statistics.hypothesis_test import Effect
+from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
@@ -47,8 +47,8 @@ RESAMPLES = 2000
 
 With this number, the probability of 2.5 % beyond each end has a standard error of 0.35 %.
 """
-TOUCH = ForceRange(limit_N=3.3)
-"""Force range of the haptic device Touch, whose largest force is in ``devices.toml``."""
+TOUCH = ForceRange(limit_N=device_parameters("touch").force_limit_N)
+"""Force range of the haptic device Touch."""
 Command = Callable[[Array], Array]
 """Function that converts a force to be felt to the force at the device [N], of any shape."""
 
@@ -71,11 +71,6 @@ class SimulatedObservers:
         Share of wrong answers to strong stimuli. Observers guess twice this share of the answers.
     sigma
         Standard deviation of the logarithm of a rated number.
-    freedom
-        Degrees of freedom of Student's t for all noise, above 2. Infinite for normal noise. The
-        variance stays 1.
-    fatigue
-        Relative increase of thresholds after a hundred trials.
     """
 
     alpha: Array
@@ -84,14 +79,12 @@ class SimulatedObservers:
     offset_N: Array
     lapse: Array
     sigma: Array
-    freedom: float = np.inf
-    fatigue: float = 0.0
 
     def __len__(self) -> int:
         return len(self.kappa)
 
     def correct(
-        self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator, *, trial: int = 0
+        self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator
     ) -> NDArray[np.bool_]:
         """Return whether each observer discriminates two forces, shape (n,).
 
@@ -104,18 +97,13 @@ class SimulatedObservers:
             (n,).
         rng
             Generator of the noise. Equal generators give the same noise for all forces.
-        trial
-            Number of earlier trials, which cause fatigue.
         """
-        # negative fatigue is learning, which must not make a threshold zero
-        tired = max(1.0 + self.fatigue * trial / 100.0, 0.1)
-        threshold = tired * self.kappa * (np.asarray(base_N) + self.offset_N)
+        threshold = self.kappa * (np.asarray(base_N) + self.offset_N)
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Return whether each observer discriminates two intervals at a distance d', shape (n,)."""
-        first = self._noise(rng)
-        second = self._noise(rng)
+        first, second = rng.standard_normal((2, len(self)))
         blind, guess = rng.random((2, len(self)))
         return np.where(
             # half of the blind answers are right
@@ -126,14 +114,8 @@ class SimulatedObservers:
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
         """Return the number with which each observer rates a force [N], shape (n,)."""
-        return self.alpha * np.asarray(force_N) ** self.beta * np.exp(self.sigma * self._noise(rng))
-
-    def _noise(self, rng: np.random.Generator) -> Array:
-        """Draw noise of unit variance, shape (n,)."""
-        if np.isinf(self.freedom):
-            return rng.standard_normal(len(self))
-        # Student's t has the variance n / (n - 2)
-        return rng.standard_t(self.freedom, len(self)) * sqrt((self.freedom - 2.0) / self.freedom)
+        noise = self.sigma * rng.standard_normal(len(self))
+        return self.alpha * np.asarray(force_N) ** self.beta * np.exp(noise)
 
 
 def draw_observers(group: str, count: int, rng: np.random.Generator) -> SimulatedObservers:

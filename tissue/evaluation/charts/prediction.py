@@ -1,13 +1,12 @@
-"""Comparison of all predictors on unseen runs: horizon, cost, training size, slow models."""
+"""Comparison of all predictors on unseen runs: horizon, cost and slow models."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -19,7 +18,6 @@ from tissue.evaluation.training import (
     MOST_TRIALS,
     Recorder,
     Recording,
-    fit,
     forecast_errors,
     trial,
 )
@@ -53,14 +51,9 @@ DELAY_MS = 4
 """Latency of the compared loops [ms], near the paper's mean of 4.3 ms."""
 SLOW_TICKS = 10
 """Ticks between two answers of the slow model: 100 Hz, a tenth of the haptic rate."""
-SIZES = (3, 6, 12)
-"""Numbers of training runs: the smallest number for a fit, twice this number, the default."""
-SIZED_RUNS = 8
-"""Number of unseen runs for the comparison of training sizes. Each size needs a separate fit."""
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",
-    "training.csv": "scene,runs,error,low,high",
     "slow_model.csv": "scene,predictor,error,low,high,cost_us",
 }
 
@@ -77,8 +70,6 @@ class PredictorComparison:
         Errors by predictor, shape (runs, horizons).
     cost_us
         Median and 99th percentile of the time of the calls in a tick [us], by predictor.
-    sizes
-        Error at 4 ms by number of training runs.
     slow
         Results with a model at 100 Hz and a predictor between its answers, by predictor: the error
         of the present tick's force and the cost of a tick [us]. The entry ``1 kHz`` is the model in
@@ -88,7 +79,6 @@ class PredictorComparison:
     scene: str
     errors: dict[str, Array]
     cost_us: dict[str, tuple[float, float]]
-    sizes: dict[int, Interval]
     slow: dict[str, tuple[Interval, float]]
 
     def at(self, kind: str, horizon_ms: int) -> Interval:
@@ -110,7 +100,7 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
     limit_N = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
     recorder = Recorder()
-    steps = trials + max(SIZES) + len(PREDICTORS) + len(SIZES)
+    steps = trials + len(PREDICTORS)
 
     def step(doing: str, done: int) -> None:
         """Report a step."""
@@ -134,20 +124,7 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
         cost_us[kind] = _cost_us(make(), unseen[0])
         now = forecast_errors(make, unseen, horizons=(0,), model_ticks=SLOW_TICKS)[:, 0]
         slow[kind] = (signed_interval(now), model_us / SLOW_TICKS + cost_us[kind][0])
-    seen = []
-    for index in range(max(SIZES)):
-        step(f"training run {index + 1}", trials + len(PREDICTORS) + index)
-        seen.append(recorder.record(trial(scene, index)))
-    sizes = {}
-    for index, size in enumerate(SIZES):
-        step(f"training on {size} runs", trials + len(PREDICTORS) + max(SIZES) + index)
-        fitted = fit(trained.scene, seen[:size])
-        smaller = replace(trained, operator=fitted.operator)
-        make = partial(trained_predictor, OURS, smaller, force_limit_N=limit_N)
-        sizes[size] = signed_interval(
-            forecast_errors(make, unseen[:SIZED_RUNS], horizons=(DELAY_MS,))[:, 0]
-        )
-    return PredictorComparison(trained.scene, errors, cost_us, sizes, slow)
+    return PredictorComparison(trained.scene, errors, cost_us, slow)
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
@@ -272,7 +249,6 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
                 (name, kind, ms, len(errors), *each.at(kind, ms)) for ms in HORIZONS
             ]
         rows["cost.csv"] += [(name, kind, *cost_us) for kind, cost_us in each.cost_us.items()]
-        rows["training.csv"] += [(name, size, *at) for size, at in each.sizes.items()]
         rows["slow_model.csv"] += [
             (name, kind, *at, cost_us) for kind, (at, cost_us) in each.slow.items()
         ]
@@ -288,13 +264,12 @@ LIMIT_US = 20.0
 def draw_scene(found: PredictorComparison, path: Path) -> None:
     """Draw the results of all predictors on a scene.
 
-    The panels show the error against horizon, cost and training size, and the error with a model at
-    100 Hz.
+    The panels show the error against horizon and cost, and the error with a model at 100 Hz.
     """
-    # inches: a row of four panels over the legend
-    chart = figure(14.0, 4.2)
+    # inches: a row of three panels over the legend
+    chart = figure(10.5, 4.2)
     chart.set_layout_engine("constrained")
-    over_horizon, over_cost, over_size, slow = chart.subplots(1, 4)
+    over_horizon, over_cost, slow = chart.subplots(1, 3)
     for kind in PREDICTORS:
         colour = PREDICTORS[kind].colour
         mark = PREDICTORS[kind].marker
@@ -305,7 +280,9 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
         median, p99 = found.cost_us[kind]
         over_cost.plot([median, p99], [error, error], color=colour, alpha=0.5)
         over_cost.plot(median, error, mark, color=colour)
-        _whiskers(slow, found.slow[kind][1], found.slow[kind][0], color=colour, fmt=mark)
+        now, cost_us = found.slow[kind]
+        mean, low, high = 100 * np.array(now)
+        slow.errorbar(cost_us, mean, [[mean - low], [high - mean]], fmt=mark, color=colour)
     over_horizon.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
     plain_numbers(over_horizon.yaxis)
     over_cost.axvline(LIMIT_US, color="#D55E00", linestyle="--")
@@ -316,10 +293,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     for axes in (over_cost, slow):
         axes.set(xscale="log", ylim=(0, None))
         plain_numbers(axes.xaxis)
-    for size, at in found.sizes.items():
-        _whiskers(over_size, size, at, color=PREDICTORS["koopman"].colour, fmt="o")
-    over_size.set(xlabel="training runs", ylabel="error 4 ms ahead / %", ylim=(0, None))
-    for axes in (over_horizon, over_cost, over_size, slow):
+    for axes in (over_horizon, over_cost, slow):
         axes.grid(alpha=0.3, which="both")
     handles = over_horizon.get_legend_handles_labels()
     chart.legend(*handles, loc="outside lower center", ncols=len(PREDICTORS), frameon=False)
@@ -328,12 +302,6 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
         "and stiffer; bars and bands are 95 %",
     )
     save(chart, path)
-
-
-def _whiskers(axes: Axes, x: float, at: Interval, *, color: str, fmt: str) -> None:
-    """Draw a mean with its interval, in per cent."""
-    mean, low, high = 100 * np.array(at)
-    axes.errorbar(x, mean, [[mean - low], [high - mean]], fmt=fmt, color=color)
 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:

@@ -6,18 +6,16 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import levene, studentized_range, tukey_hsd
+from scipy.stats import studentized_range, tukey_hsd
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
 from tissue.evaluation.statistics.hypothesis_test import (
-    ALPHA,
     LEVEL,
     Assumption,
     Effect,
     HypothesisTest,
     cohens_d,
-    format_p,
     normal_residuals,
     partial_eta_squared,
     require_statsmodels,
@@ -28,7 +26,6 @@ from tissue.evaluation.statistics.sign_flips import SignTest, pair_scores, sign_
 from tissue.evaluation.statistics.strata import (
     Strata,
     group_means,
-    mauchly,
     multivariate,
     scores_of,
     strata,
@@ -202,7 +199,7 @@ def stratum_test(
         signs.p,
         partial_eta_squared(float(exact.F), *exact.degrees),
         _symmetry(scores, groups),
-        _f_tests(exact, scores_of(values, sizes, within), groups, between, question),
+        _f_tests(exact, scores_of(values, sizes, within), groups, question),
         " ".join(notes),
     )
     return test, signs
@@ -217,32 +214,16 @@ def _symmetry(scores: Array, groups: Ints) -> tuple[Assumption, ...]:
 
 
 def _f_tests(
-    exact: Strata, scores: Array, groups: Ints, between: bool, question: str
+    exact: Strata, scores: Array, groups: Ints, question: str
 ) -> tuple[HypothesisTest, ...]:
-    """Return the F test of an effect with its assumptions, and the F test corrected for sphericity.
+    """Return the F test of an effect, and the F test corrected for sphericity.
 
     The scores on orthonormal contrasts have shape (users, contrasts).
     """
     statistic = float(exact.F)
     residuals = scores - group_means(scores, groups)[groups]
-    assumptions: list[Assumption] = []
-    others = []
     # Anderson and Darling's test needs eight values
-    if residuals.size >= 8:
-        assumptions.append(normal_residuals(residuals))
-    # one contrast is spherical by itself
-    if scores.shape[1] > 1:
-        epsilon = float(exact.epsilon)
-        p = mauchly(scores, groups)
-        # NaN, where users are too few for the test, counts as not shown.
-        finding = f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}"
-        assumptions.append(Assumption("sphericity", p >= ALPHA, finding))
-        degrees = tuple(epsilon * each for each in exact.degrees)
-        p = float(exact.corrected_p)
-        others.append(HypothesisTest("Greenhouse-Geisser", question, "F", statistic, degrees, p))
-    # about the median, two values of a group always have the same distance
-    if between and min(np.bincount(groups)) > 2:
-        assumptions.append(_equal_variances(scores, groups))
+    normal = (normal_residuals(residuals),) if residuals.size >= 8 else ()
     test = HypothesisTest(
         "F of strata",
         question,
@@ -250,9 +231,14 @@ def _f_tests(
         statistic,
         exact.degrees,
         float(exact.p),
-        assumptions=tuple(assumptions),
+        assumptions=normal,
     )
-    return (test, *others)
+    # one contrast is spherical by itself
+    if scores.shape[1] == 1:
+        return (test,)
+    degrees = tuple(float(exact.epsilon) * each for each in exact.degrees)
+    p = float(exact.corrected_p)
+    return (test, HypothesisTest("Greenhouse-Geisser", question, "F", statistic, degrees, p))
 
 
 def manova(
@@ -342,16 +328,6 @@ def _sizes(
         size = cohens_d(second, first, paired=paired)
         found.append(replace(size, name=f"{size.name}, {after} minus {before}"))
     return tuple(found)
-
-
-def _equal_variances(scores: Array, groups: Ints) -> Assumption:
-    """Run Levene's test about medians (Brown and Forsythe 1974).
-
-    The result is the smallest p of the columns, corrected by Bonferroni's factor.
-    """
-    found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
-    p = min(1.0, len(found) * found.min())
-    return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")
 
 
 def tukey_groups(

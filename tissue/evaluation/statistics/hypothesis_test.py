@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import nctdtrinc
-from scipy.stats import chi2, kurtosis, ncf, norm, shapiro, skew, skewtest
+from scipy.stats import kurtosis, ncf, shapiro, skew, skewtest
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -24,7 +24,6 @@ __all__ = [
     "HypothesisTest",
     "cohens_d",
     "format_p",
-    "mardia",
     "normal_residuals",
     "partial_eta_squared",
     "require_statsmodels",
@@ -234,7 +233,7 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
     return brentq(excess, 0.0, high, xtol=1e-9)
 
 
-def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") -> Assumption:
+def normal_residuals(residuals: ArrayLike) -> Assumption:
     """Check normality as an assumption.
 
     The assumption is rejected if one of two tests rejects it at half of :data:`ALPHA`.
@@ -253,6 +252,7 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
     """
     from statsmodels.stats.diagnostic import normal_ad
 
+    name = "normal residuals"
     values = np.ravel(residuals)
     if np.ptp(values) == 0.0:
         raise InputError(
@@ -289,35 +289,4 @@ def symmetric_residuals(residuals: Array) -> Assumption:
         "symmetric residuals",
         p >= ALPHA,
         f"D'Agostino {format_p(p)}, largest skewness {largest:.2f}",
-    )
-
-
-def mardia(residuals: ArrayLike) -> Assumption:
-    """Test joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis.
-
-    Skewness and kurtosis are each tested at half of :data:`ALPHA`.
-
-    Parameters
-    ----------
-    residuals
-        Shape (users, columns), more rows than columns.
-    """
-    rows = np.asarray(residuals, dtype=float)
-    count, width = rows.shape
-    centred = rows - rows.mean(axis=0)
-    distances = centred @ np.linalg.solve(centred.T @ centred / count, centred.T)
-    # Mardia's (1974) correction for small samples
-    small = (width + 1) * (count + 1) * (count + 3) / (count * ((count + 1) * (width + 1) - 6.0))
-    # n b / 6 is chi squared with p (p + 1) (p + 2) / 6 degrees of freedom
-    skewed = chi2.sf(
-        small * count / 6.0 * (distances**3).mean(), width * (width + 1) * (width + 2) / 6
-    )
-    # the expected kurtosis of normal columns, and below its variance 8 p (p + 2) / n
-    tails = (np.diag(distances) ** 2).mean() - width * (width + 2)
-    tailed = 2.0 * norm.sf(abs(tails) / np.sqrt(8.0 * width * (width + 2) / count))
-    holds = min(skewed, tailed) >= 0.5 * ALPHA
-    return Assumption(
-        "joint normality",
-        holds,
-        f"Mardia's skewness {format_p(skewed)}, kurtosis {format_p(tailed)}",
     )

@@ -153,7 +153,6 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     assumptions = (
         _convergence(fitted.converged, components, caught),
         normal_residuals(fitted.resid),
-        *_normal_users(fitted),
     )
     free = user_count - group_count
     return MixedModel(
@@ -223,21 +222,6 @@ def _tests(
     return found
 
 
-def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
-    """Check normality of the estimated effects of users.
-
-    The check needs enough users whose effects are not all zero.
-    """
-    users = np.array([each.iloc[0] for each in fitted.random_effects.values()])
-    return (
-        [normal_residuals(users, name="normal users")]
-        # Anderson and Darling's test needs eight values; effects of a variance estimated as zero
-        # are rounding
-        if len(users) >= 8 and np.ptp(users) > 1e-9
-        else []
-    )
-
-
 def _plain(name: str) -> str:
     """Return a term of the formula in readable form."""
     return (
@@ -259,7 +243,7 @@ With 48 nodes, the intervals agree to four digits.
 SLOPE_SPREAD = 10.0
 """Prior standard deviation of slopes and intercept, relative to the residual deviation.
 
-This prior is almost uninformative.
+Both refer to standardised columns. This prior is almost uninformative.
 """
 SHAPE = SCALE = 0.01
 """Parameters of the inverse gamma prior of the residual variance, almost uninformative.
@@ -298,7 +282,6 @@ def regression(
     users: ArrayLike,
     *,
     response: str,
-    slope_spread: float = SLOPE_SPREAD,
 ) -> Posterior:
     """Compute the posterior of a linear regression with random users.
 
@@ -321,9 +304,6 @@ def regression(
         independent.
     response
         Name of the response.
-    slope_spread
-        Standard deviation of slopes and intercept in the prior, divided by the residual standard
-        deviation. Both standard deviations refer to standardised columns.
 
     Raises
     ------
@@ -357,9 +337,7 @@ def regression(
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     # from the nodes' interval of -1 to 1 to correlations of 0 to 1
     shares = 0.5 * (nodes + 1.0)
-    middles, spreads, evidence = _conjugate(
-        standard, design, person, shares / (1.0 - shares), slope_spread
-    )
+    middles, spreads, evidence = _conjugate(standard, design, person, shares / (1.0 - shares))
     mass = weights * np.exp(evidence - evidence.max())
     mass /= mass.sum()
     degrees = 2.0 * SHAPE + len(answers)
@@ -398,7 +376,7 @@ def regression(
 
 
 def _conjugate(
-    values: Array, design: Array, person: Ints, ratios: Array, slope_spread: float
+    values: Array, design: Array, person: Ints, ratios: Array
 ) -> tuple[Array, Array, Array]:
     """Return centre and width of every coefficient's t distribution, and the log evidence.
 
@@ -413,7 +391,7 @@ def _conjugate(
     shrink = ratios[:, None] / (1.0 + counts * ratios[:, None])
     products = both.T @ both - np.einsum("ru,ui,uj->rij", shrink, sums, sums)
     width = design.shape[1]
-    precision = products[:, :width, :width] + np.eye(width) / slope_spread**2
+    precision = products[:, :width, :width] + np.eye(width) / SLOPE_SPREAD**2
     middle = np.linalg.solve(precision, products[:, :width, width, None])[..., 0]
     shape = SHAPE + 0.5 * len(values)
     scale = SCALE + 0.5 * (

@@ -6,23 +6,17 @@ from functools import reduce
 
 import numpy as np
 from scipy.linalg import helmert
-from scipy.stats import chi2, f
+from scipy.stats import f
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.hypothesis_test import (
-    Assumption,
-    HypothesisTest,
-    format_p,
-    mardia,
-)
+from tissue.evaluation.statistics.hypothesis_test import HypothesisTest
 
 __all__ = [
     "Pillai",
     "Strata",
     "effect_scores",
     "group_means",
-    "mauchly",
     "multivariate",
     "pillai",
     "scores_of",
@@ -178,31 +172,6 @@ def strata(
     )
 
 
-def mauchly(scores: Array, groups: Ints) -> float:
-    """Return the p value of Mauchly's (1940) test of sphericity, 1 for one contrast.
-
-    Parameters
-    ----------
-    scores
-        Scores of users on orthonormal contrasts, shape (users, contrasts).
-    groups
-        Group of every user, shape (users,).
-    """
-    count = scores.shape[-1]
-    if count == 1:
-        return 1.0
-    residuals = scores - group_means(scores, groups)[groups]
-    degrees = len(scores) - groups.max() - 1
-    # the covariance of the scores is singular
-    if degrees <= count:
-        return float("nan")
-    spread = residuals.T @ residuals / degrees
-    log_w = np.linalg.slogdet(spread)[1] - count * np.log(np.trace(spread) / count)
-    # Bartlett's correction of the chi-squared approximation
-    scale = degrees - (2.0 * count * count + count + 2.0) / (6.0 * count)
-    return float(chi2.sf(-scale * log_w, count * (count + 1) / 2 - 1))
-
-
 @dataclass(frozen=True)
 class Pillai:
     """Pillai's trace over populations, and its F test.
@@ -263,7 +232,7 @@ def multivariate(
     between: bool,
     question: str,
 ) -> HypothesisTest:
-    """Run a multivariate analysis of variance, with checks.
+    """Run a multivariate analysis of variance.
 
     Parameters
     ----------
@@ -307,34 +276,11 @@ def multivariate(
             "leave out a metric that repeats another one",
         )
     found = pillai(scaled, groups, between=between)
-    trace = float(found.trace)
-    assumptions = [mardia(residuals)]
-    if len(counts) > 1:
-        assumptions.append(_equal_covariances(scaled, groups))
     return HypothesisTest(
-        f"MANOVA, Pillai's trace {trace:.4g}",
+        f"MANOVA, Pillai's trace {float(found.trace):.4g}",
         question,
         "F",
         float(found.F),
         found.degrees,
         float(found.p),
-        assumptions=tuple(assumptions),
     )
-
-
-def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
-    """Run Box's (1949) M test, by statsmodels."""
-    from statsmodels.stats.multivariate import test_cov_oneway
-
-    counts = np.bincount(groups)
-    name = "equal covariances of groups"
-    # the covariance of a group is singular
-    if counts.min() <= scores.shape[1]:
-        return Assumption(name, False, "too few users a group for a test")
-    found = test_cov_oneway(
-        [np.cov(scores[groups == group].T) for group in range(len(counts))],
-        [int(each) for each in counts],
-    )
-    # Box's test is known to refuse too readily without normality and is customarily held to 0.001
-    # (Tabachnick 2013).
-    return Assumption(name, found.pvalue >= 1e-3, f"Box's M {format_p(found.pvalue)}")

@@ -43,7 +43,6 @@ __all__ = [
     "latency_section",
     "reference_section",
     "sensitivity_section",
-    "speed_section",
     "task_section",
 ]
 
@@ -345,30 +344,6 @@ def reference_section(folder: StudyFolder) -> Section | None:
         for task, each in found.items()
     ]
     return Section("reference", "The reference's own error", sentences, rows)
-
-
-def speed_section(folder: StudyFolder) -> Section:
-    """Report the time of a trial by task [s], as measured while the study ran."""
-    plan = folder.plan()
-    times: dict[str, list[float]] = {}
-    for trial in folder.trials():
-        times.setdefault(trial.key.task, []).append(trial.took_s)
-    rows = [
-        {
-            "task": task,
-            "median s": f"{np.median(times[task]):.2f}",
-            "longest s": f"{max(times[task]):.2f}",
-            "methods": str(len(plan.methods)),
-            "trials": str(len(times[task])),
-        }
-        for task in plan.tasks
-        if task in times
-    ]
-    sentences = (
-        "Seconds on one worker for a trial under all its methods, with whatever else the machine "
-        "did.",
-    )
-    return Section("speed", "Speed", sentences, rows)
 
 
 def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:

@@ -20,7 +20,6 @@ from tissue.evaluation.study.fidelity import (
     latency_section,
     reference_section,
     sensitivity_section,
-    speed_section,
     task_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
@@ -160,7 +159,6 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         _overview(folder),
         differences,
         *sections,
-        speed_section(folder),
         _parameters(plan),
     ]
 
