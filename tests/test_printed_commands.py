@@ -46,6 +46,7 @@ STARTED: dict[str, str] = {
     "bench_band_integrals": "",
     "bench_bone": "--quick",
     "bench_calibration": "coverage",
+    "bench_closed_loop": "wall --hands 1",
     "bench_fit_cutting": "bone --fits 2 --processes 1",
     "bench_fit_organ": "elastic --fits 1 --processes 1",
     "bench_force_law": "--quick",

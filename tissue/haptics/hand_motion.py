@@ -19,7 +19,7 @@ from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Render
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import UPRIGHT, Quaternion
-from tissue.prediction.predictor import Contact, CuttingLaw, Predictor, SeesContact
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 
 __all__ = ["HandMotion", "Rendering", "Script"]
 
@@ -403,15 +403,6 @@ class HandMotion(Motion):
         scale = self._scale
         felt = self._coupling_N_m / (scale * tool.stiffness_N_m)
         known = response.stiffness_N_m
-        law = None
-        if isinstance(tool, CuttingTool):
-            law = CuttingLaw(
-                tool.velocity[:3] / scale,
-                (scale * felt) * tool.slope_N_s_m,
-                scale * felt * tool.mass_kg,
-                scale * felt * tool.damping_N_s_m,
-                self._step,
-            )
         return Contact(
             self._coupling_N_m,
             (tool.tip_m - self._shift) / scale,
@@ -420,7 +411,7 @@ class HandMotion(Motion):
             response.gap_m / scale,
             response.normal,
             scale * felt * response.surface_N_m,
-            law,
+            isinstance(tool, CuttingTool),
         )
 
     def raw_force_N(self) -> Array:

@@ -5,7 +5,7 @@ stretch of the coupling. For each number of ticks ahead, a linear map is fitted 
 Brunton, Proctor, Kaiser & Kutz 2017). Powers of the map for one tick had a larger error. Errors e
 are compared as excess errors sqrt(e^2 - e0^2), where e0 is the lower bound of the error. The excess
 error is divided by the excess error of the zero-order hold. For predictions 4 ms ahead in the scene
-`wall`, this ratio is 0.22 with powers and 0.19 with direct maps.
+`wall`, this ratio is 0.22 with powers and 0.19 with direct maps (nine delays).
 """
 
 from collections.abc import Iterable
@@ -13,20 +13,37 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.linalg.lapack import dposv
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = ["COORDINATES", "DELAYS", "HORIZON", "DelayOperator", "DelayPath", "Moments"]
+__all__ = [
+    "COORDINATES",
+    "DELAYS",
+    "HORIZON",
+    "PATH_DELAYS",
+    "DelayOperator",
+    "DelayPath",
+    "Moments",
+]
 
-DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
+DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 22, 32, 46, 64, 80)
 """Delays of the coordinates [ticks].
 
-These nine delays replace all 81 delays from 0 to 80. The excess error 4 ms ahead was compared with
-the excess error of the zero-order hold, for simulated hands that were not in the training data.
-With the nine delays, the ratio is 0.19 in `wall` and 0.31 in palpation. With all delays up to 80
-the ratios are 0.19 and 0.36, and with all delays up to 40 they are 0.22 and 0.41.
+These delays replace all 81 delays from 0 to 80. For a direct regression of the stretch, the excess
+error 4 ms ahead was compared with the excess error of the zero-order hold, for simulated hands that
+were not in the training data. With these delays, the ratios are 0.32 in molar, 0.40 in pedicle and
+0.49 in incision. With all delays they are 0.32, 0.41 and 0.48, and with `PATH_DELAYS` 0.52, 0.47
+and 0.52.
+"""
+PATH_DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
+"""Delays from which the displacement is predicted [ticks].
+
+At shorter delays, the displacement is smaller than an encoder step. The excess error of look-ahead
+4 ms ahead in palpation, divided by the excess error of the zero-order hold, is 0.31 with these
+delays and 0.33 with all of `DELAYS`.
 """
 COORDINATES = 2 * len(DELAYS) - 1
 """Number of coordinates of an axis: displacements between delays, and stretches at delays."""
@@ -37,12 +54,17 @@ This number is enough for 16 ms of latency and the path to the motor, in total 1
 
 For a longer time, the prediction at the horizon is used.
 """
-RIDGE = 1e-6
-"""Ridge penalty, relative to the mean square of each coordinate.
+PATH_RIDGE = 1e-6
+"""Ridge penalty for the displacement, relative to the mean square of each coordinate.
 
 The penalty keeps the weights small if the positions at neighbouring delays differ by less than an
 encoder step. A penalty of 1e-3 was worse in all scenes. In palpation, the ratio of the excess error
 to the excess error of the zero-order hold was larger by 0.02.
+"""
+STRETCH_RIDGE = 1e-10
+"""Ridge penalty for the stretch, relative to the mean square of each coordinate.
+
+With a penalty of 1e-6, the ratio of the excess errors of `DELAYS` rises from 0.34 to 0.42 in molar.
 """
 KEPT_LEADS = 16
 """Number of prediction horizons whose maps are kept; a loop uses its horizon and one tick."""
@@ -93,18 +115,42 @@ class Moments:
         InputError
             If a coordinate is always zero.
         """
-        scale = np.sqrt(np.diag(self.coordinates))
-        if not (scale > 0.0).all():
+        if not (np.diag(self.coordinates) > 0.0).all():
             raise InputError(
                 "trials",
                 "have a tool that moves and touches the tissue",
                 "none in any trial",
                 "use a longer duration",
             )
-        matrix = self.coordinates / np.outer(scale, scale)
-        matrix.flat[:: COORDINATES + 1] += RIDGE
-        _, solved, _ = dposv(matrix, self.targets / scale[:, None])
-        return np.ascontiguousarray((solved / scale[:, None]).T)
+        path = PATH_COORDINATES
+        displacement = _solved(
+            path @ self.coordinates @ path.T, path @ self.targets[:, :HORIZON], PATH_RIDGE
+        )
+        stretch = _solved(self.coordinates, self.targets[:, HORIZON:], STRETCH_RIDGE)
+        return np.concatenate((displacement @ path, stretch))
+
+
+def _solved(squares: Array, products: Array, ridge: float) -> Array:
+    """Return the weights of a ridge regression, shape (targets, coordinates)."""
+    scale = np.sqrt(np.diag(squares))
+    matrix = squares / np.outer(scale, scale)
+    matrix.flat[:: len(scale) + 1] += ridge
+    _, solved, _ = dposv(matrix, products / scale[:, None])
+    weights: Array = (solved / scale[:, None]).T
+    return weights
+
+
+def _path_coordinates() -> Array:
+    """Return the matrix that sums coordinates of `DELAYS` to coordinates of `PATH_DELAYS`."""
+    delays = np.array(DELAYS)
+    starts, ends = np.array(PATH_DELAYS[:-1])[:, None], np.array(PATH_DELAYS[1:])[:, None]
+    parts = (delays[:-1] >= starts) & (delays[1:] <= ends)
+    chosen = np.equal.outer(PATH_DELAYS, delays)
+    return np.asarray(block_diag(parts, chosen), dtype=np.float64)
+
+
+PATH_COORDINATES = _path_coordinates()
+"""Sums of coordinates from which the displacement is predicted, (coordinates, COORDINATES)."""
 
 
 @dataclass(frozen=True)
@@ -189,13 +235,6 @@ class DelayPath:
         """Predict the displacement from the last observed position, shape (3,)."""
         displacement: Array = self._map(ticks)[0].dot(self._coordinates)
         return displacement
-
-    def displacements_m(self, ticks: int) -> Array:
-        """Predict the displacements after 1, 2, ... up to a number of ticks, shape (ticks, 3)."""
-        found = self._weights[: min(ticks, HORIZON)].dot(self._coordinates)
-        if ticks > HORIZON:
-            found = np.concatenate((found, np.repeat(found[-1:], ticks - HORIZON, axis=0)))
-        return found
 
     def stretch_m(self, ticks: float) -> Array:
         """Predict the coupling's stretch after a number of ticks, shape (3,)."""

@@ -3,15 +3,14 @@
 If the tissue does not provide the slope of its law, the slope is estimated in contact.
 """
 
-from dataclasses import replace
-from math import ceil, isfinite, sqrt
+from math import isfinite, sqrt
 
 import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from meshes.base.arrays import Array
 from tissue.prediction.delays import DelayPath
-from tissue.prediction.predictor import Contact, CuttingLaw
+from tissue.prediction.predictor import Contact
 
 __all__ = ["ContactSlope", "LookAhead"]
 
@@ -26,14 +25,6 @@ DRIFT_PER_M = 50.0
 A slope of 1 is unknown again after 20 mm, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500
 were compared in palpation. The excess error was divided by the excess error of the zero-order hold.
 With values from 50 on, the ratios are similar: 0.40 to 0.68. With a value of 0.5 the ratio is 0.72.
-"""
-LAW_SHARE = 0.8
-"""Weight of a cutting tool's law in the mean of law and predicted stretch.
-
-The errors of law and stretch are partly independent. The excess error 4 ms ahead, divided by the
-excess error of the zero-order hold, was computed with weights of 0.5, 0.8 and 1. The ratios are
-0.63, 0.60 and 0.58 in caries; 0.65, 0.63 and 0.61 in glenoid; 0.40, 0.41 and 0.48 in milling; 0.37,
-0.34 and 0.33 in molar; 0.49, 0.51 and 0.53 in pedicle.
 """
 JUMP_M = 5e-4
 """Change of a force in a tick, divided by the coupling's stiffness, that is a jump [m].
@@ -107,12 +98,9 @@ class LookAhead:
     pushed back with the stiffness of that surface. If the tissue provides no slope, the slope is
     estimated (`ContactSlope`).
 
-    A tool that cuts has its own balance of inertia, coupling and cutting force (`CuttingLaw`). This
-    balance is integrated along the predicted path of the device, with the cutting elements that are
-    in the tissue now. In milling, 4 ms ahead, with the exact path, the excess error is 0.13 of the
-    excess error of the zero-order hold. The ratio is 0.38 if the cutting force is assumed not to
-    change with the velocity. The result is averaged with the stretch that the path predicts, see
-    `LAW_SHARE`. Between two responses of the tissue, only this stretch is used.
+    For a tool that cuts, the predicted force is the stretch that the path predicts. A balance of
+    tool and cutting force, integrated along the predicted path, is no better. Averaged with the
+    stretch, its best weight is 0 in molar and pedicle, and 0.06 to 0.13 in caries and milling.
 
     The coupling's damper force is assumed constant up to the end of the path.
 
@@ -138,8 +126,7 @@ class LookAhead:
         self._contact: Contact | None = None
         self._stiffness = np.zeros((3, 3))
         self._unit = np.eye(3)
-        self._position, self._velocity, self._force, self._damper, self._expected = np.zeros((5, 3))
-        self._answered = False
+        self._position, self._force, self._damper, self._expected = np.zeros((4, 3))
 
     @property
     def trusted(self) -> bool:
@@ -149,11 +136,6 @@ class LookAhead:
     def meet(self, contact: Contact) -> None:
         """Store the contact law of this tick."""
         spring = contact.spring_N_m
-        law = contact.cutting
-        if law is not None:
-            law = replace(
-                law, velocity_m_s=law.velocity_m_s.copy(), slope_N_s_m=law.slope_N_s_m.copy()
-            )
         self._contact = Contact(
             spring,
             contact.tip_m.copy(),
@@ -162,9 +144,9 @@ class LookAhead:
             contact.gap_m,
             contact.normal.copy(),
             contact.surface_N_m,
-            law,
+            contact.cuts,
         )
-        if law is not None:
+        if contact.cuts:
             return
         force = self._contact.force_N
         given = contact.stiffness_N_m is not None
@@ -183,23 +165,21 @@ class LookAhead:
                 self._force = force_N.copy()
             return
         self._position = position_m.copy()
-        self._velocity = velocity_m_s.copy()
-        self._answered = force_N is not None
         if force_N is not None:
             missed = force_N - self._expected
             self.residual_N = sqrt(missed.dot(missed))
             self._force = force_N.copy()
             self._damper[:] = 0.0
-            if any(contact.force_N.tolist()) and contact.cutting is None:
+            if any(contact.force_N.tolist()) and not contact.cuts:
                 self._damper = force_N - contact.spring_N_m * (contact.tip_m - position_m)
-        elif contact.cutting is None:
+        elif not contact.cuts:
             self._force = self._at(position_m)
         else:
             self._force = self._expected
         stretch = self._force / contact.spring_N_m
         # The device position that the tool follows; with a filter it is not the measured position.
         filtered = None
-        if contact.cutting is not None and self._answered:
+        if contact.cuts and force_N is not None:
             filtered = contact.tip_m - stretch
         self.path.observe(position_m, stretch, filtered)
         self._expected = self._next(contact)
@@ -209,7 +189,7 @@ class LookAhead:
 
         For a tool that cuts, only the predicted stretch is used.
         """
-        if contact.cutting is None:
+        if not contact.cuts:
             return self.predict(1.0)
         return contact.spring_N_m * self.path.stretch_m(1.0)
 
@@ -217,16 +197,10 @@ class LookAhead:
         """Return the force of the contact law at the end of the path."""
         if ticks == 0.0 or self._contact is None:
             return self._force.copy()
-        if (law := self._contact.cutting) is not None:
+        if self._contact.cuts:
             if not any(self._force.tolist()):
                 return np.zeros(3)
-            predicted = self._contact.spring_N_m * self.path.stretch_m(ticks)
-            if not self._answered or self._slopes == "none":
-                return predicted
-            by_law = self._cut(self._contact, law, ticks)
-            # Without a force of the tissue, the law has no error.
-            share = LAW_SHARE if any(self._contact.force_N.tolist()) else 1.0
-            return predicted + share * (by_law - predicted)
+            return self._contact.spring_N_m * self.path.stretch_m(ticks)
         if not self._has_slope and any(self._force.tolist()):
             stretch = self.path.stretch_m(ticks)
             # Tissue does not pull: the contact has ended.
@@ -238,37 +212,6 @@ class LookAhead:
         """Reset the path and the contact."""
         self.path.pause()
         self._slope.pause()
-
-    def _cut(self, contact: Contact, law: CuttingLaw, ticks: float) -> Array:
-        """Return the force of a tool that cuts on the device, after a number of ticks [N]."""
-        spring = contact.spring_N_m
-        count = ceil(ticks)
-        inertia = law.mass_kg / law.tick_s
-        device = self._position + self.path.displacements_m(count)
-        # The first displacement is from a measured position to an estimated position, so that its
-        # rate is not the velocity.
-        speeds = np.concatenate((self._velocity[None], np.diff(device, axis=0) / law.tick_s))
-        constant = spring * contact.force_N - law.slope_N_s_m.dot(law.velocity_m_s)
-        driving = spring * device + law.damping_N_s_m * speeds + constant
-        falling = inertia + spring * law.tick_s + law.damping_N_s_m
-        *_, inverse, _ = dgesv(falling * self._unit - law.slope_N_s_m, self._unit)
-        # The state is the velocity and the position of the tool. A tick computes onward · state +
-        # pushed.
-        onward = np.empty((6, 6))
-        onward[:3, :3] = inertia * inverse
-        onward[:3, 3:] = -spring * inverse
-        onward[3:] = law.tick_s * onward[:3]
-        onward[3:, 3:] += self._unit
-        pushed = driving.dot(np.concatenate((inverse, law.tick_s * inverse)).T)
-        state = before = np.concatenate((law.velocity_m_s, contact.tip_m))
-        for push in pushed:
-            before = state
-            state = onward.dot(state)
-            state += push
-        stretch = state[3:] - device[-1]
-        earlier = before[3:] - device[-2] if count > 1 else self._force / spring
-        later: Array = spring * (stretch + (count - ticks) * (earlier - stretch))
-        return later
 
     def _at(self, device_m: Array) -> Array:
         """Return the force on a device at a position [N]."""

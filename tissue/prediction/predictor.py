@@ -13,7 +13,6 @@ from meshes.base.errors import require_positive, require_range
 
 __all__ = [
     "Contact",
-    "CuttingLaw",
     "Hold",
     "Kalman",
     "Linear",
@@ -82,35 +81,6 @@ class Hold:
 
 
 @dataclass
-class CuttingLaw:
-    """Balance of a tool with inertia that cuts, linearised about its velocity v.
-
-    In a tick T, the velocity changes from v to w, with the device at x and the tool at p::
-
-        m (w - v) / T = k (x - p - T w) + b (x_velocity - w) + F + S (w - v)
-
-    F is the force of the tissue on the tool at v. All values are in SI units at the device.
-
-    Attributes
-    ----------
-    velocity_m_s
-        Velocity v of the tool, shape (3,).
-    slope_N_s_m
-        Derivative S of the tissue's force with respect to the velocity, shape (3, 3).
-    mass_kg, damping_N_s_m
-        Mass m of the tool and damper b of the coupling.
-    tick_s
-        Time T between two positions of the tool.
-    """
-
-    velocity_m_s: Array
-    slope_N_s_m: Array
-    mass_kg: float
-    damping_N_s_m: float
-    tick_s: float
-
-
-@dataclass
 class Contact:
     """Tool that is coupled to a device by a spring, and local law of the tissue.
 
@@ -133,9 +103,8 @@ class Contact:
     surface_N_m
         Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
         known.
-    cutting
-        Law of a tool that cuts; None for any other tool. The tissue does not push a tool that cuts
-        back to an earlier position.
+    cuts
+        True for a tool that cuts. The tissue does not push such a tool back to an earlier position.
     """
 
     spring_N_m: float
@@ -145,7 +114,7 @@ class Contact:
     gap_m: float = inf
     normal: Array = field(default_factory=lambda: np.zeros(3))
     surface_N_m: float = inf
-    cutting: CuttingLaw | None = None
+    cuts: bool = False
 
 
 @runtime_checkable

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tissue.prediction.koopman import RELEASED, Koopman
-from tissue.prediction.look_ahead import LAW_SHARE, LookAhead
-from tissue.prediction.predictor import Contact, CuttingLaw
+from tissue.prediction.look_ahead import LookAhead
+from tissue.prediction.predictor import Contact
 
 SPRING = 400.0
 """Stiffness of the coupling [N/m]."""
@@ -31,9 +31,6 @@ class GivenPath:
 
     def displacement_m(self, ticks):
         return ticks * self.step_m
-
-    def displacements_m(self, ticks):
-        return np.arange(1, ticks + 1)[:, None] * self.step_m
 
     def stretch_m(self, ticks):
         return self.stretch * ticks
@@ -179,48 +176,18 @@ def test_a_free_tool_comes_to_the_surface_by_its_gap(stiffness):
 
 
 @pytest.mark.parametrize("ticks", [1.0, 4.0, 6.25])
-def test_a_tool_that_cuts_moves_on_by_its_own_balance(ticks):
-    """A tool that cuts moves by its balance, written out tick by tick.
-
-    The force of the tissue is linear in the velocity here, so the law of the last tick is exact.
-    """
-    rng = np.random.default_rng(5)
-    mass, damping, tick = 0.3, 150.0, 1e-3
-    slope = -np.array([[800.0, 30.0, 0.0], [-20.0, 500.0, 10.0], [0.0, 0.0, 300.0]])
-    step, stretched = 1e-6 * rng.normal(size=3), np.array([0.0, 1e-4, 2e-4])
-    tip, velocity = 1e-2 * rng.normal(size=3), 1e-3 * rng.normal(size=3)
-    force = np.array([0.2, -0.1, 1.5])
-    device, moving = tip - 2e-4 * rng.normal(size=3), step / tick
-    felt = SPRING * (tip - device)
-    law = CuttingLaw(velocity, slope, mass, damping, tick)
-    predictor = LookAhead(GivenPath(step, stretched))
-    predictor.meet(Contact(SPRING, tip, force, cutting=law))
-    predictor.observe(device, moving, felt)
-    places = [device + number * step for number in range(9)]
-    tips, now = [tip], velocity
-    for place in places[1:]:
-        matrix = (mass / tick + damping + SPRING * tick) * np.eye(3) - slope
-        pull = SPRING * (place - tips[-1]) + damping * moving + force - slope @ velocity
-        now = np.linalg.solve(matrix, mass / tick * now + pull)
-        tips.append(tips[-1] + tick * now)
-    low, part = int(ticks), ticks - int(ticks)
-    by_law = SPRING * (
-        (1.0 - part) * (tips[low] - places[low]) + part * (tips[low + 1] - places[low + 1])
-    )
-    wanted = LAW_SHARE * by_law + (1.0 - LAW_SHARE) * SPRING * ticks * stretched
-    assert predictor.predict(ticks) == pytest.approx(wanted, rel=1e-9)
+def test_the_force_of_a_tool_that_cuts_is_the_predicted_stretch(ticks):
+    """A tool that cuts has the predicted stretch, and no force while it is free."""
+    stretched = np.array([0.0, 1e-4, 2e-4])
+    device = np.array([0.01, -0.02, 0.03])
+    predictor = LookAhead(GivenPath(np.zeros(3), stretched))
+    predictor.meet(Contact(SPRING, device, np.zeros(3), cuts=True))
+    predictor.observe(device, np.zeros(3), np.zeros(3))
+    assert not predictor.predict(ticks).any()
+    felt = np.array([0.2, -0.1, 1.5])
+    predictor.meet(Contact(SPRING, device + felt / SPRING, felt, cuts=True))
+    predictor.observe(device, np.zeros(3), felt)
     assert predictor.predict(0.0) == pytest.approx(felt)
-    # A free tool has its balance alone. Between two answers it has the stretch alone.
-    predictor.meet(
-        Contact(
-            SPRING,
-            tip,
-            np.zeros(3),
-            cutting=CuttingLaw(np.zeros(3), 0.0 * slope, mass, damping, tick),
-        )
-    )
-    predictor.observe(tip, np.zeros(3), 1e-9 * np.ones(3))
-    predictor.path.step_m = np.zeros(3)
-    assert np.linalg.norm(predictor.predict(6.0)) < 1e-8
-    predictor.observe(tip, np.zeros(3), None)
-    assert predictor.predict(3.0) == pytest.approx(SPRING * 3.0 * stretched)
+    assert predictor.predict(ticks) == pytest.approx(SPRING * ticks * stretched)
+    predictor.observe(device, np.zeros(3), None)  # between two answers of the tissue
+    assert predictor.predict(ticks) == pytest.approx(SPRING * ticks * stretched)

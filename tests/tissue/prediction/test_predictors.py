@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.training import Recording, fit, forecast_errors, with_fallback
-from tissue.prediction.delays import HORIZON, DelayPath
+from tissue.evaluation.training import IDEAL_SHARE, Recording, fit, forecast_errors, with_fallback
+from tissue.prediction.delays import DELAYS, HORIZON, PATH_DELAYS, DelayPath
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import (
     Contact,
@@ -188,9 +188,35 @@ def test_the_loop_predicts_as_the_fit_does(trained):
     between = 0.75 * path.displacement_m(3) + 0.25 * path.displacement_m(4)
     assert path.displacement_m(3.25) == pytest.approx(between, abs=1e-15)
     assert path.displacement_m(0.5) == pytest.approx(0.5 * path.displacement_m(1), abs=1e-15)
-    assert path.displacements_m(4) == pytest.approx(wanted[:4], abs=1e-15)
     assert path.displacement_m(31.5) == pytest.approx(path.displacement_m(HORIZON))
-    assert path.displacements_m(25)[-1] == pytest.approx(path.displacement_m(HORIZON))
+
+
+def test_the_displacement_depends_on_long_delays_only(trained):
+    """Positions between two delays of `PATH_DELAYS` change the stretch, not the displacement."""
+    run = spring_run(61)
+    path, moved = DelayPath(trained.operator), DelayPath(trained.operator)
+    for row in range(200):
+        place, stretch = run.position_m[row], run.force_N[row] / STIFFNESS_N_M
+        shift = 1e-5 * ((199 - row) in set(DELAYS) - set(PATH_DELAYS))
+        path.observe(place, stretch)
+        moved.observe(place + shift, stretch)
+    assert moved.displacement_m(6) == pytest.approx(path.displacement_m(6), abs=1e-12)
+    assert np.abs(moved.stretch_m(6) - path.stretch_m(6)).max() > 1e-8
+
+
+def test_targets_are_averaged_with_the_ideal_force_unless_the_tool_cuts():
+    """Only targets of the stretch change, by `IDEAL_SHARE` of the difference."""
+    run = spring_run(62)
+    ideal = replace(run, ideal_N=run.force_N + np.array([0.0, 0.0, 0.8]))
+    before, after = run.samples()[1], ideal.samples()[1]
+    added = np.array([0.0, 0.0, IDEAL_SHARE * 0.8 / STIFFNESS_N_M])
+    assert (after - before)[:, HORIZON:] == pytest.approx(
+        np.broadcast_to(added, before[:, HORIZON:].shape), abs=1e-12
+    )
+    assert np.array_equal(after[:, :HORIZON], before[:, :HORIZON])
+    cutting = replace(run, contact=[replace(each, cuts=True) for each in run.contact])
+    same = replace(cutting, ideal_N=ideal.ideal_N)
+    assert np.array_equal(same.samples()[1], cutting.samples()[1])
 
 
 def test_contact_is_foreseen_where_lines_cannot(trained):

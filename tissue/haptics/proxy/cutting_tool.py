@@ -109,8 +109,6 @@ class CuttingTool(HeldTool):
     ----------
     mass_kg, damping_N_s_m
         Mass of the tool at its tip [kg], and damper of its coupling [N s/m].
-    slope_N_s_m
-        Derivative of the tissue force with respect to the velocity of the tip, shape (3, 3).
     steps
         Number of evaluations of the force in the last step.
     tip_m, velocity, wrench
@@ -124,7 +122,6 @@ class CuttingTool(HeldTool):
         super().__init__(stiffness_N_m, tip_m, turn)
         self.mass_kg = stiffness_N_m / (2.0 * pi * NATURAL_Hz) ** 2
         self.damping_N_s_m = 2.0 * DAMPING_RATIO * sqrt(self.mass_kg * stiffness_N_m)
-        self.slope_N_s_m = np.zeros((3, 3))
         self.velocity = np.zeros(6)
         self.wrench = np.zeros(6)
         self.steps = 0
@@ -146,7 +143,6 @@ class CuttingTool(HeldTool):
         """Set the velocity of the tool to zero."""
         self.velocity[:] = 0.0
         self.wrench[:] = 0.0
-        self.slope_N_s_m[:] = 0.0
 
     def follow(
         self,
@@ -227,7 +223,6 @@ class CuttingTool(HeldTool):
         line = _Line(now[free] * lever)
         is_slow = False
         best = line.tried
-        slope = self.slope_N_s_m
         meets = False
         for count in range(1, MOST_STEPS + 1):
             self.steps = count
@@ -242,7 +237,6 @@ class CuttingTool(HeldTool):
             is_close = sqrt(missing.dot(missing)) <= accepted
             if is_close or line.accepts(missing):
                 best = tried
-                slope = slopes[:3, :3]
                 self.wrench[3:] = value[3:]
                 meets = float(force.dot(force)) > 0.0
                 if is_close:
@@ -256,11 +250,9 @@ class CuttingTool(HeldTool):
                 line = _Line(SLOW * driven / falling)
         if not meets:
             self.wrench[:] = 0.0
-            self.slope_N_s_m[:] = 0.0
             velocity[free] = driving / falling / lever
             return
         velocity[free] = best.reshape(-1, 3).dot(rotation.T).reshape(unknowns) / lever
-        self.slope_N_s_m[:] = rotation.dot(slope).dot(rotation.T)
         self.wrench[3:] = rotation.dot(self.wrench[3:])
         # The force is changed by the residual, so that the momentum balance is exact. A change of
         # the velocity instead would change the force of the tissue far more.

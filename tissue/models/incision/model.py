@@ -1,6 +1,6 @@
 """Tissue model of soft tissue that a blade cuts."""
 
-from math import asin, degrees, isfinite
+from math import asin, degrees, inf, isfinite
 
 import numpy as np
 
@@ -131,7 +131,8 @@ class IncisionModel:
         """Return the force on the blade."""
         response = self._response
         response.engaged_m2[0] = 0.0
-        response.gap_m = max(-self._below_m(motion), 0.0)
+        # Below a blade inside a cut, the distance to uncut tissue is not computed.
+        response.gap_m = max(-self._below_m(motion), 0.0) if self._in is None else inf
         response.stiffness_N_m = self._free
         response.wrench[:] = 0.0
         measures = response.measures
