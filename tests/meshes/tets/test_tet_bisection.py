@@ -23,7 +23,7 @@ def longest_over_height(mesh: TetMesh) -> float:
     return float((edge * area.max(axis=1) / (3.0 * mesh.volumes_m3)).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_shaken_box_refined_about_a_point(seed):
     """A shaken box refined about a point stays valid.
 
