@@ -94,6 +94,7 @@ def suggests_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def checked(*values: P.args, **options: P.kwargs) -> R:
+        """Raise an error for an unknown keyword argument, otherwise call the function."""
         for name in options:
             if name not in known:
                 raise TypeError(

@@ -12,7 +12,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -295,7 +294,8 @@ def _answer(request: str) -> Answer:
     except DamagedFileError as problem:
         # The text is one line and truncated, because it may quote damaged content of the file.
         return {"problem": " ".join(str(problem).split())[:160]}, {}
-    # meshio, VTK and scipy.io raise many undocumented types of errors for a damaged file.
+    # VTK, SciPy and pyarrow raise many undocumented types of errors for a damaged file, and any of
+    # them must reach the parent process as an answer.
     except Exception:
         return {"problem": "it is damaged or cut off"}, {}
     return {"facts": facts}, contiguous
