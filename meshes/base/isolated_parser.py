@@ -177,7 +177,7 @@ def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as process:
-        monitor = _Monitor(process, limit_s, most_bytes)
+        done, reasons = _monitored(process, limit_s, most_bytes)
         try:
             assert process.stdout is not None
             return _receive(process.stdout)
@@ -186,53 +186,48 @@ def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
                 process.wait(_LAST_S)  # the pipe closes before the process exits
             process.kill()
             process.wait()
-            reason = monitor.reason or (
-                "it takes too much memory" if isinstance(problem, MemoryError) else ""
-            )
-            reason = reason or f"its parser crashed with exit code {process.returncode}"
-            return {"problem": reason}, {}
+            if isinstance(problem, MemoryError):
+                reasons.append("it takes too much memory")
+            reasons.append(f"its parser crashed with exit code {process.returncode}")
+            return {"problem": reasons[0]}, {}
         except BaseException:
             process.kill()
             raise
         finally:
-            monitor.done.set()
+            done.set()
 
 
-class _Monitor:
-    """Monitor that kills a process if it takes too long or uses too much memory.
+def _monitored(
+    process: subprocess.Popen[bytes], longest_s: float, most_bytes: int
+) -> tuple[Event, list[str]]:
+    """Monitor a process in a thread, and kill the process if it exceeds a limit.
 
-    `reason` is the exceeded limit.
+    Return an event that ends the monitoring, and a list to which the exceeded limit is added.
     """
+    import psutil
 
-    def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:
-        import psutil
+    most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
+    reasons: list[str] = []
+    done = Event()
 
-        self.reason = ""
-        self.done = Event()
-        most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
+    def watch() -> None:
+        """Check the process until `done` is set, or until the process exceeds a limit."""
+        end = monotonic() + longest_s
+        while not (reasons or done.wait(_LOOK_EVERY_S)):
+            try:
+                taken = psutil.Process(process.pid).memory_info().rss
+            except psutil.Error:
+                return  # the process has exited
+            if monotonic() > end:
+                reasons.append(f"its parser took longer than {longest_s:g} s")
+            elif taken > most_bytes:
+                limit = f"{most_bytes / 2**30:.2g} GiB of memory"
+                reasons.append(f"its parser took more than {limit}")
+        if reasons:
+            process.kill()
 
-        def end_when_over() -> None:
-            """Check the process until `done` is set, and kill the process if it exceeds a limit.
-
-            The exceeded limit is stored in `reason`.
-            """
-            end = monotonic() + longest_s
-            while not self.done.wait(_LOOK_EVERY_S):
-                try:
-                    taken = psutil.Process(process.pid).memory_info().rss
-                except psutil.Error:
-                    return  # the process has exited
-                if monotonic() > end:
-                    self.reason = f"its parser took longer than {longest_s:g} s"
-                elif taken > most_bytes:
-                    self.reason = (
-                        f"its parser took more than {most_bytes / 2**30:.2g} GiB of memory"
-                    )
-                if self.reason:
-                    process.kill()
-                    return
-
-        Thread(target=end_when_over, daemon=True).start()
+    Thread(target=watch, daemon=True).start()
+    return done, reasons
 
 
 def _receive(answers: IO[bytes]) -> Answer:

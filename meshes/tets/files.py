@@ -99,8 +99,8 @@ def read_tets(
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
-    Gmsh text files of version 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files by
-    meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
+    Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
+    by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
     The parts are an integer cell array with a usual name, such as ``gmsh:physical``, ``part`` or
     ``region``. The field ``part_names`` contains the names of the numbers 0, 1, ... of the array
     ``part``.

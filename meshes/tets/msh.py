@@ -1,7 +1,7 @@
-"""Content of mesh files, and reading of Gmsh text files of version 2.
+"""Content of mesh files, and reading of Gmsh text files of versions 1 and 2.
 
-meshio is an optional package, and reads damaged files of version 2 without an error.
-`meshes.tets.files` uses meshio for version 4 and for binary files.
+meshio does not read version 1 and is an optional package. `meshes.tets.files` uses meshio for
+version 4 and for binary files.
 """
 
 from collections.abc import Mapping
@@ -29,6 +29,7 @@ __all__ = [
 _TRIANGLE = 2
 _TETRAHEDRON = 4
 """Numbers of element types in Gmsh."""
+_SECTIONS = {1: ("$NOD", "$ELM"), 2: ("$Nodes", "$Elements")}
 _LONGEST_NAME = 60
 """Longest name of a part [characters], because names are shown in tables and legends."""
 MOST_PARTS = 64
@@ -86,18 +87,20 @@ class StoredMesh:
 
 
 def read_msh(file: Path) -> StoredMesh:
-    """Read a Gmsh text file of version 2 (``$MeshFormat`` 2.x).
+    """Read a Gmsh text file of version 1 (``$NOD``) or 2 (``$MeshFormat`` 2.x).
 
     Raises
     ------
     InputError
-        If the file is damaged or truncated, or refers to missing nodes.
+        If the file has another version, is binary or truncated, or refers to missing nodes.
     """
     text = decoded_text(file, "file", remedy="save it with gmsh -format msh22")
     lines = [line.rstrip("\r") for line in text.split("\n")]
+    version = _version(lines, file)
     try:
-        numbers, points = _nodes(_section(lines, "$Nodes"))
-        elements = [_element(line) for line in _section(lines, "$Elements")]
+        of_nodes, of_elements = (_section(lines, opening) for opening in _SECTIONS[version])
+        numbers, points = _nodes(of_nodes)
+        elements = [_element(line, version) for line in of_elements]
         tets = _of_kind(elements, _TETRAHEDRON, 4)
         triangles = _of_kind(elements, _TRIANGLE, 3)
         names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
@@ -118,17 +121,33 @@ def broken_sections(file: Path) -> InputError:
         "file",
         "hold complete sections of nodes and elements",
         f"an incomplete section in {file.name}",
-        "save it with gmsh -format msh22",
+        "export it again",
     )
 
 
 def is_old_text(file: Path) -> bool:
-    """Return whether a Gmsh file is text of version 2."""
+    """Return False for a Gmsh file that is binary or has another version than 1 and 2."""
     with file.open("rb") as stored:
         first = stored.readline(_LONGEST_NAME).split()
         second = stored.readline(_LONGEST_NAME).split()
-    is_format = first == [b"$MeshFormat"] and len(second) > 1
-    return is_format and second[0].startswith(b"2") and second[1] == b"0"
+    if first != [b"$MeshFormat"] or len(second) < 2:
+        return True
+    return second[0].startswith(b"2") and second[1] == b"0"
+
+
+def _version(lines: list[str], file: Path) -> int:
+    """Return the version of a Gmsh text file, 1 or 2."""
+    if lines[0].strip() == "$NOD":
+        return 1
+    form = lines[1].split() if lines[0].strip() == "$MeshFormat" and len(lines) > 1 else []
+    if len(form) >= 2 and form[0].startswith("2") and form[1] == "0":
+        return 2
+    raise InputError(
+        "file",
+        "be Gmsh text of version 1 or 2",
+        f"version {' '.join(form[:2])} in {file.name}" if form else f"neither in {file.name}",
+        "save it with gmsh -format msh22",
+    )
 
 
 def _section(lines: list[str], opening: str) -> list[str]:
@@ -151,12 +170,15 @@ def _nodes(lines: list[str]) -> tuple[Ints, Array]:
     return numbers, np.array([[number_in(x) for x in row[1:4]] for row in rows])
 
 
-def _element(line: str) -> tuple[int, int, list[int]]:
+def _element(line: str, version: int) -> tuple[int, int, list[int]]:
     """Return type, physical group (0 without a group) and nodes of a finite element.
 
-    The line contains: number, type, count of tags, tags, nodes.
+    In version 1, the line contains: number, type, physical group, elementary group, count of nodes,
+    nodes. In version 2, it contains: number, type, count of tags, tags, nodes.
     """
     row = [whole_number_in(word) for word in line.split()]
+    if version == 1:
+        return row[1], row[2], row[5:]
     return row[1], row[3] if row[2] else 0, row[3 + row[2] :]
 
 
