@@ -7,6 +7,8 @@ import hashlib
 import json
 import os
 import sys
+import zipfile
+import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
@@ -22,6 +24,11 @@ __all__ = ["Arrays", "Kept", "cache_folder", "cached_arrays", "read_entry", "wri
 _SEAL = "tissue cache entry"
 _DIGEST_BYTES = 16
 """Size of a checksum [byte]. The chance that two of 1e9 entries have the same checksum is 2e-21."""
+_DAMAGE = (
+    *(OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+"""Errors for missing and damaged files, found by changing each byte of a file."""
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -122,9 +129,7 @@ def _read(path: Path, code: str) -> Arrays | None:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
             return arrays if str(arrays.pop(_SEAL)) == _seal(arrays, code) else None
-    except FileNotFoundError:
-        return None
-    except Exception:  # a damaged archive raises many types of errors
+    except _DAMAGE:
         return None
 
 

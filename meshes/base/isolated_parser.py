@@ -12,7 +12,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -111,7 +110,6 @@ def parse_isolated(
     *,
     what: str,
     remedy: str,
-    longest_s: float | None = None,
     **options: object,
 ) -> Answer:
     """Run a parser on a file in a separate process.
@@ -129,8 +127,6 @@ def parse_isolated(
     what, remedy
         Expected kind of file ("VTK surface"), and instruction for the user if the file has another
         kind.
-    longest_s
-        Time limit [s]. None: 60 s plus one second per megabyte.
     options
         Further arguments of the function. JSON must be able to represent them.
 
@@ -141,8 +137,8 @@ def parse_isolated(
     Raises
     ------
     InputError
-        If the function raises an InputError, fails, crashes, takes too long or uses too much
-        memory.
+        If the function raises an InputError, fails, crashes, uses too much memory, or takes longer
+        than 60 s plus one second per megabyte.
     """
     if not sys.executable:
         raise InputError(
@@ -158,35 +154,11 @@ def parse_isolated(
         for each in (file.rglob("*") if file.is_dir() else [file])
         if each.is_file()
     )
-    limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
+    limit_s = _LONGEST_S + size / _BYTES_A_SECOND
     # The child process does not have the context variables of this process, so the memory limit is
     # passed to it.
     request = json.dumps([parser, str(file.absolute()), options, given_limit_GB()])
-    command = python_command(_START, request, str(os.getpid()), str(limit_s))
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    ) as process:
-        monitor = _Monitor(process, limit_s, max(_LEAST_BYTES, _BYTES_A_BYTE * size))
-        try:
-            assert process.stdout is not None
-            answer, arrays = _receive(process.stdout)
-        except (ValueError, MemoryError) as problem:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(_LAST_S)  # the pipe closes before the process exits
-            process.kill()
-            process.wait()
-            reason = monitor.reason or (
-                "it takes too much memory" if isinstance(problem, MemoryError) else ""
-            )
-            reason = reason or f"its parser crashed with exit code {process.returncode}"
-            raise InputError(
-                "file", f"be a readable {what}", f"{file.name} ({reason})", remedy
-            ) from None
-        except BaseException:
-            process.kill()
-            raise
-        finally:
-            monitor.done.set()
+    answer, arrays = _asked(request, limit_s, max(_LEAST_BYTES, _BYTES_A_BYTE * size))
     if "refused" in answer:
         raise InputError(*answer["refused"])
     if "problem" in answer:
@@ -196,41 +168,66 @@ def parse_isolated(
     return answer["facts"], arrays
 
 
-class _Monitor:
-    """Monitor that kills a process if it takes too long or uses too much memory.
+def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
+    """Return the answer of `_answer` in a child process.
 
-    `reason` is the exceeded limit.
+    The answer is a problem if the process crashes or exceeds a limit.
     """
+    command = python_command(_START, request, str(os.getpid()), str(limit_s))
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
+        done, reasons = _monitored(process, limit_s, most_bytes)
+        try:
+            assert process.stdout is not None
+            return _receive(process.stdout)
+        except (ValueError, MemoryError) as problem:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_LAST_S)  # the pipe closes before the process exits
+            process.kill()
+            process.wait()
+            if isinstance(problem, MemoryError):
+                reasons.append("it takes too much memory")
+            reasons.append(f"its parser crashed with exit code {process.returncode}")
+            return {"problem": reasons[0]}, {}
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            done.set()
 
-    def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:
-        import psutil
 
-        self.reason = ""
-        self.done = Event()
-        most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
+def _monitored(
+    process: subprocess.Popen[bytes], longest_s: float, most_bytes: int
+) -> tuple[Event, list[str]]:
+    """Monitor a process in a thread, and kill the process if it exceeds a limit.
 
-        def end_when_over() -> None:
-            """Check the process until `done` is set, and kill the process if it exceeds a limit.
+    Return an event that ends the monitoring, and a list to which the exceeded limit is added.
+    """
+    import psutil
 
-            The exceeded limit is stored in `reason`.
-            """
-            end = monotonic() + longest_s
-            while not self.done.wait(_LOOK_EVERY_S):
-                try:
-                    taken = psutil.Process(process.pid).memory_info().rss
-                except psutil.Error:
-                    return  # the process has exited
-                if monotonic() > end:
-                    self.reason = f"its parser took longer than {longest_s:g} s"
-                elif taken > most_bytes:
-                    self.reason = (
-                        f"its parser took more than {most_bytes / 2**30:.2g} GiB of memory"
-                    )
-                if self.reason:
-                    process.kill()
-                    return
+    most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
+    reasons: list[str] = []
+    done = Event()
 
-        Thread(target=end_when_over, daemon=True).start()
+    def watch() -> None:
+        """Check the process until `done` is set, or until the process exceeds a limit."""
+        end = monotonic() + longest_s
+        while not (reasons or done.wait(_LOOK_EVERY_S)):
+            try:
+                taken = psutil.Process(process.pid).memory_info().rss
+            except psutil.Error:
+                return  # the process has exited
+            if monotonic() > end:
+                reasons.append(f"its parser took longer than {longest_s:g} s")
+            elif taken > most_bytes:
+                limit = f"{most_bytes / 2**30:.2g} GiB of memory"
+                reasons.append(f"its parser took more than {limit}")
+        if reasons:
+            process.kill()
+
+    Thread(target=watch, daemon=True).start()
+    return done, reasons
 
 
 def _receive(answers: IO[bytes]) -> Answer:
@@ -267,28 +264,33 @@ def _serve() -> None:
         return
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # discard output of the libraries
-    name, file, options, max_memory_GB = json.loads(request)
-    module, function = name.split(":")
-    arrays: Mapping[str, NDArray[np.number]] = {}
-    try:
-        with memory_limit(max_memory_GB):
-            facts, arrays = getattr(import_module(module), function)(Path(file), **options)
-        arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
-        answer = {
-            "facts": facts,
-            "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()],
-        }
-    except InputError as problem:
-        answer = {"refused": [str(field) for field in problem.args]}
-    except DamagedFileError as problem:
-        # The text is one line and truncated, because it may quote damaged content of the file.
-        answer = {"problem": " ".join(str(problem).split())[:160]}
-    except Exception:  # the libraries raise many undocumented types of errors
-        answer = {"problem": "it is damaged or cut off"}
-        arrays = {}
+    answer, arrays = _answer(request)
+    answer["arrays"] = [(key, each.dtype.str, each.shape) for key, each in arrays.items()]
     answers.write(json.dumps(answer).encode() + b"\n")
     for array in arrays.values():
         if array.size:
             answers.write(array.reshape(-1).view(np.uint8).data)
     answers.flush()
     os._exit(0)  # exit at once; a library could hang in its cleanup after damaged input
+
+
+def _answer(request: str) -> Answer:
+    """Run a parser, and return its facts and arrays, or its error as facts."""
+    import numpy as np
+
+    name, file, options, max_memory_GB = json.loads(request)
+    module, function = name.split(":")
+    try:
+        with memory_limit(max_memory_GB):
+            facts, arrays = getattr(import_module(module), function)(Path(file), **options)
+        contiguous = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
+    except InputError as problem:
+        return {"refused": [str(field) for field in problem.args]}, {}
+    except DamagedFileError as problem:
+        # The text is one line and truncated, because it may quote damaged content of the file.
+        return {"problem": " ".join(str(problem).split())[:160]}, {}
+    # VTK, SciPy and pyarrow raise many undocumented types of errors for a damaged file, and any of
+    # them must reach the parent process as an answer.
+    except Exception:
+        return {"problem": "it is damaged or cut off"}, {}
+    return {"facts": facts}, contiguous

@@ -147,12 +147,12 @@ _WINDOW_HU = 12  # half width of the range of values that are averaged around a 
 # error divided by full width at half prominence, a quarter of the maximum's standard deviation
 _WIDTH_ERROR = 0.1
 _SMALLEST_MM3 = 500.0  # of air, fat or muscle; smaller regions are mixtures at boundaries
-_FEWEST_VOXELS = 60
+_FEWEST_VOXELS = 60  # the standard error of a mean is then an eighth of the spread
 _DENSE_HU = 700.0  # above trabecular bone and contrast medium
 _METAL_HU = 2500.0  # above all bone but enamel
 _METAL_REACH_MM = 12.0  # bone nearer to metal is not used because of streaks
 _DENSEST_SHARE = 0.1  # of the dense voxels; the others have pores or partial volume
-_SMALLEST_CORTEX_MM3 = 80.0
+_SMALLEST_CORTEX_MM3 = 80.0  # volume of a cube of 4.3 mm
 # smallest standard error of a region, because of 12-bit steps of 1 and shading across the image
 _ERROR_HU = 1.0
 

@@ -68,13 +68,13 @@ class DensityLaw:
         variance = slope * values**2 + 2.0 * both * values + offset + scaled**2
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
-    def band(self, values: Numbers, share: float = 0.9) -> tuple[Singles, Singles]:
+    def band(self, values: Numbers) -> tuple[Singles, Singles]:
         """Compute bounds [kg/m3] of the density of tissue with given mean grey values.
 
-        The density lies within the bounds with probability `share`.
+        The density lies within the bounds with a probability of 90 %.
         """
         values = np.asarray(values, dtype=np.float64)
-        half = NormalDist().inv_cdf(0.5 + 0.5 * share) * self.sd(values)
+        half = NormalDist().inv_cdf(0.95) * self.sd(values)
         middle = self.slope_kg_m3 * values + self.offset_kg_m3
         limits = (self.lowest_kg_m3, self.highest_kg_m3)
         low = np.clip(middle - half, *limits).astype(np.float32)

@@ -187,7 +187,7 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
     if stored.values.ndim == 4:
         return _of_layers(stored, path, image)
     values, notes = _whole(stored.values, path.name)
-    held = [int(number) for number in _different(values) if number]
+    held = [int(number) for number in np.unique(values) if number]
     if not held:
         raise InputError(
             "labels", "mark something", f"0 everywhere in {path.name}", "export the segmentation"
@@ -338,7 +338,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     if left < (1.0 - _LOST) * before:
         lost = 1.0 - left / before
         notes.append(f"{lost:.0%} of the labels of {one.source} lie outside {other.source}.")
-    held = set(_different(values).tolist())
+    held = set(np.unique(values).tolist())
     held = held.union(*(each for number, each in labels.overlaps.items() if number in held))
     names = {number: name for number, name in labels.names.items() if number in held}
     placed = replace(other, values=values, source=one.source, notes=(*one.notes, *notes))
@@ -416,7 +416,7 @@ def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]
         whole = np.rint(values)
     away = float(np.abs(values - whole).max()) if whole is not values else 0.0
     is_whole = low > -_ROUNDED and high <= MOST_LABELS and away <= _ROUNDED
-    if not is_whole or len(_different(whole)) > _MOST_DIFFERENT:
+    if not is_whole or len(np.unique(whole)) > _MOST_DIFFERENT:
         raise InputError(
             "labels",
             f"be whole numbers from 0 to {MOST_LABELS}, of at most {_MOST_DIFFERENT} kinds",
@@ -425,11 +425,3 @@ def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]
         )
     notes = [f"The labels of {source} are up to {away:.2g} off whole numbers: they are rounded."]
     return whole.astype(np.min_scalar_type(round(high))), notes if away > 0.0 else []
-
-
-def _different(values: Numbers) -> NDArray[np.integer]:
-    """Return the distinct non-negative integers in an array."""
-    if values.max() > np.iinfo(np.uint16).max:
-        return np.unique(values)
-    # Counting is ten times faster than sorting.
-    return np.flatnonzero(np.bincount(values.ravel(order="K").astype(np.uint16)))

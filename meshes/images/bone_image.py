@@ -126,21 +126,24 @@ def _require_size(
 
 def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float) -> Numbers:
     """Interpolate linearly to the spacing `to_mm` along each axis whose spacing is coarser."""
-    for axis, size in enumerate(from_mm):
-        if size <= (1.0 + _ISOTROPY) * to_mm:
-            continue
-        count = values.shape[axis]
-        # 1e-6 keeps the last voxel if count * size / to_mm is rounded to just below a whole number.
-        position = (np.arange(math.floor(count * size / to_mm + 1e-6)) + 0.5) * (to_mm / size) - 0.5
-        position = np.clip(position, 0.0, count - 1.0)
-        low = np.minimum(position.astype(np.int64), max(count - 2, 0))
-        part = (
-            (position - low).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+    from scipy.ndimage import affine_transform
+
+    sizes = np.array(from_mm)
+    steps = np.where(sizes > (1.0 + _ISOTROPY) * to_mm, to_mm / sizes, 1.0)
+    if (steps == 1.0).all():
+        return values
+    # 1e-6 keeps the last voxel if the quotient is rounded to just below a whole number.
+    count = np.floor(np.array(values.shape) / steps + 1e-6).astype(int)
+    return np.asarray(
+        affine_transform(
+            values.astype(np.float32),
+            steps,
+            0.5 * steps - 0.5,
+            tuple(count.tolist()),
+            order=1,
+            mode="nearest",
         )
-        below = np.take(values, low, axis=axis).astype(np.float32)
-        above = np.take(values, np.minimum(low + 1, count - 1), axis=axis).astype(np.float32)
-        values = below + (above - below) * part
-    return values
+    )
 
 
 def _averaged(values: Singles, axis: int, ratio: float) -> Singles:

@@ -267,7 +267,6 @@ def organ_mesh(
     labels: Labels,
     organ: str,
     parts: Sequence[str] = (),
-    edge_mm: float | None = None,
     *,
     report: Progress = silent,
 ) -> tuple[TetMesh, dict[str, str]]:
@@ -283,8 +282,6 @@ def organ_mesh(
         Name of the organ's label.
     parts
         Names of labels in the organ or at its surface that become parts.
-    edge_mm
-        Edge of the tetrahedra away from the parts [mm]. Default: a fourteenth of the longest side.
     report
         Called with the name of the current task.
 
@@ -296,10 +293,9 @@ def organ_mesh(
     Raises
     ------
     InputError
-        If a label does not exist, a part lies outside the organ or is too small, or the edge is too
-        short or too long.
+        If a label does not exist, or a part lies outside the organ or is too small.
     """
-    return labelled_organ(labels, organ, parts).mesh(edge_mm, report=report)
+    return labelled_organ(labels, organ, parts).mesh(report=report)
 
 
 def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:

@@ -10,7 +10,6 @@ import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,9 +25,6 @@ from meshes.surfaces.markups import TO_LPS, read_curve
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import inside_scattered, triangle_distance
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 __all__ = [
     "GCODE",
@@ -417,17 +413,8 @@ def to_replay(
         raise InputError("path", "hold two different points", "only one", "add another point")
     lasting = np.maximum(length / speeds[1:], turn / _TURN_RAD_S)
     times = np.concatenate([[0.0], np.cumsum(lasting)])
-    turns = Rotation.concatenate([_towards(axis) for axis in axes[moved]])
+    # The shortest rotation that turns z to the axis of the tool.
+    turns = Rotation.concatenate(
+        [Rotation.align_vectors(axis, (0.0, 0.0, 1.0))[0] for axis in axes[moved]]
+    )
     return ReplayTable(times[moved], tips[moved], turns.as_quat())
-
-
-def _towards(axis: Array) -> "Rotation":
-    """Return the shortest rotation that turns z to a unit vector."""
-    from scipy.spatial.transform import Rotation
-
-    across = np.cross([0.0, 0.0, 1.0], axis)
-    sine = float(np.linalg.norm(across))
-    # The axis is z or -z up to rounding errors, so any perpendicular rotation axis is valid.
-    if sine < 1e-12:
-        return Rotation.from_rotvec([0.0 if axis[2] > 0.0 else np.pi, 0.0, 0.0])
-    return Rotation.from_rotvec(across / sine * np.arctan2(sine, axis[2]))

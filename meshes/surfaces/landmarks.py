@@ -5,10 +5,11 @@ The searches do not depend on the position and orientation of the bone. All leng
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, in_brackets, require_vector
 from meshes.surfaces.pedicles import VERTEBRA, find_pedicle
 from meshes.surfaces.site import (
@@ -23,6 +24,9 @@ from meshes.surfaces.site import (
     spread,
 )
 from meshes.surfaces.surface import Surface
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 __all__ = ["SITE_KINDS", "FoundSite", "find_glenoid", "find_site"]
 
@@ -152,8 +156,8 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     # the radius of the disc.
     samples = sample_surface(*surface.scanned, 8000)
     points = samples.points[::5]
-    near = cKDTree(samples.points).query_ball_point(points, _REACH)
-    seeds = [_glenoid_score(samples, 5 * k, np.array(each)) for k, each in enumerate(near)]
+    tree = cKDTree(samples.points)
+    seeds = [_glenoid_score(samples, 5 * k, tree) for k in range(len(points))]
     scores = np.array([score for _, score in seeds])
     best = int(np.argmax(scores))
     # 30 mm is the length of a face, so the second-best place is a different place.
@@ -187,7 +191,7 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     )
 
 
-def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Array, float]:
+def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tuple[Array, float]:
     """Compute the smoothed normal and the similarity to a glenoid, 0 to 1, at a sample.
 
     The similarity describes the surface around the sample.
@@ -196,7 +200,9 @@ def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Ar
     and has similar normals there. The surface falls off beyond 20 mm. The bone behind the disc is
     thick. The disc is not convex.
     """
-    offset = samples.points[near] - samples.points[number]
+    point = samples.points[number]
+    near = tree.query_ball_point(point, 1.2 * _DISC)  # contains the disc and 6 mm above and below
+    offset = samples.points[near] - point
     normals = samples.normals[near]
     # The normal is a mean over a disc, because the normals of voxel surfaces and small triangles
     # vary. Samples whose normals differ by 60 degrees lie on another side of the bone.
@@ -205,17 +211,24 @@ def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Ar
     normal /= np.linalg.norm(normal)
     height = offset @ normal
     radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
-    facing = normals @ normal
     # within 53 degrees and 6 mm: the hollow and the rim of the socket, without the neck behind it
-    level = (facing > 0.6) & (np.abs(height) < 6e-3)
+    level = (normals @ normal > 0.6) & (np.abs(height) < 6e-3)
     covered = samples.area * np.count_nonzero(level & (radial < _DISC)) / (np.pi * _DISC**2)
+    # A face covers the disc. With limits of 0.5 and 0.85, the sites are the same.
+    if covered < 0.7:
+        return normal, 0.0
+    near = tree.query_ball_point(point, _REACH)
+    offset = samples.points[near] - point
+    height = offset @ normal
+    radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+    facing = samples.normals[near] @ normal
+    level = (facing > 0.6) & (np.abs(height) < 6e-3)
     # Surface directly behind the sample that faces backwards. The limit of 1.5 mm excludes the
     # other side of a thin rim.
     behind = height[(facing < 0.0) & (radial < 5e-3) & (height < -1.5e-3)]
     thickness = -behind.max(initial=-_REACH)
     thick = np.clip((thickness - _THICK[0]) / (_THICK[1] - _THICK[0]), 0.0, 1.0)
-    # A face covers the disc. With limits of 0.5 and 0.85, the sites are the same.
-    if covered < 0.7 or thick == 0.0:
+    if thick == 0.0:
         return normal, 0.0
     u, v = across(normal)
     # Surface that falls off by more than 4 mm counts as free.

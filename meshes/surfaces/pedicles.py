@@ -16,7 +16,7 @@ from meshes.surfaces.site import (
     spread,
 )
 from meshes.surfaces.surface import Surface
-from meshes.voxels.mesh_sampling import inside_scattered, triangle_distance
+from meshes.voxels.mesh_sampling import inside_scattered, surface_distance
 
 __all__ = ["VERTEBRA", "find_pedicle"]
 
@@ -235,6 +235,7 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
 
     sections = _sections(surface, frame, sign)
     start = sections[np.argmin(sections[:, 3]), :3]
+    distance = surface_distance(surface.vertices_m, surface.faces)
 
     def line(numbers: Array) -> Array:
         """Return points of a line with an offset [mm] and slopes at the narrowest section."""
@@ -246,7 +247,7 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
         # Lines with slopes above 0.7 leave the pedicle. For lines with equal smallest depth, the
         # mean depth decides.
         steep = max(float(np.abs(numbers[2:]).max()) - 0.7, 0.0)
-        outside = triangle_distance(surface.vertices_m, surface.faces, line(numbers))
+        outside = distance(line(numbers))
         return 1e3 * float(outside.max() + 0.01 * outside.mean()) + 100.0 * steep
 
     # Nelder-Mead ends in the nearest minimum, so start with 0 and 17 degrees inward. Pedicles point
@@ -255,7 +256,7 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
         minimize(cost, [0.0, 0.0, slope * sign, 0.0], method="Nelder-Mead") for slope in (0.0, -0.3)
     ]
     points = line(min(tried, key=lambda each: float(each.fun)).x)
-    radius = -float(triangle_distance(surface.vertices_m, surface.faces, points).max())
+    radius = -float(distance(points).max())
     outward = points[0] - points[-1]
     outward /= np.linalg.norm(outward)
     rotation = axes_along(outward, np.cross(frame.axes[:, 2], outward).tolist())

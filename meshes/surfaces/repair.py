@@ -43,7 +43,8 @@ def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
     Degenerate triangles, duplicate triangles and pairs of opposite triangles are removed.
     """
     vertices, faces = compact(vertices, faces)
-    first, where = _numbered(_lattice_keys(vertices, tolerance))
+    keys = _lattice_keys(vertices, tolerance)
+    _, first, where = np.unique(keys, return_index=True, return_inverse=True)
     faces = where[faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
@@ -64,23 +65,9 @@ def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
         # The product would overflow 64 bits. After renumbering, there is at most one key per
         # vertex.
         if (int(keys.max()) + 1) * count >= 2**63:
-            keys = _numbered(keys)[1]
+            keys = np.unique(keys, return_inverse=True)[1]
         keys = keys * count + step
     return keys
-
-
-def _numbered(keys: Ints) -> tuple[Ints, Ints]:
-    """Return the first index of each distinct key, sorted by key, and the rank of each key.
-
-    The result is the same as with `numpy.unique`, but this function is five times as fast, because
-    it does not need a stable sort.
-    """
-    order = np.argsort(keys)
-    ordered = keys[order]
-    new = np.concatenate([[True], ordered[1:] != ordered[:-1]])
-    where = np.empty(len(keys), dtype=np.int64)
-    where[order] = np.cumsum(new) - 1
-    return np.minimum.reduceat(order, np.flatnonzero(new)), where
 
 
 def is_manifold(faces: Ints) -> bool:

@@ -121,7 +121,6 @@ def read_surface(
     *,
     scale_mm: float | None = None,
     cut_off: bool = False,
-    every_piece: bool = False,
 ) -> Surface:
     """Read a surface from STL, OBJ, PLY, VTK or VTP and make it enclose a solid.
 
@@ -135,9 +134,6 @@ def read_surface(
     cut_off
         Whether the bone may end at the edge of its scan. If true, a large hole is closed by a face.
         Otherwise, a large hole raises an error.
-    every_piece
-        Whether all separate pieces are kept. If false, pieces with less than 1 % of the largest
-        piece's area are removed.
 
     Raises
     ------
@@ -154,7 +150,6 @@ def read_surface(
         source=file.name,
         scale_mm=scale_mm,
         cut_off=cut_off,
-        every_piece=every_piece,
     )
     repairs = (*notes, *surface.report.repairs)
     return replace(surface, report=replace(surface.report, repairs=repairs))
@@ -179,8 +174,11 @@ def surface_from_triangles(
         Vertices [file units], shape (n, 3).
     faces
         Vertex indices of the triangles, shape (m, 3).
-    source, scale_mm, cut_off, every_piece
+    source, scale_mm, cut_off
         As in `read_surface`.
+    every_piece
+        Whether all separate pieces are kept. If false, pieces with less than 1 % of the largest
+        piece's area are removed.
 
     Raises
     ------

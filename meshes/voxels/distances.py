@@ -153,11 +153,15 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     opposite biases is a twelfth of the sum of the principal curvatures. In the interpolated
     surface, a quarter of such a bias remains.
     """
+    from scipy.ndimage import binary_dilation, maximum_filter
+
     # A margin of three voxels: two for the reach of planes, and one for the gradient.
     padded = np.pad(fraction, 3)
     result = np.where(padded > 127, INSIDE, OUTSIDE).astype(np.uint8)
     # A flat surface may lie exactly between full and empty voxels, without partly filled voxels.
-    crossed = ((padded > 0) & (padded < 255)) | _beside(padded == 255, padded == 0)
+    full = padded == 255
+    empty = padded == 0
+    crossed = (full & binary_dilation(empty)) | (empty & binary_dilation(full)) | ~(full | empty)
     at = np.argwhere(crossed)
     normal = _outward(padded, at)
     share = padded[crossed] / 255.0
@@ -166,7 +170,7 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     known = np.full(padded.shape, -1, dtype=np.int32)
     planes = len(at)
     known[crossed] = np.arange(planes, dtype=np.int32)
-    near = np.argwhere(_grown(_grown(crossed)))
+    near = np.argwhere(maximum_filter(crossed, 5))
     summed, weights = np.zeros((2, len(near)))
     # A full or an empty voxel next to the surface only gives a bound for the distance.
     trust = np.where((share > 0.0) & (share < 1.0), 1.0, np.where(total > 0.0, 1e-3, 0.0))
@@ -216,28 +220,6 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
             slope -= weight * fraction[tuple((at + offset).T)].astype(np.float64)[:, None] * offset
     slope[~slope.any(axis=1), 2] = 1.0
     return slope / np.linalg.norm(slope, axis=1)[:, None]
-
-
-def _beside(one: Flags, other: Flags) -> Flags:
-    """Flag the voxels of two kinds that share a face with a voxel of the other kind."""
-    met = np.zeros(one.shape, dtype=bool)
-    for axis in range(3):
-        a, b = _halves(axis)
-        pairs = (one[a] & other[b]) | (other[a] & one[b])
-        met[a] |= pairs
-        met[b] |= pairs
-    return met
-
-
-def _grown(flags: Flags) -> Flags:
-    """Return the flags, extended to all voxels that touch a flagged voxel."""
-    grown = flags.copy()
-    for axis in range(3):
-        a, b = _halves(axis)
-        before = grown.copy()
-        grown[a] |= before[b]
-        grown[b] |= before[a]
-    return grown
 
 
 def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:

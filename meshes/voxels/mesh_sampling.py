@@ -9,7 +9,7 @@ interpolated to the voxels.
 Crossings of vertical lines with triangles also determine whether scattered points lie inside.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +25,7 @@ __all__ = [
     "inside_scattered",
     "lowest_and_highest",
     "nearest_on_triangles",
+    "surface_distance",
     "triangle_distance",
     "triangles_meeting",
 ]
@@ -431,14 +432,29 @@ def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
 
     The points [m] have the shape (n, 3).
     """
-    import pyvista
+    return surface_distance(vertices, faces)(points) if len(points) else np.empty(0)
 
-    if len(points) == 0:
-        return np.empty(0)
-    surface = pyvista.PolyData.from_regular_faces(vertices, faces.astype(int))
-    cloud = pyvista.PolyData(np.ascontiguousarray(points, dtype=np.float64))
-    found = cloud.compute_implicit_distance(surface)
-    return np.asarray(found["implicit_distance"], dtype=np.float64)
+
+def surface_distance(vertices: Array, faces: Ints) -> Callable[[Floats], Array]:
+    """Return `triangle_distance` of a surface, as a function of one or more points.
+
+    Repeated calls are fast, because the triangles are sorted only once.
+    """
+    import pyvista
+    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkDoubleArray
+    from vtkmodules.vtkFiltersCore import vtkImplicitPolyDataDistance
+
+    function = vtkImplicitPolyDataDistance()
+    function.SetInput(pyvista.PolyData.from_regular_faces(vertices, faces.astype(int)))
+
+    def distance(points: Floats) -> Array:
+        found = vtkDoubleArray()
+        at = np.ascontiguousarray(points, dtype=np.float64)
+        function.FunctionValue(numpy_to_vtk(at), found)
+        return np.array(vtk_to_numpy(found), dtype=np.float64)
+
+    return distance
 
 
 def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:

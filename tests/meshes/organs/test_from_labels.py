@@ -6,7 +6,7 @@ from labelled_organs import RADII_MM, off_ellipsoid, organ_labels
 
 from meshes.base.arrays import enclosed_volume
 from meshes.base.errors import InputError
-from meshes.organs.from_labels import LabelGrid, label_triangles, organ_mesh
+from meshes.organs.from_labels import LabelGrid, label_triangles, labelled_organ
 from meshes.tets.files import read_tets
 from meshes.tets.tetrahedra import TetMesh, mean_ratio, write_organ
 
@@ -50,7 +50,7 @@ def test_the_surface_has_no_steps_and_is_not_shrunk(spacing, seed):
 @pytest.mark.parametrize("spacing", SPACINGS[1:3])
 def test_tetrahedra_have_the_volume_of_the_voxels_and_a_ball_its_own(spacing):
     labels, turn = organ_labels(spacing, 2, {"tumour": ((10.0, 4.0, 3.0), 9.0)})
-    mesh, notes = organ_mesh(labels, "organ", ["tumour"], EDGE_MM)
+    mesh, notes = labelled_organ(labels, "organ", ["tumour"]).mesh(EDGE_MM)
     found, voxel = volumes_ml(mesh), 1e-3 * np.prod(spacing)
     assert mesh.part_names == ("organ", "tumour")
     assert sum(found.values()) == pytest.approx(
@@ -80,7 +80,7 @@ def test_parts_may_touch_lie_in_each_other_and_reach_the_surface(tmp_path):
         "vessel": ((0.0, 0.0, 21.0), 6.0),
     }
     labels, _ = organ_labels((1.0, 1.0, 1.5), 3, balls)
-    mesh, notes = organ_mesh(labels, "organ", list(balls), EDGE_MM)
+    mesh, notes = labelled_organ(labels, "organ", list(balls)).mesh(EDGE_MM)
     found = volumes_ml(mesh)
     for number, name in enumerate(balls, start=2):
         assert found[name] == pytest.approx(

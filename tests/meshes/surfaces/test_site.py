@@ -55,7 +55,7 @@ def synthetic_scapula():
     from meshes.shapes.anatomy import Anatomy, cortical_block
 
     vertices, faces = voxel_surface(
-        voxelise(Anatomy("scapula", bone, ("bone",), cortical_block().classify), spacing_m=8e-4)
+        voxelise(Anatomy("scapula", bone, ("bone",), cortical_block().classify), spacing_m=1e-3)
     )
     turn = trimesh.transformations.rotation_matrix(2.1, (1, -2, 0.5))[:3, :3]
     move = np.array([0.1, -0.05, 0.2])

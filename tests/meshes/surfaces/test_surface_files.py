@@ -33,6 +33,7 @@ def write(tmp_path):
     return write_file
 
 
+@pytest.mark.usefixtures("parsed_here")
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtk", ".vtp"])
 def test_formats(write, suffix):
     surface = read_surface(write(bone(), "bone" + suffix))
@@ -174,6 +175,7 @@ def obj():
 MOVED = BOX.copy().apply_translation((50.0, 0.0, 0.0))
 
 
+@pytest.mark.usefixtures("parsed_here")
 @pytest.mark.parametrize(
     ("name", "content", "volume", "note"),
     [
@@ -204,6 +206,7 @@ def test_files_of_careless_programs_are_read(tmp_path, name, content, volume, no
     assert not note or note in notes[0]
 
 
+@pytest.mark.usefixtures("parsed_here")
 def test_an_error_of_trimesh_without_a_message_is_named(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise IndexError

@@ -23,7 +23,7 @@ def longest_over_height(mesh: TetMesh) -> float:
     return float((edge * area.max(axis=1) / (3.0 * mesh.volumes_m3)).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_shaken_box_refined_about_a_point(seed):
     """A shaken box refined about a point stays valid.
 
@@ -81,8 +81,8 @@ def test_surface_nodes_go_onto_the_surface_that_the_mesh_stands_for():
     def onto(points):
         return points / np.linalg.norm(points, axis=1)[:, None]
 
-    edges = (0.4, 0.2)
-    coarse = stuffed(sphere(1.0), 0.5)
+    edges = (0.5, 0.25)
+    coarse = stuffed(sphere(1.0), 0.6)
     whole, missing = 4.0 / 3.0 * np.pi, []
     for edge in edges:
         flat = bisected(coarse, lambda at, edge=edge: np.full(len(at), edge))

@@ -15,6 +15,7 @@ from meshes.tets.files import read_tets
 from meshes.tets.msh import read_msh
 from meshes.tets.structured import box
 
+pytestmark = pytest.mark.usefixtures("parsed_here")
 NODES = "$Nodes\n4\n1 0 0 0\n2 100 0 0\n3 0 100 0\n4 0 0 100\n$EndNodes\n"
 FORM = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
 

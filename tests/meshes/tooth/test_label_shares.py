@@ -51,7 +51,7 @@ def centres(volume):
     ).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_distances_are_those_of_the_surface_that_was_labelled(seed):
     """Distances agree with the surface that was labelled.
 

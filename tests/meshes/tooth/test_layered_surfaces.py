@@ -104,7 +104,7 @@ def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow):
 
 def test_gap_is_reported_and_filled():
     anatomy = layered_anatomy(blocks(gap=0.2))
-    volume = voxelise(anatomy, spacing_m=SPACING)
+    volume = voxelise(anatomy, spacing_m=2.0 * SPACING)
     assert anatomy.notes["gaps"].startswith("enamel and dentin ")
     assert float(anatomy.notes["gaps"].split()[-2]) == pytest.approx(8 * 6 * 0.2, rel=0.03)
     assert 1e9 * volume.volume_m3() == pytest.approx(8 * 6 * 15.2, rel=3e-3)

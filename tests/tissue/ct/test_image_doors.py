@@ -69,13 +69,14 @@ def test_a_file_of_many_frames_is_imported(tmp_path):
 def planes(folder):
     """Write a ball of bone in 8 bits as PNG planes of 0.5 x 0.5 x 1 mm."""
     folder.mkdir()
-    values = ball_mask(ball((0.5, 0.5, 1.0), half_mm=15.0)).astype(np.uint8) * 200
+    values = ball_mask(ball((0.5, 0.5, 1.0), half_mm=13.0)).astype(np.uint8) * 200
     for k in range(values.shape[2]):
         Image.fromarray(values[:, :, k].T).save(folder / f"plane00{k}.png")
     return values
 
 
-def test_planes_take_their_spacing_at_every_door(tmp_path, command):
+def test_planes_take_their_spacing_at_every_door(tmp_path, command, monkeypatch):
+    monkeypatch.setattr("tissue.ct.bone._pictures", lambda *_: {})
     values = planes(tmp_path / "png")
     millilitres = 1e-3 * 0.25 * (values > 100).sum()
     bone = tissue.Bone.from_image(tmp_path / "png", threshold=100, spacing_mm=(0.5, 0.5, 1.0))

@@ -44,9 +44,9 @@ def test_a_label_to_keep_clear_of_is_measured_on_the_run(ct, tmp_path):
         **BONE,
     )
     coarse = {
-        "voxels.spacing_mm": 0.4,
+        "voxels.spacing_mm": 0.6,
         "motion.points_mm": [[0, 0, 1], [0, 0, -2]],
-        "motion.feed_mm_s": 20.0,
+        "motion.feed_mm_s": 40.0,
     }
     assert "facial nerve: 2 pieces of 0.269, 0.116 ml, all of them kept clear of" in made.sentences
     run = tissue.simulate(tissue.load_scene(made.scene, coarse))
@@ -76,7 +76,7 @@ def test_a_path_is_followed_on_the_bone(ct, tmp_path):
         ct / "ct.nrrd", tmp_path / "out", threshold=threshold, path=file, feed_mm_s=20.0, **BONE
     )
     assert "at most" in next(each for each in made.sentences if each.startswith("path:"))
-    scene = tissue.load_scene(made.scene, {"voxels.spacing_mm": 0.4})
+    scene = tissue.load_scene(made.scene, {"voxels.spacing_mm": 0.6})
     assert scene.motion.kind == "replay"
     run = tissue.simulate(scene)
     ends = run.parts.placement.to_file(run.trace.vectors("tool", "mm"))
