@@ -125,12 +125,8 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
     known = [name for name in parameters if name not in ("self", "cls")]
 
     @wraps(function)
-<<<<<<< HEAD
     def checked(*values: Any, **options: Any) -> Any:
-=======
-    def checked(*values: P.args, **options: P.kwargs) -> R:
         """Raise an error for an unknown keyword argument, otherwise call the function."""
->>>>>>> me
         for name in options:
             if name not in known:
                 raise TypeError(
