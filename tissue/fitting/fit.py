@@ -173,7 +173,7 @@ class SceneFit(Fitted):
     fixed: Mapping[str, float]
 
     @cached_property
-    def constants(self) -> tuple[ConstantFit, ...]:
+    def constants(self) -> tuple[ConstantFit, ...]:  # type: ignore[override]  # never set
         """All free constants, in the order of the forward model."""
         found = []
         for at, parameter in enumerate(self.posterior.target.forward.parameters):
