@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
-from scipy.ndimage import map_coordinates
 
-from kernels.bricks import cube_behind_plane, plane_of, sample, voxel_column, voxel_row
+from kernels.bricks import cube_behind_plane, plane_of, voxel_column, voxel_row
 from meshes.voxels.distances import INSIDE, OUTSIDE, SURFACE_ZERO
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks import BrickStore
@@ -131,16 +130,6 @@ def test_rows_and_columns_point_at_the_voxels():
     assert (store.swept.numpy() == 65535).all()
 
 
-def test_trilinear_sampling_equals_scipy():
-    volume = random_volume()
-    store = BrickStore.from_volume(volume, device="cpu")
-    points = np.random.default_rng(4).uniform(-1.0, 32.0, (2000, 3))
-    padded = np.pad(volume.fraction / 255.0, 4)
-    expected = map_coordinates(padded, points.T - 0.5 + 4, order=1)
-    # single precision coordinates
-    assert store.sample(points * volume.spacing_m) == pytest.approx(expected, abs=2e-6)
-
-
 def test_a_voxel_outside_the_grid_on_any_side_has_no_row():
     """A voxel outside the grid on any side has no row.
 
@@ -161,36 +150,3 @@ def test_a_voxel_outside_the_grid_on_any_side_has_no_row():
     assert (places.numpy()[:, 0] == rows).all()
     columns = places.numpy()[inside, 1].reshape(-1)
     assert all(sorted(columns[rows[inside] == brick]) == list(range(512)) for brick in range(8))
-
-
-SINGLE = 4e-6
-"""Places of up to 30 voxels are known to 2e-6 voxel in float32."""
-
-
-def test_fractions_against_scipy_from_an_offset_on():
-    random = np.random.default_rng(0)
-    shape, count, offset = (14, 19, 26), 600, 100
-    fraction = random.integers(0, 256, shape, dtype=np.uint8)
-    volume = VoxelVolume(
-        np.zeros(3),
-        1e-4,
-        fraction,
-        np.zeros(shape, np.uint8),
-        np.full(shape, 1500, np.uint16),
-        ("bone",),
-    )
-    store = BrickStore.from_volume(volume, device="cpu")
-    points = random.uniform(-2.0, 28.0, (count, 3)).astype(np.float32)
-    out = wp.full(count, -1.0, dtype=wp.float32, device="cpu")
-    inputs = [
-        wp.array(points, dtype=wp.vec3, device="cpu"),
-        offset,
-        store.brick_of,
-        store.remaining,
-    ]
-    wp.launch(sample, dim=count - offset, inputs=inputs, outputs=[out], device="cpu")
-    right = map_coordinates(
-        np.pad(fraction / 255.0, 4), points.T.astype(float) - 0.5 + 4.0, order=1
-    )
-    assert out.numpy()[offset:] == pytest.approx(right[offset:], abs=SINGLE)
-    assert (out.numpy()[:offset] == -1.0).all()

@@ -42,7 +42,7 @@ def test_the_command_runs_live_without_a_display(no_display, command, here):
 
 
 class FakeWindow:
-    """A window whose pointer goes 8 mm down at once, and that is closed after 400 ticks."""
+    """A window whose pointer goes 8 mm down at once, and that is closed after 600 ticks."""
 
     paused = reset = False
 
@@ -61,7 +61,7 @@ class FakeWindow:
 
     def show(self, index, row, clock):
         self.shown += 1
-        self.closed = index >= 399
+        self.closed = index >= 599
 
     def failed(self):
         return None
@@ -77,7 +77,7 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
-    assert len(run.trace.rows) == 400 and run.scene.held.kind == "touch"
+    assert len(run.trace.rows) == 600 and run.scene.held.kind == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
     # 400 N/m at the device in series with the wall.
     scale = chosen_scale(run.scene).factor
@@ -109,7 +109,7 @@ def stalled(monkeypatch):
 
 def test_a_run_waits_for_a_window_that_hangs_and_reports_it(stalled):
     run = run_live(load_scene("wall"))
-    assert len(run.trace.rows) == 400
+    assert len(run.trace.rows) == 600
     (time_s, what), *more = [event for event in run.events if "drew nothing" in event[1]]
     assert what.startswith("the window drew nothing: the run waited ") and not more
     waited_us = 1e6 * float(what.split("waited ")[1].split(" s")[0])
@@ -132,7 +132,7 @@ def test_a_pause_is_no_lateness_and_is_reported(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     monkeypatch.setattr(FakeWindow, "paused", property(paused))
     run = run_live(load_scene("wall"))
-    assert len(run.trace.rows) == 400
+    assert len(run.trace.rows) == 600
     ((time_s, what),) = [event for event in run.events if "paused" in event[1]]
     assert (
         time_s == 0.3
@@ -183,11 +183,11 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
     run = run_live(load_scene("wall"), LiveSettings(opened=addresses.append), out=out)
     (page,) = FakePage.made
     assert addresses == ["http://127.0.0.1:1/?token=x"] and page.closed
-    assert [window.shown for window in page.windows] == [200, 400]
-    assert len(run.trace.rows) == 400 and run.trace["time_s"][0] == 0.0
+    assert [window.shown for window in page.windows] == [200, 600]
+    assert len(run.trace.rows) == 600 and run.trace["time_s"][0] == 0.0
     run.save(out, pictures=False)
     saved = SavedRun(out)
-    assert saved.complete and len(saved.trace.rows) == 400
+    assert saved.complete and len(saved.trace.rows) == 600
     assert (
         saved.summary["notes"]["live"]
         == "the mouse moves the tool in a browser; the force is shown but cannot be felt"
