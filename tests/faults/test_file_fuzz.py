@@ -102,6 +102,7 @@ def test_whole_files_are_read(sources, apart):
     reading.close()
 
 
+@pytest.mark.slow
 def test_damaged_files_are_read_or_refused(sources, tmp_path):
     outcomes, wrong = fuzz(sources, tmp_path, QUICK, FIRST_SEED)
     assert not wrong, "\n".join(wrong)

@@ -146,6 +146,7 @@ def test_a_loop_within_the_judged_limit_fades(tangent, late_ticks):
 
 
 @pytest.mark.parametrize(("share", "fades"), [(0.97, True), (1.06, False)])
+@pytest.mark.slow
 def test_the_limit_is_that_of_the_tangent_in_series(tangent, share, fades):
     """The judged loop has a tick of delay more than the balance of an undisturbed press needs.
 

@@ -196,6 +196,7 @@ def errors(order, cells):
     [(1, (10, 13, 16), (0.022, 0.14)), (2, (4, 6, 8), (0.0023, 0.026))],
     ids=["linear", "quadratic"],
 )
+@pytest.mark.slow
 def test_slopes_and_bounds(order, cells, bounds):
     """Errors have the expected slopes and bounds.
 

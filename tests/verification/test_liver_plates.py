@@ -109,6 +109,7 @@ def test_cook_in_plane_strain():
     assert (np.diff(quadratic, axis=0) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_thick_elliptic_plate():
     """The thick elliptic plate follows NAFEMS LE10.
 

@@ -47,6 +47,7 @@ def path_m(time_s: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", ["neo-hookean", "exponential"])
+@pytest.mark.slow
 def test_a_punch_that_leaves_and_returns_has_the_force_of_maxwell_elements(name):
     """A flat punch covers the block, whose surface stays flat. It leaves faster than the block.
 

@@ -51,6 +51,7 @@ def drilled():
         return Drilled(patch)
 
 
+@pytest.mark.slow
 def test_what_is_booked_is_what_is_missing(drilled):
     """Removed volume per layer equals the missing volume in the voxels, exactly."""
     bone = drilled.model.milling

@@ -116,6 +116,7 @@ def test_without_a_normal_it_is_that_of_the_surface_and_x_lies_along_the_directi
         ("myosim_scapula.stl", None, (-28.5, -36.7, -16.6), (0.52, -0.06, 0.85)),
     ],
 )
+@pytest.mark.slow
 def test_real_scapulae(anatomy, name, scale_mm, centre_mm, axis):
     surface = read_surface(anatomy / "scapula" / name, scale_mm=scale_mm)
     site = find_glenoid(surface)

@@ -39,6 +39,7 @@ def course(tips_m, forces_N):
     return Course(tips_m, forces_N, np.arange(TICKS) >= FIRST)
 
 
+@pytest.mark.slow
 def test_a_path_that_is_replayed_twice_gives_the_same_bits(wall, reference):
     first, second = reference, replayed(*wall)
     assert np.array_equal(first.tips_m, second.tips_m) and first.touches.any()

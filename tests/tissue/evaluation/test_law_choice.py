@@ -56,6 +56,7 @@ def test_the_exponential_table_is_that_of_a_thick_layer():
     assert linear_error(0.3, CITED_LAW) == pytest.approx(0.164)
 
 
+@pytest.mark.slow
 def test_a_pressed_liver_is_linear_where_the_demand_allows_it(scene):
     """The error of the linear law 0.57 radii deep is 32 % against the exponential law."""
     liver = changed(scene, {"organ.material": "pressed_liver", "organ.young_kPa": None})

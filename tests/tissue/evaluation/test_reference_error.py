@@ -51,6 +51,7 @@ def reference(run, evaluated):
         return reference_force(run.scene, run.trace)
 
 
+@pytest.mark.slow
 def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference, evaluated):
     cutter, solid = cutter_of(run.scene.tool), solid_of_scene(run.scene)
     path = path_of_trace(run.trace, cutter)

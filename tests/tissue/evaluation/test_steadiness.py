@@ -115,6 +115,7 @@ def runs(tmp_path_factory):
     return folder / "people"
 
 
+@pytest.mark.slow
 def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
     found = tissue.rank(runs, runs / "expert" / "run0")
     assert [person.name for person in found.people] == ["expert", "intermediate", "novice"]
@@ -133,6 +134,7 @@ def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
         found.save(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
     reference = runs / "expert" / "run0"
     code, text = command("assess", runs, "--against", reference, "--out", "ranked")[:2]

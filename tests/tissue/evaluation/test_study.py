@@ -129,6 +129,7 @@ def test_a_plan_that_makes_no_sense_is_refused(given, message):
         Plan(**given)
 
 
+@pytest.mark.slow
 def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
     """A study that is stopped continues.
 
@@ -160,6 +161,7 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
     assert whole == total and set(pool.calls) == set(plan.all_trials())
 
 
+@pytest.mark.slow
 def test_a_trial_that_ends_its_worker_is_kept_as_failed(tmp_path, pool):
     """The others are not blamed, though they were under way when it went."""
     culprit = TrialKey("T2", "expert", 1)

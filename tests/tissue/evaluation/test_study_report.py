@@ -145,6 +145,7 @@ def rows_of(path: Path):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_the_sensitivity_names_what_moves_the_headline(study):
     section = sensitivity_section(study)
     assert "It moves most with pace (1.4 of the usual: +" in section.sentences[0]

@@ -62,6 +62,7 @@ def test_it_fits_the_device():
 
 
 @pytest.mark.parametrize(("name", "count"), [("needle", 4), ("wall", 1)])
+@pytest.mark.slow
 def test_a_run_plays_one_for_each_event(name, count):
     """A run plays one cue for each event.
 

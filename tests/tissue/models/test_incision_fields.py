@@ -57,6 +57,7 @@ def on_plane(series):
     return left, left + half
 
 
+@pytest.mark.slow
 def test_both_faces_lie_together_until_they_are_cut(series):
     left, right = on_plane(series)
     np.testing.assert_array_equal(series.nodes_m[left], series.nodes_m[right])
@@ -88,6 +89,7 @@ def test_all_cells_have_their_volume(series):
     assert (volumes > 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_turned_cut_near_the_planned_one_is_drawn_there_with_the_turned_opening(series):
     turn = Rotation.from_euler("z", 0.8).as_matrix()
     near = CORNERS_M + np.array([0.0, 0.5 * NEAR_M, 0.0])
@@ -100,6 +102,7 @@ def test_a_turned_cut_near_the_planned_one_is_drawn_there_with_the_turned_openin
     )
 
 
+@pytest.mark.slow
 def test_a_block_follows_a_leaning_blade():
     """Its plane is the one of the blade, and its top lies at z = 0."""
     lean = Rotation.from_euler("x", 25, degrees=True).as_matrix()

@@ -111,6 +111,7 @@ def test_the_bottom_carries_what_moves_the_track(driven):
         assert not frame.points["displacement_mm"][on_bottom].any()
 
 
+@pytest.mark.slow
 def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
     """The surface sinks around the entry as Boussinesq predicts.
 

@@ -56,6 +56,7 @@ def test_the_bone_at_a_tick_is_that_of_a_run_stopped_there(cut):
         np.testing.assert_array_equal(replay.at(len(stopped.trace.rows) - 1), stopped.remaining)
 
 
+@pytest.mark.slow
 def test_the_last_tick_is_the_run_itself_whatever_was_asked_before(cut):
     _, run = cut
     replay = run.replay()

@@ -19,6 +19,7 @@ def _screenshot(folder, picture, **options) -> str:
         raise
 
 
+@pytest.mark.slow
 def test_screenshot_of_a_whole_run_has_a_scale_bar(whole, tmp_path):
     from PIL import Image
 

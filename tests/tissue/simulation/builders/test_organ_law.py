@@ -131,6 +131,7 @@ class Real:
         """Do nothing."""
 
 
+@pytest.mark.slow
 def test_a_real_device_does_not_wait_for_a_law():
     changes = pressed(3.0, law="neo-hookean") | {"device": "touch"}
     # Held for long: on a loaded machine a solve takes half a second.
@@ -203,6 +204,7 @@ def test_no_node_under_a_tool_is_on_the_border_of_a_region(monkeypatch):
         assert inside[from_centre <= max(reach_m, from_centre.min())].all()
 
 
+@pytest.mark.slow
 def test_frames_in_a_region_are_those_of_the_law_in_the_whole_organ(monkeypatch):
     """Displacement, stress and the force on the supports of the last frame."""
     changes = pressed(1.6, law="neo-hookean", interval_ms=160.0) | {
