@@ -29,7 +29,7 @@ from motor_score import motor_score
 from ridge import Ridge, ridge_weights
 
 from meshes.base.errors import InputError
-from tissue.evaluation.training import Recorder, Recording, ideal_force_N, trial
+from tissue.evaluation.training import Recorder, Recording, trial
 from tissue.prediction.guard import Guarded
 from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.online import AdaptivePath
@@ -176,7 +176,7 @@ def record(scene: Scene, share: float, move: str, seeds: range, folder: Path) ->
         one = trial(scene, index, delay_ms=RECORDED_MS, share=share)
         try:
             run = recorder.record(one)
-            ideal = ideal_force_N(one, run)
+            ideal = recorder.ideal_force_N(one, run)
         except InputError as refusal:
             print(f"{scene.name}, {move}, seed {index}: {refusal}", flush=True)
             return

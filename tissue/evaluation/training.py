@@ -38,11 +38,11 @@ from tissue.scene.tool import Probe
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.hand import hand_motion
 from tissue.simulation.builders.loop import judged_loop, loop_settings
-from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
 from tissue.simulation.loop import Stepper
-from tissue.simulation.reference_force import ideal_scene
-from tissue.simulation.simulate import TICK_S, build, simulate
+from tissue.simulation.reference_force import ideal_scene, rendered_force_N
+from tissue.simulation.simulate import TICK_S, build
 
 __all__ = [
     "HORIZONS",
@@ -54,7 +54,6 @@ __all__ = [
     "fit",
     "forecast",
     "forecast_errors",
-    "ideal_force_N",
     "touching",
     "train",
     "trial",
@@ -191,7 +190,7 @@ class Recorder:
 
     def __init__(self, *, cores: int | None = None) -> None:
         self._cores = cores
-        self._organ: TissueModel | None = None
+        self._organ: Parts | None = None
 
     def record(self, scene: Scene) -> Recording:
         """Run a scene by its hand.
@@ -201,10 +200,12 @@ class Recorder:
         InputError
             If the scene cannot be built.
         """
-        motion, tissue = self._parts(scene)
+        parts = self._parts(scene)
+        motion = parts.motion
+        assert isinstance(motion, HandMotion)
         begin = motion.sweep_m()[0]
         rows, contact, took = _run(
-            motion, tissue, round((scene.duration_s or motion.duration_s) / TICK_S)
+            motion, parts.tissue, round((scene.duration_s or motion.duration_s) / TICK_S)
         )
         if not np.isfinite(rows).all():
             raise InputError(
@@ -227,7 +228,32 @@ class Recorder:
             rows[:, 6:],
         )
 
-    def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
+    def ideal_force_N(self, scene: Scene, run: Recording) -> Array:
+        """Compute the force of the ideal loop along the device motion of a run [N], shape (n, 3).
+
+        See `tissue.simulation.reference_force.ideal_force_N`.
+
+        Parameters
+        ----------
+        scene
+            Scene of the run.
+        run
+            Run whose device positions are followed, without encoder steps if they are known.
+
+        Raises
+        ------
+        InputError
+            If the scene has no device.
+        """
+        times_s: Array = TICK_S * np.arange(len(run.force_N), dtype=np.float64)
+        at_m = run.position_m if run.true_position_m is None else run.true_position_m
+        duration_s = len(times_s) * TICK_S
+        parts = self._parts(ideal_scene(scene).model_copy(update={"duration_s": duration_s}))
+        assert isinstance(parts.motion, HandMotion)
+        parts.motion.device = RecordedDevice(times_s, at_m)
+        return rendered_force_N(parts, len(times_s))
+
+    def _parts(self, scene: Scene) -> Parts:
         """Return the hand of a scene and the tissue that it touches."""
         # Only a linear elastic organ is unchanged by a run.
         organ = (
@@ -238,7 +264,7 @@ class Recorder:
         )
         if organ and self._organ is not None:
             motion, _ = hand_motion(scene, motion_of(scene), allow_unstable=True)
-            return motion, self._organ
+            return replace(self._organ, motion=motion)
         parts = build(
             scene,
             compute="cpu",
@@ -246,10 +272,9 @@ class Recorder:
             report=silent,
             allow_unstable=True,
         )
-        assert isinstance(parts.motion, HandMotion)
         if organ:
-            self._organ = parts.tissue
-        return parts.motion, parts.tissue
+            self._organ = parts
+        return parts
 
 
 def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, list[Contact], Array]:
@@ -281,28 +306,6 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, li
         if knows:
             row[6:] = 1e-3 * motion.measures[true : true + 3]
     return rows, contact, took
-
-
-def ideal_force_N(scene: Scene, run: Recording) -> Array:
-    """Return the force of a loop without delay, encoder steps and filters [N], shape (n, 3).
-
-    Parameters
-    ----------
-    scene
-        Scene of the run.
-    run
-        Run whose true path of the device is followed.
-
-    Raises
-    ------
-    InputError
-        If the scene has no device.
-    """
-    times_s = TICK_S * np.arange(len(run.force_N))
-    at_m = run.position_m if run.true_position_m is None else run.true_position_m
-    device = RecordedDevice(np.asarray(times_s, dtype=np.float64), at_m)
-    prompt = ideal_scene(scene).model_copy(update={"duration_s": len(times_s) * TICK_S})
-    return simulate(prompt, allow_unstable=True, device=device).trace.vectors("raw_force", "N")
 
 
 TRIALS = 12
@@ -359,7 +362,7 @@ def train(
         one = trial(scene, index)
         run = recorder.record(one)
         if not run.contact[0].cuts:
-            run = replace(run, ideal_N=ideal_force_N(one, run))
+            run = replace(run, ideal_N=recorder.ideal_force_N(one, run))
         runs.append(run)
     progress("fitting", trials / (trials + 2))
     kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]

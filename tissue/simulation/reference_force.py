@@ -38,7 +38,7 @@ from tissue.simulation.builders.loop import (
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Stepper, undisturbed
 from tissue.simulation.run import Run
-from tissue.simulation.simulate import TICK_S, build, tick_count
+from tissue.simulation.simulate import TICK_S, build
 from tissue.simulation.trace import LEAST_LOAD, Table
 
 __all__ = [
@@ -119,8 +119,7 @@ def ideal_force_N(
     parts = build(scene, cores=cores, allow_unstable=True)
     assert isinstance(parts.motion, HandMotion)
     parts.motion.device = played_back
-    parts.motion.after_s = 0.0
-    return rendered_force_N(parts, tick_count(scene, parts.motion))
+    return rendered_force_N(parts, len(trace.rows))
 
 
 def rendered_force_N(parts: Parts, ticks: int) -> Array:
