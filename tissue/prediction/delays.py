@@ -141,16 +141,21 @@ def _solved(squares: Array, products: Array, ridge: float) -> Array:
 
 
 def _path_coordinates() -> Array:
-    """Return the matrix that sums coordinates of `DELAYS` to coordinates of `PATH_DELAYS`."""
+    """Return the matrix that maps coordinates at `DELAYS` to coordinates at `PATH_DELAYS`.
+
+    Displacements between delays are summed, and stretches are selected.
+    """
     delays = np.array(DELAYS)
-    starts, ends = np.array(PATH_DELAYS[:-1])[:, None], np.array(PATH_DELAYS[1:])[:, None]
+    path_delays = np.array(PATH_DELAYS)[:, None]
+    starts = path_delays[:-1]
+    ends = path_delays[1:]
     parts = (delays[:-1] >= starts) & (delays[1:] <= ends)
-    chosen = np.equal.outer(PATH_DELAYS, delays)
+    chosen = path_delays == delays
     return np.asarray(block_diag(parts, chosen), dtype=np.float64)
 
 
 PATH_COORDINATES = _path_coordinates()
-"""Sums of coordinates from which the displacement is predicted, (coordinates, COORDINATES)."""
+"""Matrix of the coordinates from which the displacement is predicted, shape (17, COORDINATES)."""
 
 
 @dataclass(frozen=True)

@@ -98,9 +98,9 @@ class LookAhead:
     pushed back with the stiffness of that surface. If the tissue provides no slope, the slope is
     estimated (`ContactSlope`).
 
-    For a tool that cuts, the predicted force is the stretch that the path predicts. A balance of
-    tool and cutting force, integrated along the predicted path, is no better. Averaged with the
-    stretch, its best weight is 0 in molar and pedicle, and 0.06 to 0.13 in caries and milling.
+    For a tool that cuts, the predicted force is the stretch that the path predicts, multiplied by
+    the coupling's stiffness. The law of the cutting force does not improve it; see
+    ``docs/decisions.md``.
 
     The coupling's damper force is assumed constant up to the end of the path.
 

@@ -107,8 +107,8 @@ class CuttingTool(HeldTool):
 
     Attributes
     ----------
-    mass_kg, damping_N_s_m
-        Mass of the tool at its tip [kg], and damper of its coupling [N s/m].
+    mass_kg
+        Mass of the tool at its tip [kg].
     steps
         Number of evaluations of the force in the last step.
     tip_m, velocity, wrench
@@ -121,7 +121,6 @@ class CuttingTool(HeldTool):
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
         self.mass_kg = stiffness_N_m / (2.0 * pi * NATURAL_Hz) ** 2
-        self.damping_N_s_m = 2.0 * DAMPING_RATIO * sqrt(self.mass_kg * stiffness_N_m)
         self.velocity = np.zeros(6)
         self.wrench = np.zeros(6)
         self.steps = 0
