@@ -146,8 +146,11 @@ FAULTS = {
 }
 
 
-def after_fault(name, tmp_path):
-    """Return the time from a fault of the service to zero force while the run continues [s]."""
+def after_fault(name):
+    """Return the time from a fault of the service to zero force while the run continues [s].
+
+    `zeroed` asserts that the last force is zero.
+    """
     with RemoteService(press_m=0.03) as service:
         pressing = Pressing(service, lambda: FAULTS[name](service))
         if name == "uncalibrated":
@@ -160,14 +163,14 @@ def after_fault(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["dropped", "uncalibrated"])
-def test_a_fault_of_the_service_takes_the_force_off(name, tmp_path):
-    after_fault(name, tmp_path)
+def test_a_fault_of_the_service_takes_the_force_off(name):
+    after_fault(name)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
-def test_zero_follows_a_fault_of_the_service_soon(name, tmp_path):
-    assert best_of(5, lambda: after_fault(name, tmp_path)) <= WITHIN_S
+def test_zero_follows_a_fault_of_the_service_soon(name):
+    assert best_of(5, lambda: after_fault(name)) <= WITHIN_S
 
 
 def after_shuffling(states):

@@ -341,7 +341,6 @@ def test_sign_flips_of_few_users_are_exact():
     assert found.statistic == pytest.approx(t, rel=1e-9)
 
 
-@pytest.mark.slow
 def test_power_of_a_paired_design_is_the_noncentral_f():
     """Rejections of a planted effect against the exact noncentral F (Cohen 1988)."""
     means = np.tile([0.0, 0.15, 0.3, 0.45], (3, 1))
