@@ -56,11 +56,10 @@ def figures_of(saved: SavedRun, text: Text) -> str:
 def run_rows(summary: Summary) -> list[tuple[str, str]]:
     """Return figures and their values as text, or the status of an incomplete run."""
     if summary["status"] != "complete":
-        problem = summary.get("problem")
-        return [
-            ("status", str(summary["status"])),
-            *([("what ended it", str(problem))] if problem else []),
-        ]
+        rows = [("status", str(summary["status"]))]
+        if problem := summary.get("problem"):
+            rows.append(("problem", str(problem)))
+        return rows
     force = summary["force_N"]
     torque = summary["torque_Nm"]
     tick = summary["tick_us"]
