@@ -2,10 +2,11 @@
 
 Run: `python tests/bench/bench_closed_loop.py [--hands N] [--latency MS] [SCENE ...]`.
 
-Every scene is simulated with every hand and prediction. Printed are the mean error at the motor, the
-mean error of a perfect prediction from the same encoder steps, the excess over it as a share of that
-of zero-order hold, and the largest excess over the error of zero-order hold of any hand, in percent
-of the force. Two processes simulate.
+For each scene, hand and predictor, a run is simulated. For each predictor, the script prints means
+over the hands: the error at the motor, the error of a perfect prediction from the same encoder
+steps, and the excess error divided by the excess error of zero-order hold. The last column is the
+largest difference between the error of a run and the error of zero-order hold with the same hand,
+in percent of the force. Two processes simulate.
 """
 
 import argparse
