@@ -126,7 +126,10 @@ class LookAhead:
         self._contact: Contact | None = None
         self._stiffness = np.zeros((3, 3))
         self._unit = np.eye(3)
-        self._position, self._force, self._damper, self._expected = np.zeros((4, 3))
+        self._position = np.zeros(3)
+        self._force = np.zeros(3)
+        self._damper = np.zeros(3)
+        self._expected = np.zeros(3)
 
     @property
     def trusted(self) -> bool:
