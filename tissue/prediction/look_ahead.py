@@ -112,7 +112,9 @@ class LookAhead:
         Slopes of the tissue's force that are used. ``none`` uses no slope. ``given`` uses the
         slopes that the tissue provides. ``learnt`` also estimates slopes that the tissue does not
         provide. In contact without a slope, the stretch that the path predicts is used. Friction
-        and rupture under a needle or a blade have no constant slope.
+        and rupture under a needle or a blade have no constant slope. At the start of such a
+        contact, no stretch is known. The surface below the tool then gives the force, and its
+        weight falls from 1 to 0 during the time of the prediction.
     """
 
     residual_N = 0.0
@@ -130,6 +132,8 @@ class LookAhead:
         self._force = np.zeros(3)
         self._damper = np.zeros(3)
         self._expected = np.zeros(3)
+        # Number of ticks since the contact began.
+        self._age = 0
 
     @property
     def trusted(self) -> bool:
@@ -172,6 +176,7 @@ class LookAhead:
             missed = force_N - self._expected
             self.residual_N = sqrt(missed.dot(missed))
             self._force = force_N.copy()
+            self._age = self._age + 1 if any(self._force.tolist()) else 0
             self._damper[:] = 0.0
             if any(contact.force_N.tolist()) and not contact.cuts:
                 self._damper = force_N - contact.spring_N_m * (contact.tip_m - position_m)
@@ -205,11 +210,20 @@ class LookAhead:
                 return np.zeros(3)
             return self._contact.spring_N_m * self.path.stretch_m(ticks)
         if not self._has_slope and any(self._force.tolist()):
-            stretch = self.path.stretch_m(ticks)
+            predicted = self._contact.spring_N_m * self.path.stretch_m(ticks)
+            if self._age <= ticks and isfinite(self._contact.surface_N_m):
+                # A contact that is younger than the prediction has no past stretch.
+                share = 1.0 - self._age / (ticks + 1.0)
+                predicted += share * (self._pressed(self._contact, ticks) - predicted)
             # Tissue does not pull: the contact has ended.
-            pushes = stretch.dot(self._force) > 0.0
-            return self._contact.spring_N_m * stretch if pushes else np.zeros(3)
+            return predicted if predicted.dot(self._force) > 0.0 else np.zeros(3)
         return self._at(self._position + self.path.displacement_m(ticks))
+
+    def _pressed(self, contact: Contact, ticks: float) -> Array:
+        """Return the force if the surface is pressed further along its normal [N]."""
+        depth = -contact.normal.dot(self.path.displacement_m(ticks))
+        stiffness = _in_series(contact.spring_N_m, contact.surface_N_m)
+        return self._force + stiffness * depth * contact.normal
 
     def pause(self) -> None:
         """Reset the path and the contact."""
@@ -235,6 +249,10 @@ class LookAhead:
         if not isfinite(contact.gap_m):
             return np.zeros(3)
         overlap = -(contact.gap_m + contact.normal.dot(device_m - contact.tip_m))
-        # coupling and tissue in series
-        stiffness = 1.0 / (1.0 / contact.spring_N_m + 1.0 / contact.surface_N_m)
+        stiffness = _in_series(contact.spring_N_m, contact.surface_N_m)
         return max(overlap, 0.0) * stiffness * contact.normal
+
+
+def _in_series(spring_N_m: float, surface_N_m: float) -> float:
+    """Return the stiffness of coupling and tissue in series [N/m]."""
+    return 1.0 / (1.0 / spring_N_m + 1.0 / surface_N_m)

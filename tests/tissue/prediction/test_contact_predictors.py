@@ -3,6 +3,8 @@
 Lines through forces are tested, too.
 """
 
+from math import inf
+
 import numpy as np
 import pytest
 
@@ -173,6 +175,28 @@ def test_a_free_tool_comes_to_the_surface_by_its_gap(stiffness):
     assert predictor.predict(2.0).tolist() == [0.0, 0.0, 0.0]
     wanted = 1.5e-4 / (1.0 / SPRING + 1.0 / stiffness)
     assert predictor.predict(4.0) == pytest.approx(wanted * normal, rel=1e-9)
+
+
+def test_a_young_contact_without_a_slope_is_pressed_further():
+    """The surface's weight falls to 0 in the time of the prediction, and the stretch remains."""
+    up = np.array([0.0, 0.0, 1.0])
+    step, stretched = np.array([0.0, 0.0, -1e-4]), np.array([0.0, 0.0, 5e-5])
+    predictor = LookAhead(GivenPath(step, stretched), slopes="none")
+    felt = np.array([0.0, 0.0, 0.3])
+    contact = Contact(SPRING, felt / SPRING, felt, None, inf, up, SPRING)
+    pressed = felt + 0.5 * SPRING * 4.0 * 1e-4 * up  # two equal springs in series
+    followed = SPRING * 4.0 * stretched
+    for age in range(1, 8):
+        predictor.meet(contact)
+        predictor.observe(np.zeros(3), np.zeros(3), felt)
+        weight = max(1.0 - age / 5.0, 0.0)
+        wanted = weight * pressed + (1.0 - weight) * followed
+        assert predictor.predict(4.0) == pytest.approx(wanted)
+    predictor.meet(Contact(SPRING, np.zeros(3), np.zeros(3), None, 1e-3, up, SPRING))
+    predictor.observe(np.zeros(3), np.zeros(3), np.zeros(3))
+    predictor.meet(contact)
+    predictor.observe(np.zeros(3), np.zeros(3), felt)
+    assert predictor.predict(4.0) == pytest.approx(0.8 * pressed + 0.2 * followed)
 
 
 @pytest.mark.parametrize("ticks", [1.0, 4.0, 6.25])
