@@ -19,7 +19,7 @@ from tissue.scene.load import OldSceneWarning, converted, load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
-from tissue.system.owned_folder import OwnedFolder, identity, is_alive, require_folder
+from tissue.system.owned_folder import OwnedFolder, identity, is_alive, listed_files, require_folder
 from tissue.system.stopping import Terminated
 
 __all__ = [
@@ -380,14 +380,22 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
             f"{saved.path}, which is still running",
             "wait until the run ends",
         )
-    names = named_as_run_files(saved.path)
     with OwnedFolder(out, "run", run_file_names(), overwrite=overwrite):
-        for name in sorted(names):
+        for name in _files_of_run(saved.path):
             if not pictures and name.startswith("pictures/"):
                 continue
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             with whole_file(out / name) as temporary:
                 shutil.copyfile(saved.path / name, temporary)
+
+
+def _files_of_run(path: Path) -> list[str]:
+    """Return the names of the files that a run wrote into its folder.
+
+    For a run without a marker file, these are the files that are named like files of a run.
+    """
+    written = listed_files(path).get("run", named_as_run_files(path))
+    return sorted(name for name in written if (path / name).is_file())
 
 
 def _status_of(summary: Summary) -> str:

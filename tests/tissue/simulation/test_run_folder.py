@@ -13,7 +13,7 @@ from coarse_run import COARSE
 
 from tissue import InputError, load_scene, simulate
 from tissue.cli.main import main
-from tissue.simulation.run_folder import RunFolder, SavedRun
+from tissue.simulation.run_folder import RunFolder, SavedRun, copy_run
 from tissue.simulation.scheduling import spin_time_s
 
 
@@ -100,6 +100,16 @@ def test_a_trace_shorter_than_its_run_is_refused(made, tmp_path, share):
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
     assert len(SavedRun(folder).trace.rows) == found
+
+
+def test_a_file_of_the_user_is_not_copied_with_the_run(tmp_path):
+    folder = simulate(load_scene("wall", {"duration_s": 0.01})).save(
+        tmp_path / "run", pictures=False
+    )
+    (folder / "trace.npz").write_text("of the user", "utf-8")
+    copy_run(SavedRun(folder), tmp_path / "copy", pictures=True, overwrite=False)
+    assert (tmp_path / "copy/trace.csv").is_file()
+    assert not (tmp_path / "copy/trace.npz").exists()
 
 
 def test_a_run_killed_before_its_first_row_reads_back(tmp_path):
