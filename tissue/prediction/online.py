@@ -21,7 +21,7 @@ SMOOTHED = 8
 The smoothing removes most of the effect of encoder steps on the target.
 """
 INTERVAL = 32
-"""Number of ticks between two solves of the fit. A solve takes 30 us in its tick."""
+"""Number of ticks between two solves of the fit. A solve takes 60 us in its tick."""
 
 
 class AdaptivePath(DelayPath):
