@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, package_version, require_version, write_text
@@ -63,6 +64,7 @@ class Stamp:
     whole: bool
 
 
+@suggests_arguments
 class StudyFolder:
     """Study on disk.
 
