@@ -3,7 +3,7 @@
 import gc
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -394,7 +394,7 @@ def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
 
 def _run_trials(
     plan: Plan,
-    missing: Iterable[TrialKey],
+    missing: Sequence[TrialKey],
     folder: StudyFolder,
     count: int,
     scheduler: str | None,
@@ -408,9 +408,7 @@ def _run_trials(
         report(doing, _done_share(plan, waiting))
 
     work = partial(_in_worker, plan)
-    for trials in finished(
-        work, list(waiting), workers=count, scheduler=scheduler, report=report_share
-    ):
+    for trials in finished(work, missing, workers=count, scheduler=scheduler, report=report_share):
         for key, found in trials:
             if isinstance(found, Exception):
                 found = _failed(plan, key, error_sentence(found))
