@@ -5,7 +5,6 @@
 >>> run.trace["force_z_N"]  # doctest: +SKIP
 """
 
-import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -141,48 +140,15 @@ def _require_siblings() -> None:
             )
 
 
-_SUGGESTING = set[str]()
-"""Public names whose functions and methods suggest arguments."""
-
-
-def _suggest_arguments() -> None:
-    """Let public functions and methods of loaded modules suggest arguments for misspelt ones.
-
-    Objects of classes that the user does not name, such as the run that `simulate` returns, are
-    included, because their modules are loaded as well.
-    """
-    from meshes.base.hints import suggests_arguments
-
-    homes = [(name, home, name) for name, home in _HOMES.items()]
-    for title, home in _MODULES.items():
-        if home in sys.modules:
-            names = getattr(sys.modules[home], "__all__", ())
-            homes += [(f"{title}.{name}", home, name) for name in names]
-    for title, home, name in homes:
-        value = getattr(sys.modules.get(home), name, None)
-        if value is None or title in _SUGGESTING:
-            continue
-        _SUGGESTING.add(title)
-        checked = suggests_arguments(value)
-        if checked is not value:
-            # a function must be found where it was defined, so that it can be sent to a process
-            setattr(sys.modules[value.__module__], value.__name__, checked)
-            setattr(sys.modules[home], name, checked)
-
-
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         from meshes.base.whole_file import package_version  # reads a file
 
         return package_version()
     if name in _MODULES:
-        module = import_module(_MODULES[name])
-        _suggest_arguments()
-        return module
+        return import_module(_MODULES[name])
     if name in _HOMES:
-        module = import_module(_HOMES[name])
-        _suggest_arguments()
-        value = getattr(module, name)
+        value = getattr(import_module(_HOMES[name]), name)
         if name == "Scene":
             value.model_rebuild()  # models are built late; without this, help shows no parameters
         return value

@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from inspect import Parameter, signature
 from types import FunctionType
-from typing import Any
+from typing import Any, TypeVar, cast
 
 __all__ = ["closest", "did_you_mean", "nearest", "suggests_arguments"]
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jk]|mm[23]")
 """Regular expression for a unit in a name. Units are ignored when names are compared."""
@@ -86,27 +88,17 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return did_you_mean(closest(word, known))
 
 
-def suggests_arguments(of: Any) -> Any:
-    """Let the error for an unknown keyword argument suggest a known one.
+def suggests_arguments(of: F) -> F:
+    """Decorate a public function or class: errors for an unknown argument suggest a known one.
 
     Parameters
     ----------
     of
-        Function, which is returned in a wrapper, or class. The public methods and the constructor
-        of a class and of its own base classes are replaced in place. Functions that take any
-        keyword argument are not changed.
+        Function, or class whose own constructor and public methods are replaced. Functions that
+        take any keyword argument are not changed.
     """
-    if isinstance(of, FunctionType):
+    if not isinstance(of, type):
         return _checked(of)
-    if isinstance(of, type):
-        for each in of.__mro__:
-            if each.__module__.partition(".")[0] == of.__module__.partition(".")[0]:
-                _check_methods(each)
-    return of
-
-
-def _check_methods(of: type) -> None:
-    """Replace the public methods of a class by checked ones."""
     for name, member in list(vars(of).items()):
         if name.startswith("_") and name != "__init__":
             continue
@@ -114,13 +106,13 @@ def _check_methods(of: type) -> None:
             setattr(of, name, _checked(member))
         elif isinstance(member, classmethod | staticmethod):
             setattr(of, name, type(member)(_checked(member.__func__)))
+    return of
 
 
-def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
+def _checked(function: F) -> F:
     """Return a function that checks the names of its keyword arguments."""
     parameters = signature(function).parameters
-    takes_any = any(each.kind is Parameter.VAR_KEYWORD for each in parameters.values())
-    if takes_any or hasattr(function, "suggests"):
+    if any(each.kind is Parameter.VAR_KEYWORD for each in parameters.values()):
         return function
     known = [name for name in parameters if name not in ("self", "cls")]
 
@@ -135,8 +127,7 @@ def _checked(function: Callable[..., Any]) -> Callable[..., Any]:
                 )
         return function(*values, **options)
 
-    checked.suggests = True  # type: ignore[attr-defined]
-    return checked
+    return cast("F", checked)
 
 
 def did_you_mean(names: Sequence[str]) -> str:

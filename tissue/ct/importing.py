@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from meshes.base.file_limits import memory_limit
+from meshes.base.hints import nearest
 from meshes.base.progress import Progress, silent
 from tissue.ct.bone import bone_draft
 from tissue.ct.draft import RECORD, SCENE, scene_name
@@ -123,9 +124,11 @@ def import_ct(
     folder = Path(out)
     # check before reading, which may take minutes
     require_folder(folder, "import", (SCENE, RECORD), overwrite=overwrite)
-    unknown = sorted(options.keys() - {each.name for each in fields(ImportRequest)})
+    known = [each.name for each in fields(ImportRequest)]
+    unknown = [name for name in options if name not in known]
     if unknown:
-        raise TypeError(f"import_ct() got an unexpected keyword argument {unknown[0]!r}")
+        hint = nearest(unknown[0], known)
+        raise TypeError(f"import_ct() got an unexpected keyword argument {unknown[0]!r}{hint}")
     given = {name: value for name, value in options.items() if value is not None}
     convert = {"labels": Path, "path": Path, "keep_clear": tuple, "parts": dict}
     request = ImportRequest(

@@ -12,6 +12,7 @@ from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array, Ints, Singles, lattice
 from meshes.base.cache import Kept
 from meshes.base.errors import counted
+from meshes.base.hints import suggests_arguments
 from tissue.cutters.profile import Piece, Profile
 
 __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
@@ -99,6 +100,7 @@ class DistanceTable:
         return self.bend[np.clip(u.astype(int), 0, last[0]), np.clip(v.astype(int), 0, last[1])]
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class Cutter:
     """Rotating cutter.

@@ -14,6 +14,7 @@ from math import cos, hypot, pi, radians, sin, tan
 import numpy as np
 
 from meshes.base.arrays import Array, Flags
+from meshes.base.hints import suggests_arguments
 from tissue.cutters.drill_point import DrillPoint
 
 __all__ = [
@@ -39,6 +40,7 @@ AXIS_M = 1e-9
 """Distance below which points count as lying on the axis [m]."""
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class Line:
     """Straight piece from ``start`` to ``end``, each (radius, height) [m].
@@ -90,6 +92,7 @@ class Line:
         return [self.start]
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class Arc:
     """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad].
@@ -154,6 +157,7 @@ class Arc:
 Piece = Line | Arc
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class Profile:
     """Half section of a body of revolution, from tip to top."""

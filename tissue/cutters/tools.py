@@ -5,6 +5,7 @@ from functools import partial
 from math import pi, radians, tan
 
 from meshes.base.errors import InputError, require_positive, require_range, require_ranges
+from meshes.base.hints import suggests_arguments
 from tissue.cutters import profile
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import Profile
@@ -23,6 +24,7 @@ FASTEST_RPM = 1e6
 """Highest allowed spin [turns per minute]; an air turbine has 400,000."""
 
 
+@suggests_arguments
 def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
     """Return a ball burr, which cuts with its whole surface.
 
@@ -43,6 +45,7 @@ def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
     return _cutter(profile.ball_burr, flutes, spin_rpm, diameter_mm=diameter_mm)
 
 
+@suggests_arguments
 def pear_bur(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
     """Return a dental pear bur: a ball at the tip and a taper to the neck.
 
@@ -53,6 +56,7 @@ def pear_bur(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: flo
     return _cutter(profile.pear_bur, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
+@suggests_arguments
 def cylinder(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
     """Return a flat end mill with the length `length_mm` [mm] that cuts with its face and side.
 
@@ -61,6 +65,7 @@ def cylinder(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: flo
     return _cutter(profile.cylinder, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
+@suggests_arguments
 def twist_drill(
     *,
     diameter_mm: float,
@@ -92,6 +97,7 @@ def twist_drill(
     return _cutter(make, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
+@suggests_arguments
 def hemispherical_reamer(
     *,
     diameter_mm: float,
@@ -110,6 +116,7 @@ def hemispherical_reamer(
     )
 
 
+@suggests_arguments
 def flat_reamer(
     *,
     diameter_mm: float,
@@ -127,6 +134,7 @@ def flat_reamer(
     return _cutter(make, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
+@suggests_arguments
 def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
     """Return a cutter with any half section, see `tissue.cutters.profile.Profile`.
 

@@ -197,13 +197,14 @@ def _write_constants(fit: SceneFit | ProbeFit, path: Path, digest: str) -> None:
         "at its prior": ", which does not narrow the cited range",
         "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
     }
-    is_table = isinstance(fit, ProbeFit)
+    if isinstance(fit, ProbeFit):
+        source += f" by law {fit.law}"
     entries = {}
     for at in fit.of_material:
         each = fit.constants[at]
         text = source + reservations.get(each.state, "")
         # a single log of one specimen gives medium confidence at best
-        confidence = "M" if is_table or each.state == "determined" else "L"
+        confidence = "M" if isinstance(fit, ProbeFit) or each.state == "determined" else "L"
         entries[each.name] = Constant(each.value, each.low, each.high, text, confidence)
     text = "the density at which the fitted coefficients are stated"
     fixed = {name: Constant(value, value, value, text, "H") for name, value in fit.fixed.items()}

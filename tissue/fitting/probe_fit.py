@@ -9,7 +9,7 @@ shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -143,7 +143,7 @@ class ProbeFit(Fitted):
     misfit: float
     noise: Array
     notes: tuple[str, ...]
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    fixed: ClassVar[Mapping[str, float]] = {}
     source: ClassVar[str] = "table of presses"
     meaning: ClassVar[str] = (
         "value: best fit; range: 5 and 95 % of resampled presses and error of the mesh."
@@ -151,7 +151,7 @@ class ProbeFit(Fitted):
 
     @property
     def correlation(self) -> Array:
-        """Correlation of the constants of materials, which is not known."""
+        """Identity matrix, because the correlation of the constants is not computed."""
         return np.eye(len(self.of_material))
 
     @property
@@ -263,6 +263,7 @@ def fit_probes(
     ]
     notes = (
         *table.notes,
+        f"law {layer.organ.law}",
         f"a ball of {2e3 * layer.radius_m:g} mm without friction on a layer of "
         f"{1e3 * layer.thickness_m:g} mm, bonded to its bed",
         f"intervals from {RESAMPLES} draws of {len(forces)} presses and from the error of the mesh",

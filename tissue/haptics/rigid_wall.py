@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from meshes.base.arrays import Array
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice, run_held
 from tissue.haptics.device.sample_guard import SampleGuard
@@ -33,6 +34,7 @@ the jerk. Motion in the last 0.3 s is therefore caused by the loop.
 """
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class WallRun:
     """Record of a run of n ticks on the wall z = 0, whose free side is z > 0.

@@ -5,6 +5,7 @@ The command `tissue assess` makes the same assessment.
 
 from pathlib import Path
 
+from meshes.base.hints import suggests_arguments
 from tissue.evaluation import assessment as engine
 from tissue.evaluation import ranking
 from tissue.evaluation.assessment_files import assessment_lines, write_assessment
@@ -13,6 +14,7 @@ from tissue.objects.run import Run, assessed_run
 __all__ = ["Assessment", "Ranking", "assess", "rank"]
 
 
+@suggests_arguments
 class Assessment(engine.Assessment):
     """Comparison of a trainee's run with a reference run; ``print`` shows a readable report."""
 
@@ -30,6 +32,7 @@ class Assessment(engine.Assessment):
         return write_assessment(self, Path(folder), overwrite=overwrite)
 
 
+@suggests_arguments
 def assess(
     trainee: Run | str | Path,
     reference: Run | str | Path,
@@ -70,6 +73,7 @@ def assess(
     return Assessment(**vars(found))
 
 
+@suggests_arguments
 class Ranking(ranking.Ranking):
     """Trainees in the order of their mean score; ``print`` shows a readable list."""
 
@@ -87,6 +91,7 @@ class Ranking(ranking.Ranking):
         return ranking.write_ranking(self, Path(folder), overwrite=overwrite)
 
 
+@suggests_arguments
 def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
     """Order trainees by the mean score of their runs of one scene.
 

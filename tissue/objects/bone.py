@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.file_limits import memory_limit
+from meshes.base.hints import suggests_arguments
 from meshes.shapes.anatomy import (
     CORTICAL_KG_M3,
     TRABECULAR_KG_M3,
@@ -75,6 +76,7 @@ class BoneSource:
     density_kg_m3: float | None = None
 
 
+@suggests_arguments
 class Bone:
     """Bone in the frame of its file or array [mm].
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from tissue.evaluation.calibration.answers import Answer, simulated_answers
 from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
@@ -39,6 +40,7 @@ __all__ = [
 ]
 
 
+@suggests_arguments
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
     """Return simulated observers of a group, drawn from the distributions in the literature.
 
@@ -74,6 +76,7 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     return SimulatedObservers(**values)
 
 
+@suggests_arguments
 def run(
     answer: Answer,
     log: str | Path,
@@ -115,6 +118,7 @@ def run(
     return kept.session
 
 
+@suggests_arguments
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
     """Estimate the Weber fractions of observers from a session of comparisons, shape (n,)."""
     rng = np.random.default_rng(seed)
@@ -125,6 +129,7 @@ def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int 
     return found.weber()[0]
 
 
+@suggests_arguments
 def share_right(
     crowd: SimulatedObservers,
     first_N: float,
@@ -159,6 +164,7 @@ def share_right(
     return shares_right(crowd, Stimulus(first_N), Stimulus(second_N), seed=seed, commands=commands)
 
 
+@suggests_arguments
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
     """Compute the change of the mean [%] between paired shares, each of shape (n,).
 

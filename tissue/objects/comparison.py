@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import path_note
@@ -305,6 +306,7 @@ class Comparison:
         return f"<div>{shown}</div>"
 
 
+@suggests_arguments
 def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comparison:
     """Compare runs with the first run.
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from tissue.models.tissue_model import TICK_S
 from tissue.objects.trace import Trace
 from tissue.simulation.loop import Loop
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Cut", "saved_table"]
 
 
+@suggests_arguments
 class Cut:
     """Force, torque and removed volume at every pose of a cut.
 

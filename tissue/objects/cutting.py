@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_direction, require_positive
+from meshes.base.hints import suggests_arguments
 from meshes.paths.toolpath import arc_length, points_along
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.model import BoneModel
@@ -110,6 +111,7 @@ def _require_chips(model: BoneModel, number: int) -> None:
         )
 
 
+@suggests_arguments
 def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
     """Return tips and times along straight lines at a given feed, one tip per millisecond.
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
+from meshes.base.hints import suggests_arguments
 from tissue.fitting.fit import SceneFit, TableFit, fit_scene, fit_table
 from tissue.fitting.fit_files import verdicts, write_fit
 from tissue.fitting.laws import LawMisfit
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "fit"]
 
 
+@suggests_arguments
 class Fit:
     """Constants of a scene, as determined from a log or a table.
 
@@ -90,6 +92,7 @@ class Fit:
         )
 
 
+@suggests_arguments
 def fit(
     scene: Scene,
     measured: str | Path,

@@ -16,6 +16,7 @@ from meshes.base.errors import (
     require_range,
     require_vector,
 )
+from meshes.base.hints import suggests_arguments
 from tissue.cutters import Cutter
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import run_held
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
 __all__ = ["Loop"]
 
 
+@suggests_arguments
 class Loop:
     """Loop of a tool and a tissue in ticks of 1 ms.
 

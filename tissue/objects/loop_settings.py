@@ -240,8 +240,6 @@ def _limits(
     """Return the parameters of a device from its name, from a mapping, or as given."""
     if isinstance(given, str):
         return device_parameters(given, constants)
-    if isinstance(given, DeviceParameters):
-        return given
     needed = ("mass_kg", "damping_N_s_m")
     return DeviceParameters(**checked_numbers(DeviceParameters, given, needed=needed, of="limits"))
 

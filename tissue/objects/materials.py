@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
-from meshes.base.hints import nearest
+from meshes.base.hints import nearest, suggests_arguments
 from tissue.materials.constants import Constant, constants, listed
 from tissue.objects.html import table_html
 from tissue.objects.trace import needed
@@ -72,6 +72,7 @@ class Material(dict[str, Constant]):
         return table_html(rows, titles=TITLES, caption=self.name)
 
 
+@suggests_arguments
 def material(name: str) -> Material:
     """Return the constants of a built-in or registered material.
 
@@ -96,6 +97,7 @@ def material(name: str) -> Material:
     return Material(name)
 
 
+@suggests_arguments
 def material_names() -> list[str]:
     """Return the names of all materials, including registered materials."""
     return list(dict.fromkeys(name for table in TABLES for name in listed(table)))

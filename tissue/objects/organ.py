@@ -16,6 +16,7 @@ from meshes.base.errors import (
     require_range,
     require_vector,
 )
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
 from meshes.tets.tetrahedra import grid_of
 from tissue.objects.html import table_html
@@ -43,6 +44,7 @@ TISSUE = (0.93, 0.78, 0.72)
 HELD = (0.35, 0.45, 0.6)
 
 
+@suggests_arguments
 class Organ:
     """Soft organ that tools can press.
 

@@ -113,7 +113,8 @@ def checked_numbers(
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
-        wanted = f"be a mapping with {' and '.join(needed) or 'numbers by name'}"
+        entries = " and ".join(needed) or "numbers by name"
+        wanted = f"be {kind.__name__} or a mapping with {entries}"
         raise InputError(of, wanted, shown(numbers), "give names and values")
     known = [field.name for field in fields(kind)]
     if strange := [each for each in numbers if each not in known]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, in_brackets, names_of_caller, require_direction
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.tets.regions import place_on_surface
 from meshes.tets.tetrahedra import TetMesh, grid_of
@@ -85,6 +86,7 @@ class Moves(TypedDict):
     report: Progress
 
 
+@suggests_arguments
 @dataclass(frozen=True, eq=False)
 class Press:
     """Result of a press of a tool on an organ, returned by `Organ.press`.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_toml
 from tissue.materials.constants import LINEAR, Entry, add_material, constants, listed
 from tissue.materials.scene_constants import checked_constant
@@ -52,6 +53,7 @@ __all__ = ["register"]
 F = TypeVar("F")
 
 
+@suggests_arguments
 class register:
     """Registration of user-defined parts by name.
 

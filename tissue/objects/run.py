@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from tissue.objects.html import run_html, run_line
 from tissue.objects.trace import Trace
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Run", "assessed_run", "open_run", "report"]
 
 
+@suggests_arguments
 class Run(engine.Run):
     """Simulated run, returned by `tissue.simulate` or read by `Run.load`.
 
@@ -326,6 +328,7 @@ class Run(engine.Run):
         return run_html(self.summary, self.events, size)
 
 
+@suggests_arguments
 def open_run(path: str | Path) -> Run:
     """Read a run from its folder; see `Run.load`."""
     return Run.load(path)
@@ -342,6 +345,7 @@ def assessed_run(run: Run | str | Path) -> "AssessedRun":
     return AssessedRun(run.path, run.summary, run.trace, run.status == "complete", scene)
 
 
+@suggests_arguments
 def report(
     run: Run | str | Path,
     out: str | Path | None = None,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Unpack
 
 from meshes.base.file_limits import memory_limit
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
@@ -22,6 +23,7 @@ from tissue.system.progress import Bar, reporting
 __all__ = ["TickRow", "simulate", "simulate_live"]
 
 
+@suggests_arguments
 def simulate(
     scene: Scene,
     /,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 
+@suggests_arguments
 def wall_loop(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None
 ) -> WallLoop:
@@ -51,6 +53,7 @@ def wall_loop(
     return loop if hand is None else in_hands(loop, [hand_parameters(hand).grip[:3]])[0]
 
 
+@suggests_arguments
 def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
     """Compute the growth factor of a perturbation between 45 and 85 % of the simulated duration.
 
@@ -81,6 +84,7 @@ class Knock(WallRun):
     given_J: float
 
 
+@suggests_arguments
 def knock(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str
 ) -> Knock:

@@ -5,6 +5,7 @@ The command `tissue study run` calls these functions.
 
 from pathlib import Path
 
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
 from tissue.evaluation.study.folder import StudyFolder, run_study
 from tissue.evaluation.study.plan import Plan, TrialKey
@@ -13,6 +14,7 @@ from tissue.evaluation.study.trial import Trial, run_trial
 __all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]
 
 
+@suggests_arguments
 def register(plan: Plan, out: str | Path) -> StudyFolder:
     """Register a plan before its first trial.
 
@@ -38,6 +40,7 @@ def register(plan: Plan, out: str | Path) -> StudyFolder:
     return folder
 
 
+@suggests_arguments
 def run(
     plan: Plan,
     out: str | Path,
@@ -74,6 +77,7 @@ def run(
     return run_study(plan, Path(out), workers=workers, retry=retry, report=progress or silent)
 
 
+@suggests_arguments
 def trial(plan: Plan, name: str) -> Trial:
     """Run one trial of a plan; its figures equal those in the study bit for bit.
 

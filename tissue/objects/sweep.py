@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_range
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import whole_file
@@ -255,6 +256,7 @@ class Sweep:
         return f"<div>{shown}</div>"
 
 
+@suggests_arguments
 def sweep(
     scene: Scene | str | Path,
     changes: Mapping[str, Iterable[object]],

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from meshes.base.errors import names_of_caller, require_positive, require_range
+from meshes.base.hints import suggests_arguments
 
 if TYPE_CHECKING:
     import pyvista
@@ -52,6 +53,7 @@ class PressingTool:
         return drawn
 
 
+@suggests_arguments
 def ball(*, diameter_mm: float) -> PressingTool:
     """Return a rigid ball as a pressing tool.
 
@@ -62,6 +64,7 @@ def ball(*, diameter_mm: float) -> PressingTool:
     return _round("sphere-probe", "ball", diameter_mm)
 
 
+@suggests_arguments
 def flat_punch(*, diameter_mm: float) -> PressingTool:
     """Return a rigid cylinder with a flat end and a rounded edge.
 
@@ -74,6 +77,7 @@ def flat_punch(*, diameter_mm: float) -> PressingTool:
     return _round("cylinder-probe", "flat_punch", diameter_mm)
 
 
+@suggests_arguments
 def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
     """Read a rigid tool of any shape from a closed surface.
 

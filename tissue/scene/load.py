@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.hints import nearest
+from meshes.base.hints import nearest, suggests_arguments
 from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
@@ -152,11 +152,13 @@ def library_names() -> list[str]:
     )
 
 
+@suggests_arguments
 def scene_names() -> list[str]:
     """Return the names of all scenes: built-in, registered, and of installed packages."""
     return sorted({*library_names(), *SCENES})
 
 
+@suggests_arguments
 def scene_text(name: str) -> str:
     """Return the TOML text of a scene by its name.
 
@@ -180,6 +182,7 @@ def scene_text(name: str) -> str:
     )
 
 
+@suggests_arguments
 def load_scene(
     source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False
 ) -> Scene:

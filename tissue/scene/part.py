@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import shown, unknown_name
 from tissue.scene.plugins import ask_packages, refusal
 
@@ -413,6 +414,7 @@ class Needs:
         return Idle(f"without {self.key}", f"set {self.key}")
 
 
+@suggests_arguments
 class Part(BaseModel):
     """Frozen table of a scene; keys that are unknown or have no effect are refused."""
 

@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, StringConstraints
 
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import (
     BlockAnatomy,
@@ -197,6 +198,7 @@ AnyMotion = Annotated[
 ]
 
 
+@suggests_arguments
 class Scene(Part):
     """Complete description of one simulation. Equal scenes give equal traces."""
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.device.device import Sample
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.device.sample_guard import NewSamples
@@ -225,6 +226,7 @@ class MotorForces(NamedTuple):
     sent: Array
 
 
+@suggests_arguments
 def motor_forces(run: Run, ideal_N: Array | None = None) -> MotorForces:
     """Compute the force that a device played, and reference forces [N].
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import package_version
 from meshes.voxels.volume import VoxelVolume
@@ -48,6 +49,7 @@ DEADLINE_US = 1000.0
 Part = TypeVar("Part")
 
 
+@suggests_arguments
 class Run:
     """Run that was just simulated, or read from a folder by `load`.
 

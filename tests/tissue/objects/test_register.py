@@ -326,7 +326,10 @@ REFUSED = {
     "no part": (lambda: register.motion("dip", Drift, Dipping), "parameters of the motion dip "),
     "number": (lambda: register.device("mine", LIGHT | {"mass": 1.0}), "mean mass_kg"),
     "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "got none for damping_N_s_m"),
-    "no mapping": (lambda: register.device("mine", 3), "numbers must be a mapping with mass_kg"),
+    "no mapping": (
+        lambda: register.device("mine", 3),
+        "numbers must be DeviceParameters or .* mass_kg",
+    ),
     "text": (lambda: register.device("mine", LIGHT | {"mass_kg": "1"}), "mass_kg .* 1"),
     "range": (lambda: register.device("mine", LIGHT | {"mass_kg": -1.0}), "mass_kg .* -1"),
     "hand": (lambda: register.hand("mine", {}, like="robot"), "hand .* ro"),

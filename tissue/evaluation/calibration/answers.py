@@ -11,6 +11,7 @@ from time import perf_counter, sleep
 import numpy as np
 
 from meshes.base.errors import InputError
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import number_in
 from meshes.base.whole_file import require_new_file
 from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
@@ -254,6 +255,7 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
     return draw_observers(group, 1, np.random.default_rng(int(seed))), int(seed)
 
 
+@suggests_arguments
 def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
     """Return the answers of one simulated observer.
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from meshes.base.arrays import Array
+from meshes.base.hints import suggests_arguments
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
@@ -53,6 +54,7 @@ Command = Callable[[Array], Array]
 """Function that converts a force to be felt to the force at the device [N], of any shape."""
 
 
+@suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).

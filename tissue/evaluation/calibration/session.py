@@ -11,6 +11,7 @@ from scipy.stats import binom
 
 from meshes.base.errors import InputError, counted, require_range
 from meshes.base.file_limits import require_regular
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_version
 from tissue.perception.adaptive import (
@@ -28,6 +29,7 @@ from tissue.perception.observer import REPORTED_N, Observer
 __all__ = ["Comparison", "Magnitude", "Plan", "Session", "TrialLog", "log_path", "read_log"]
 
 
+@suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """Plan of a session, fixed before its first trial.
@@ -93,6 +95,7 @@ class Magnitude:
     force_N: float
 
 
+@suggests_arguments
 class Session:
     """State of a session after some answers. It depends only on the plan and the answers.
 

@@ -1,4 +1,4 @@
-"""Report sections on errors, latency, task metrics, sensitivity, reference error and speed.
+"""Report sections on errors, latency, task metrics, sensitivity and reference error.
 
 The errors are force errors.
 """

@@ -3,7 +3,7 @@
 import gc
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
+from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, package_version, require_version, write_text
@@ -63,6 +64,7 @@ class Stamp:
     whole: bool
 
 
+@suggests_arguments
 class StudyFolder:
     """Study on disk.
 
@@ -392,7 +394,7 @@ def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
 
 def _run_trials(
     plan: Plan,
-    missing: Iterable[TrialKey],
+    missing: Sequence[TrialKey],
     folder: StudyFolder,
     count: int,
     scheduler: str | None,
@@ -406,9 +408,7 @@ def _run_trials(
         report(doing, _done_share(plan, waiting))
 
     work = partial(_in_worker, plan)
-    for trials in finished(
-        work, list(waiting), workers=count, scheduler=scheduler, report=report_share
-    ):
+    for trials in finished(work, missing, workers=count, scheduler=scheduler, report=report_share):
         for key, found in trials:
             if isinstance(found, Exception):
                 found = _failed(plan, key, error_sentence(found))

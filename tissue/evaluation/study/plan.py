@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshes.base.errors import InputError, require_range
+from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from tissue.scene.registry import GROUPS, PREDICTORS
 
@@ -345,6 +346,7 @@ class TrialKey:
         return cls(task, group, int(number), variant)
 
 
+@suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """Plan of a study.

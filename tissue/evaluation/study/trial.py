@@ -13,6 +13,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from meshes.base.hints import suggests_arguments
 from tissue.evaluation.calibration.observers import draw_observers
 from tissue.evaluation.charts.settings import finest
 from tissue.evaluation.statistics import metrics
@@ -67,6 +68,7 @@ NUMBERS = 24
 PLAIN = Variant("", "", {})
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class Trial:
     """Result of a trial.

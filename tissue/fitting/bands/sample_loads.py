@@ -373,7 +373,8 @@ def reruns(
     for done in finished(
         work,
         samples,
-        workers=min(workers.count, len(files)),
+        # a scheduler gets all samples at once, because the number of its workers is not known
+        workers=min(workers.count, len(files)) if workers.scheduler is None else len(files),
         scheduler=workers.scheduler,
         report=report_share,
     ):

@@ -8,6 +8,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.materials.scene_constants import Materials
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
@@ -117,6 +118,7 @@ class ComputedDevice:
         """Ignore a force and a torque, because the device has no motors."""
 
 
+@suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class DeviceParameters:
     """Physical parameters and limits of a device, equal in all directions.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from meshes.base.errors import require_positive, require_range
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
 
@@ -48,6 +49,7 @@ The tolerance allows for rounding, and for a wall so soft that the device does n
 """
 
 
+@suggests_arguments
 @dataclass(frozen=True)
 class Verdict:
     """Stability of a loop, computed before the loop runs.
@@ -124,6 +126,7 @@ def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearH
     )
 
 
+@suggests_arguments
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Return the lowest stiffness at which the loop is unstable [N/m].
 
@@ -182,6 +185,7 @@ def nearest_stable_N_m(critical_N_m: float) -> float:
     return floor((1.0 - 1e-9) * critical_N_m / unit) * unit
 
 
+@suggests_arguments
 def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> Verdict:
     """Check the stability of a loop.
 

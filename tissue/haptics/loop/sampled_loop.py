@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.loop.filters import (
     OBSERVER_MEMORY,
     constant_acceleration_map,
@@ -42,6 +43,7 @@ The map has one state per tick of delay.
 """
 
 
+@suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class WallLoop:
     """Mass on a virtual wall with one degree of freedom.

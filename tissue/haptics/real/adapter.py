@@ -11,6 +11,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
+from meshes.base.hints import suggests_arguments
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.tissue_model import TICK_S
@@ -286,6 +287,7 @@ def adapter_class(name: str) -> type[HardwareAdapter]:
     return found
 
 
+@suggests_arguments
 def devices() -> list[FoundDevice]:
     """Return the real devices of this computer; for each missing kind, return the reason.
 

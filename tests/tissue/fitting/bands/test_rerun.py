@@ -5,7 +5,10 @@ The tests cover their figures, failing runs, and runs that end early.
 
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import count
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -130,6 +133,21 @@ def test_a_sample_that_kills_its_worker_costs_no_other(pushed, monkeypatch):
     assert sorted(found) == list(range(4))
     assert "the worker was lost" in found.pop(3)
     assert all(outcome == (str(k), {}) for k, outcome in found.items())
+
+
+def test_a_scheduler_gets_all_samples_at_once(pushed, monkeypatch):
+    gate = Barrier(8)
+
+    @contextmanager
+    def given(workers, scheduler, *, patience_s):
+        with ThreadPoolExecutor(8) as pool:
+            yield pool
+
+    monkeypatch.setattr("tissue.system.workers.executor", given)
+    monkeypatch.setattr(rerun, "_outcome", lambda *_: f"passed {gate.wait(timeout=5.0)}")
+    workers = rerun.Workers(scheduler="tcp://node1:8786")
+    found = dict(rerun.reruns(pushed, ("",) * 8, workers=workers, report=silent))
+    assert sorted(found.values()) == [f"passed {at}" for at in range(8)]
 
 
 def test_a_scheduler_that_does_not_answer_is_named(pushed, monkeypatch):
