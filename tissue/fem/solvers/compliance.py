@@ -40,7 +40,8 @@ With more unknowns, the copies that this needs would take more than 4 GB.
 CHUNK = 48
 """Number of columns that one thread computes at a time.
 
-For 36,000 unknowns the columns take 14 MB, and their loads take the same again.
+For 36,000 unknowns the columns take 14 MB. With its loads and copies, a thread needs 70 MB, in
+addition to the memory of the back-substitution.
 """
 
 
