@@ -83,8 +83,10 @@ def windings(triangles: Ints) -> Ints:
 
 def cross_products(points: Array, triangles: Ints) -> Array:
     """Compute a normal of each triangle whose length is twice the area, shape (m, 3)."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
+    corner = points[triangles[:, 0]]
+    first_edge = points[triangles[:, 1]] - corner
+    second_edge = points[triangles[:, 2]] - corner
+    return np.cross(first_edge, second_edge)
 
 
 def enclosed_volume(points: Array, triangles: Ints) -> float:

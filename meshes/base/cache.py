@@ -7,8 +7,6 @@ import hashlib
 import json
 import os
 import sys
-import zipfile
-import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
@@ -24,11 +22,6 @@ __all__ = ["Arrays", "Kept", "cache_folder", "cached_arrays", "read_entry", "wri
 _SEAL = "tissue cache entry"
 _DIGEST_BYTES = 16
 """Size of a checksum [byte]. The chance that two of 1e9 entries have the same checksum is 2e-21."""
-_DAMAGE = (
-    *(OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError),
-    *(zipfile.BadZipFile, zlib.error),
-)
-"""Errors for missing and damaged files, found by changing each byte of a file."""
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -129,7 +122,9 @@ def _read(path: Path, code: str) -> Arrays | None:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
             return arrays if str(arrays.pop(_SEAL)) == _seal(arrays, code) else None
-    except _DAMAGE:
+    # zipfile, zlib and NumPy raise many types of errors for a damaged file. If one byte of the
+    # header of an array is changed, for example, NumPy may raise tokenize.TokenError.
+    except Exception:
         return None
 
 

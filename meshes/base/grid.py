@@ -37,8 +37,11 @@ class Grid:
     @property
     def last(self) -> tuple[int, int, int]:
         """Index of the highest voxel along x, y and z, plus one."""
-        x, y, z = (f + n for f, n in zip(self.first, self.shape, strict=True))
-        return x, y, z
+        return (
+            self.first[0] + self.shape[0],
+            self.first[1] + self.shape[1],
+            self.first[2] + self.shape[2],
+        )
 
     @property
     def origin_m(self) -> Array:

@@ -77,7 +77,9 @@ def tilted():
 @cache
 def signed_distance(name):
     """Distance of every voxel centre [voxel] by the profile's closed form, and its gradient."""
-    volume, profile, motion = full_block(), PROFILES[name], tilted()
+    volume = full_block()
+    profile = PROFILES[name]
+    motion = tilted()
     centres = np.stack(
         np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1
     )

@@ -45,9 +45,7 @@ def test_a_calibration_finds_its_energy_and_its_band_holds_every_rod(phantom):
 
 @pytest.mark.parametrize(
     ("name", "axes"),
-    [
-        *zip(("ct.nii.gz", "ct.nrrd", "ct.mha", "ct"), ORIENTATIONS, strict=True),
-    ],
+    list(zip(("ct.nii.gz", "ct.nrrd", "ct.mha", "ct"), ORIENTATIONS, strict=True)),
 )
 def test_every_format_and_order_of_axes_gives_the_same_image(phantom, tmp_path, name, axes):
     found = read_image(write_stored(tmp_path / name, reoriented(phantom.stored, axes)))

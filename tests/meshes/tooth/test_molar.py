@@ -64,7 +64,11 @@ def within(whole, part):
 
 def test_size_is_the_size_asked_for():
     """Within two voxels of 0.15 mm: the widest section is flat, and tips and apices are round."""
-    width, length, height, root, cusp = 10.2, 9.6, 7.0, 12.5, 1.4
+    width = 10.2
+    length = 9.6
+    height = 7.0
+    root = 12.5
+    cusp = 1.4
     anatomy = molar(
         crown_width_mm=width,
         crown_length_mm=length,

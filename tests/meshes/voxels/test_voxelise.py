@@ -92,7 +92,8 @@ def test_block_on_the_lattice_is_exact():
 
 
 def test_pilot_hole_is_subtracted_within_voxels():
-    solid, spacing = cortical_block(size_mm=(8, 8, 6)), 1e-4
+    solid = cortical_block(size_mm=(8, 8, 6))
+    spacing = 1e-4
     hole = sdf.cylinder(2.03e-3, (0.04e-3, 0, -4.02e-3), (0.04e-3, 0, 1e-3))
     drilled = voxelise(solid, spacing_m=spacing, minus=hole)
     whole = voxelise(solid, spacing_m=spacing)

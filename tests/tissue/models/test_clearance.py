@@ -56,7 +56,8 @@ class Frame:
         return float(self.clear.measures[0])
 
 
-def require_safe(found_mm, exact_m):
+def assert_safe(found_mm, exact_m):
+    """Assert that a distance is exact within the tolerances above and below."""
     assert 1e3 * exact_m - BELOW_MM <= found_mm <= 1e3 * exact_m + ABOVE_MM
 
 
@@ -75,7 +76,7 @@ def test_ball_and_cylinder(diameter_mm):
         turn = Rotation.random(random_state=rng.integers(1000))
         centre = np.array([apart * np.cos(angle), apart * np.sin(angle), along])
         found = frame(centre - turn.apply([0.0, 0.0, 1.5e-3]), turn)
-        require_safe(found, apart - 1.5e-3 - 0.5e-3 * diameter_mm)
+        assert_safe(found, apart - 1.5e-3 - 0.5e-3 * diameter_mm)
 
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 0.3])
@@ -86,11 +87,11 @@ def test_end_mill_and_cylinder(diameter_mm):
     # the mill's axis lies along x, the nerve along z
     upright = Rotation.from_euler("y", 90, degrees=True)
     for gap in (-0.1e-3, 0.0, 0.02e-3, 1e-3):
-        require_safe(frame([radius + gap, 0.0, 2e-3], upright), gap)
-        require_safe(frame([-4e-3, -1.5e-3 - radius - gap, 1e-3], upright), gap)
+        assert_safe(frame([radius + gap, 0.0, 2e-3], upright), gap)
+        assert_safe(frame([-4e-3, -1.5e-3 - radius - gap, 1e-3], upright), gap)
     for aside, under in ((0.5e-3, 0.3e-3), (0.2e-3, 0.4e-3), (1e-3, 1e-3)):
         found = frame([under, -1.5e-3 - aside, 0.5e-3], upright)
-        require_safe(found, np.hypot(aside, under) - radius)
+        assert_safe(found, np.hypot(aside, under) - radius)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +118,7 @@ def test_any_tool_and_a_small_ball(shape):
         turn = Rotation.random(random_state=rng.integers(1000))
         around = rng.uniform(0.0, 2.0 * np.pi)
         centre = turn.apply([at[0] * np.cos(around), at[0] * np.sin(around), at[1]])
-        require_safe(frame(-centre, turn), exact)
+        assert_safe(frame(-centre, turn), exact)
 
 
 def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
@@ -130,4 +131,4 @@ def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
     for centre in rng.uniform(-3e-3, 3e-3, (30, 3)):
         tool = ToolMotion(tip_m=centre - [0.0, 0.0, 1.5e-3])
         clear.measure(tool)
-        require_safe(float(clear.measures[0]), float(shape.distance(centre[None])[0]) - 1.5e-3)
+        assert_safe(float(clear.measures[0]), float(shape.distance(centre[None])[0]) - 1.5e-3)

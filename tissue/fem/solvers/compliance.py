@@ -38,7 +38,11 @@ SCHUR_UNKNOWNS = 100_000
 With more unknowns, the copies that this needs would take more than 4 GB.
 """
 CHUNK = 48
-"""Number of columns that one thread computes at a time; they take 14 MB for 36,000 unknowns."""
+"""Number of columns that one thread computes at a time.
+
+For 36,000 unknowns the columns take 14 MB. With its loads and copies, a thread needs 70 MB, in
+addition to the memory of the back-substitution.
+"""
 
 
 def surface_compliance_m_N(
@@ -86,6 +90,7 @@ def surface_compliance_m_N(
     key = [blocks.data, blocks.indices, blocks.indptr, body.fixed, touchable]
 
     def make() -> dict[str, NDArray[np.generic]]:
+        """Compute W from a factor, by the method that fits the number of unknowns."""
         factor = solver() if solver else None
         if len(body.free) > SCHUR_UNKNOWNS:
             return {"matrix": _found(factor or DirectSolver(body), touchable, progress)}
