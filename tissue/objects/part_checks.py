@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
+from numbers import Real
 from typing import Any
 
 from meshes.base.errors import InputError
@@ -126,7 +127,7 @@ def checked_numbers(
             of, f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
         )
     for each, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, Real):
             raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
     kind(**numbers)
-    return dict(numbers)
+    return {name: float(value) for name, value in numbers.items()}

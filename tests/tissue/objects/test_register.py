@@ -24,6 +24,7 @@ from tissue.evaluation.stability_report import scene_stability
 from tissue.evaluation.training import HORIZONS
 from tissue.haptics.device.device import DeviceParameters, Sample
 from tissue.motion.motion import Motion
+from tissue.objects.part_checks import checked_numbers
 from tissue.prediction.guard import Guarded
 from tissue.scene.anatomy import Part
 from tissue.scene.registry import PREDICTORS
@@ -31,6 +32,11 @@ from tissue.scene.texts import schema_text
 from tissue.scene.tool import Probe
 
 LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}
+
+
+def test_numbers_of_numpy_are_numbers():
+    given = {"mass_kg": np.float32(0.25), "damping_N_s_m": np.int64(1)}
+    assert checked_numbers(DeviceParameters, given) == {"mass_kg": 0.25, "damping_N_s_m": 1.0}
 
 
 def run_of(**changes):
