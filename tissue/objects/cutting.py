@@ -94,8 +94,8 @@ def cut_along(
 def warn_of(sentences: Sequence[str]) -> None:
     """Issue a Python warning for each sentence."""
     for sentence in sentences:
-        # Level 4 is the caller of `Bone.cut` or `Loop.step`.
-        warnings.warn(sentence, stacklevel=4)
+        # Level 5 is the caller of `Bone.cut` or `Loop.step`, which have a decorator.
+        warnings.warn(sentence, stacklevel=5)
 
 
 def _require_chips(model: BoneModel, number: int) -> None:

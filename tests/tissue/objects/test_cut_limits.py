@@ -115,8 +115,9 @@ def test_chips_beyond_the_law_are_warned_of_and_absurd_ones_refused():
         warnings.simplefilter("error")
         within = slot(1000, 9.9)
     assert within.notes == {} and within.events == []
-    with pytest.warns(UserWarning, match="is 0.2 mm per tooth"):
+    with pytest.warns(UserWarning, match="is 0.2 mm per tooth") as warned:
         beyond = slot(1000, 20)
+    assert warned[0].filename == __file__
     assert (
         "0.2 mm per tooth" in beyond.notes["chips"] and beyond.events[0][1] == beyond.notes["chips"]
     )

@@ -194,8 +194,9 @@ def test_a_limit_is_warned_of_after_a_reset_that_cleared_another():
     loop = tissue.Loop(tissue.Bone.block((12, 8, 5), spacing_mm=0.25), start_mm=(-4, 0, 1))
     for about in ("chips", "smooth surface"):
         loop._limits.passed[about] = f"the limit of {about}"
-        with pytest.warns(UserWarning, match=about):
+        with pytest.warns(UserWarning, match=about) as warned:
             loop.step([-4, 0, 1])
+        assert warned[0].filename == __file__
         loop.reset()
         assert not loop._limits.passed
 
