@@ -195,7 +195,7 @@ def draw_shaded(
             low = foot + tall - high
             axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
             ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
-            axes.imshow(picture, interpolation="auto", extent=ends)
+            axes.imshow(picture, interpolation="antialiased", extent=ends)
             axes.set_axis_off()
             _draw_scale(axes, camera)
             panels.append(axes)
