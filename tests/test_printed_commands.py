@@ -44,6 +44,7 @@ STARTED: dict[str, str] = {
     "bench_assessment": "wall --people 1 --out {out}",
     "bench_band": "",
     "bench_band_integrals": "",
+    "bench_adaptation": "wall --hands 1",
     "bench_bone": "--quick",
     "bench_calibration": "coverage",
     "bench_closed_loop": "wall --hands 1",

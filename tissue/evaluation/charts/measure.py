@@ -242,7 +242,13 @@ class Measured:
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:
-    """Return the excerpt of a scene that is run at each setting."""
+    """Return the excerpt of a scene that is run at each setting.
+
+    A scene in which a hand cuts is not shortened. At the start of a cut, the hand presses less than
+    the friction of its device, and the force error would be noise.
+    """
+    if scene.device is not None and isinstance(scene.tool, Tool):
+        return scene
     return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
 
 

@@ -73,13 +73,12 @@ def chart_scenes(
 def charted(scene: Scene) -> list[Scene]:
     """Return the scenes whose frontiers are charted: moved by a script, by a hand or by both.
 
-    A wall is charted only with a hand. A cutting scene is charted only with a script. In a chart's
-    short excerpt, the hand presses less than the friction of its device, so its force error would
-    be noise (54 to 200 % in ``milling``).
+    A scene with a device is charted only with a hand, unless its tool cuts.
     """
-    if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
-        return [scene if scene.device is None else of_model(scene)]
-    return [by_hand(scene)] if scene.device is not None else [scene, by_hand(scene)]
+    cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
+    if scene.device is not None and not cuts:
+        return [by_hand(scene)]
+    return [of_model(scene), by_hand(scene)]
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
@@ -168,7 +167,10 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
 
 
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
-    """Draw a small panel for each scene with its Pareto-optimal settings by script and by hand."""
+    """Draw a small panel for each scene with its Pareto-optimal settings by script and by hand.
+
+    The settings are numbered, and their names are listed next to the panel.
+    """
     columns = min(COLUMNS, len(found))
     rows = -(-len(found) // columns)
     # inches for each panel, and 0.4 for the legend above
@@ -178,9 +180,20 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
     for axes in panels[len(found) :]:
         axes.set_axis_off()
     for axes, both in zip(panels, found, strict=False):
+        numbered = 0
         for each in both:
             colour, label = BY["script" if each.scene.device is None else "hand"]
-            _draw_best(axes, each, colour, label)
+            names = [point.setting for point in each.best]
+            numbers = [str(number) for number in range(numbered + 1, numbered + len(names) + 1)]
+            _draw_best(axes, each, colour, label, numbers)
+            for number, name in zip(numbers, names, strict=True):
+                # 12 points a line, to the right of the panel
+                at = (6, -12 * int(number))
+                words = f"{number}  {name}"
+                axes.annotate(
+                    words, (1, 1), at, "axes fraction", "offset points", color=colour, size=8
+                )
+            numbered += len(names)
         axes.axvline(1e3, color="0.2", linestyle="--", label="1 ms, the haptic tick")
         _log_axes(axes, title=both[0].scene.name, xlabel="tick / µs", ylabel="force error / %")
     lines = {str(line.get_label()): line for axes in panels for line in axes.lines}
@@ -191,15 +204,14 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
     save(chart, path)
 
 
-def _draw_best(axes: Axes, found: Frontier, colour: str, label: str) -> None:
-    """Draw the Pareto-optimal settings of a frontier with their names."""
+def _draw_best(axes: Axes, found: Frontier, colour: str, label: str, names: Sequence[str]) -> None:
+    """Draw the Pareto-optimal settings of a frontier with a text at each of them."""
     ticks = [point.median_us for point in found.best]
     errors = [_percent(point.force_error) for point in found.best]
     axes.step(ticks, errors, "-o", where="post", color=colour, label=label)
-    for point, error in zip(found.best, errors, strict=True):
-        place = (point.median_us, error)
+    for tick, error, name in zip(ticks, errors, names, strict=True):
         # 4 points to the right of the mark and above it
-        axes.annotate(point.setting, place, (4, 4), textcoords="offset points", color=colour)
+        axes.annotate(name, (tick, error), (4, 4), textcoords="offset points", color=colour)
 
 
 def _draw_frontier(axes: Axes, found: Frontier) -> None:
@@ -212,7 +224,7 @@ def _draw_frontier(axes: Axes, found: Frontier) -> None:
         axes.plot([point.median_us] * 2, [error, over], color=colour, alpha=0.5)
         axes.plot(point.median_us, error, mark, color=colour, label=label)
         axes.plot(point.median_us, over, mark, color=colour, mfc="white")
-    _draw_best(axes, found, "0.15", "frontier")
+    _draw_best(axes, found, "0.15", "frontier", [point.setting for point in found.best])
     for row in found.bounds:
         error = _percent(row.force_error)
         rounding = row.family == "rounding"

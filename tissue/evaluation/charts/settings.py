@@ -363,10 +363,10 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"})
     for kind in PREDICTORS.names[1:]:
-        if kind not in missing and (not quick or kind in ("kalman", "koopman")):
+        if kind not in missing and (not quick or kind in ("kalman", "koopman-look-ahead")):
             yield Setting(kind, "loop", plain | {"prediction": kind})
     for kind in PREDICTORS:
-        if kind not in missing and (not quick or kind in ("hold", "koopman")):
+        if kind not in missing and (not quick or kind in ("hold", "koopman-look-ahead")):
             yield Setting(
                 f"100 Hz, {kind}",
                 "loop",
