@@ -18,7 +18,7 @@ from tissue.haptics.hand_motion import HandMotion, Script
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import StaysAt, frame_along
-from tissue.objects.bone import Bone
+from tissue.objects.bone import Bone, constants_of
 from tissue.objects.cutting import Structures
 from tissue.objects.organ import Organ
 from tissue.objects.part_checks import checked_numbers
@@ -44,6 +44,7 @@ __all__ = [
     "fitted",
     "judged_device",
     "leave_out",
+    "made_from_of",
     "region",
     "start_above",
 ]
@@ -318,6 +319,28 @@ def fitted(
             "make a tool by tissue.ball",
         )
     return pressing
+
+
+def made_from_of(
+    tissue: Bone | Organ, tool: Cutter | PressingTool, keep_clear: Structures | None
+) -> tuple[object, ...]:
+    """Return the constants of a bone or an organ and its tool, on which the forces depend."""
+    if isinstance(tissue, Bone):
+        return (*constants_of(tissue), tool, tuple(keep_clear or ()))
+    assert isinstance(tool, PressingTool)
+    organ = tissue.soft
+    return (
+        organ.mesh,
+        organ.space.order,
+        organ.elasticity,
+        organ.held,
+        organ.prony,
+        organ.friction,
+        organ.law,
+        organ.capsule,
+        organ.rest[0],
+        tool.shape,
+    )
 
 
 def region(start_m: Array, axis: Array, reach_m: float) -> Region:
