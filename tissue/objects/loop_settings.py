@@ -1,7 +1,6 @@
 """Arguments of `tissue.Loop`: tool, start, prepared region, and coupling to a device."""
 
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
@@ -23,7 +22,7 @@ from tissue.objects.cutting import Structures
 from tissue.objects.organ import Organ
 from tissue.objects.part_checks import checked_numbers
 from tissue.objects.tools import PressingTool, ball
-from tissue.prediction.guard import GuardedMaker, Observes
+from tissue.prediction.guard import GuardedMaker, Observes, copy_of
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.registry import PREDICTORS
@@ -203,7 +202,8 @@ def _settings_of(
             "give the name of a predictor",
         )
     if predictor is not None and name is None:
-        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
+        own = type(predictor).__name__
+        guarded = GuardedMaker(own, lambda: copy_of(predictor, own))
         own_predictor = partial(guarded, None, limits.force_limit_N)
     coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
     is_trained = name is not None and name in PREDICTORS and PREDICTORS[name].trained

@@ -100,7 +100,7 @@ def test_events_are_emitted_once_in_their_order():
         r"It lies 20\.0 mm deep and breaks at a tip force of \d\.\d\d N",
         model.notices[1],
     )
-    travel_m, force_N = model.insertion.punctures[1]
+    _, force_N = model.insertion.punctures[1]
     wall = model.insertion.tissue.membranes[1]
     assert force_N > wall.puncture_N and f" {wall.puncture_N:.2f} N" in model.notices[1]
     assert len(model.notices) == 2

@@ -128,8 +128,23 @@ def test_a_predictor_that_never_forgets_or_returns_other_shapes_is_refused():
         def predict(self, ticks):
             return 0.0
 
-    with pytest.raises(InputError, match="512 ticks"):
+    @register.predictor("growing")
+    class Growing(Drift):
+        def predict(self, ticks):
+            self.force_N = 1.5 * self.force_N
+            return self.force_N
+
+    @register.predictor("undefined")
+    class Undefined(Drift):
+        def predict(self, ticks):
+            return np.nan * self.force_N
+
+    with pytest.raises(InputError, match=r"predictor sum must .* 512 ticks"):
         run_of(prediction="sum")
+    with pytest.raises(InputError, match="predictor growing must return the same force in two"):
+        run_of(prediction="growing")
+    with pytest.raises(InputError, match="predictor undefined must return finite forces"):
+        run_of(prediction="undefined")
     with pytest.raises(InputError, match="predictor flat"):
         run_of(prediction="flat")
 
