@@ -177,7 +177,8 @@ def draw_press(run: Run, path: Path) -> str | None:
     title = f"{run.scene.name}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
     if flat:
         modulus_kPa = run.scene.constants.values("soft", "liver")["modulus_kPa"]
-        title += f"\nstress for soft.liver.modulus_kPa = {modulus_kPa:.3g}, not for the needle's constants"
+        title += f"\nstress for soft.liver.modulus_kPa = {modulus_kPa:.3g}, "
+        title += "not for the needle's constants"
     return draw_shaded(
         make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT
     )
