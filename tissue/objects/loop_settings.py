@@ -316,7 +316,8 @@ def fitted(
             "tool",
             "be a tool that presses an organ",
             type(tool).__name__,
-            "make a tool by tissue.ball",
+            "make a tool by tissue.ball; a needle or a blade enters only the tissue of a scene, "
+            "such as tissue.Loop('needle')",
         )
     return pressing
 

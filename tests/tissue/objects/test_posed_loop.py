@@ -221,6 +221,12 @@ def pressed(*, edge_mm=10, modulus_kPa=10.0, diameter_mm=20.0, **options):
     return tissue.Loop(organ, ball, start_mm=(0, 0, 1), reach_mm=3)
 
 
+def test_a_needle_for_an_organ_is_refused_with_the_scene_that_takes_one():
+    organ = tissue.Organ.block((40, 40, 20), edge_mm=10, modulus_kPa=10.0, poisson_ratio=0.45)
+    with pytest.raises(tissue.InputError, match=r"tissue\.Loop\('needle'\)"):
+        tissue.Loop(organ, "needle")
+
+
 def test_an_organ_with_a_law_that_relaxes_is_restored():
     loop = pressed(law="neo-hookean", relaxation=[(0.4, 0.05)])
     tips = along([[0, 0, 1], [0, 0, -5], [2, 0, -4]], 100)
