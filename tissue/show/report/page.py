@@ -248,9 +248,10 @@ def _band_text(band: Summary) -> str:
         explained = band.get("surrogate_explains", {}).get("force_N.peak")
         why = "it does not vary"
         if explained is not None:
+            share = 100.0 * max(explained, 0.0)
             why = (
-                f"the polynomial fitted to the samples explains only {100.0 * max(explained, 0.0):.0f} % of "
-                "its variance; more samples may help"
+                f"the polynomial fitted to the samples explains only {share:.0f} % of its "
+                "variance; more samples may help"
             )
         matters = f"no Sobol indices of the peak force, because {why}"
     return f"{band['samples']} samples{asked}; {band['how']}; {matters}"
