@@ -28,7 +28,7 @@ from tissue.scene.scene import Scene
 __all__ = ["ConstantFit", "Fitted", "SceneFit", "TableFit", "fit_scene", "fit_table"]
 
 
-FITTED = "fit a scene of bone, a tooth or an organ"
+FITTED = "fit a scene of bone, a tooth or an organ under a probe"
 NUISANCES = ("density.", KEYS)
 """Prefixes of the names of numbers that belong to the specimen of a log or to its scene.
 
@@ -346,7 +346,12 @@ def fit_scene(
         determines no constant.
     """
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
-        raise InputError("scene", "contain tissue", f"a {scene.anatomy.kind}", FITTED)
+        raise InputError(
+            "scene",
+            "have constants that can be fitted",
+            f"anatomy.kind = {scene.anatomy.kind}",
+            FITTED,
+        )
     of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
     problem = of_tissue(scene, log, free, cores=cores, progress=progress)
     # recording the geometry, or the runs of an organ, takes most of the time

@@ -1,14 +1,18 @@
 """Copies of the internal state of a model, for snapshots."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
+from dataclasses import fields, is_dataclass
+from hashlib import blake2b, file_digest
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from meshes.base.errors import InputError
 
-__all__ = ["State", "copied", "put_back", "require_shapes"]
+__all__ = ["State", "copied", "fingerprint", "put_back", "require_shapes"]
 
 State = dict[str, Any]
 """State of an object by name: numbers, arrays and plain objects that can be pickled."""
@@ -51,3 +55,50 @@ def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
                 f"another mesh or tool ({len(kept[name])} entries)",
                 "make both loops from equal arguments",
             )
+
+
+def fingerprint(*parts: object) -> str:
+    """Return a short text that is equal for equal parts, in another process too.
+
+    Parts are numbers, texts, arrays, tables of a scene, dataclasses, and collections of these. An
+    absolute path stands for the content of its file. Only the class of other objects is used.
+    """
+    digest = blake2b(digest_size=16)
+    for known in _plain(parts):
+        digest.update(known)
+        # Without a separator, the pairs (1, 23) and (12, 3) would be equal.
+        digest.update(b"\0")
+    return digest.hexdigest()
+
+
+def _plain(part: object) -> Iterator[bytes]:
+    """Return the contents of a part."""
+    if isinstance(part, BaseModel):
+        part = {name: getattr(part, name) for name in type(part).model_fields}
+    elif is_dataclass(part) and not isinstance(part, type):
+        part = {each.name: getattr(part, each.name) for each in fields(part)}
+    if isinstance(part, np.ndarray):
+        yield f"{part.dtype}{part.shape}".encode()
+        yield np.ascontiguousarray(part).tobytes()
+    elif isinstance(part, Mapping):
+        for name in sorted(part):
+            yield str(name).encode()
+            yield from _plain(part[name])
+    elif isinstance(part, tuple | list):
+        yield str(len(part)).encode()
+        for each in part:
+            yield from _plain(each)
+    elif isinstance(part, str) and Path(part).is_absolute():
+        yield _content(Path(part))
+    elif part is None or isinstance(part, bool | int | float | str | np.generic):
+        yield repr(part).encode()
+    else:
+        yield type(part).__qualname__.encode()
+
+
+def _content(path: Path) -> bytes:
+    """Return the checksum of a file; the same text for all folders."""
+    if not path.is_file():
+        return b"folder"
+    with path.open("rb") as file:
+        return file_digest(file, "blake2b").digest()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tissue.objects.cut import Cut
     from tissue.objects.cutting import Structures
 
-__all__ = ["Bone"]
+__all__ = ["Bone", "constants_of"]
 
 SHOWN_VOXELS = 4e6
 """Largest number of voxels for drawing the surface of a bone given by a formula.
@@ -476,6 +476,17 @@ class Bone:
             f"Bone({size} mm, {', '.join(self.layer_names)}, voxels of {self.spacing_mm:g} mm"
             f"{f', {cut:.4g} mm3 removed' if cut else ''})"
         )
+
+
+def constants_of(bone: Bone) -> tuple[object, ...]:
+    """Return the constants of a bone: coefficients, lattice, density and material of its voxels.
+
+    The material is None for a bone whose voxels are made where a tool comes near.
+    """
+    made = bone.voxel_bone
+    store = made.store
+    material = None if made.on_demand else store.material.numpy()[: len(store.places)]
+    return made.coefficients, store.grid, bone._source.density_kg_m3, material
 
 
 def _anatomy_source(

@@ -36,6 +36,7 @@ from tissue.objects.loop_settings import (
     fitted,
     judged_device,
     leave_out,
+    made_from_of,
     region,
     start_above,
 )
@@ -50,7 +51,7 @@ from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import require_known
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.observer import WallClock
-from tissue.simulation.posed import PosedSession, Region, Snapshot, posed_parts
+from tissue.simulation.posed import PosedSession, Region, Snapshot, posed_parts, scene_arguments
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -193,6 +194,7 @@ class Loop:
         if isinstance(tissue, Scene):
             given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
             leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
+            made_from = scene_arguments(tissue)
             parts, prepared = posed_parts(tissue, reach_m=extent.reach_m, cores=cores)
             self.notes = parts.notes
         else:
@@ -211,6 +213,7 @@ class Loop:
             # The tissue is prepared after the check, so a refused coupling leaves the bone
             # unchanged.
             parts = self._prepared(tissue, fitting, start_m, along, extent.reach_m, keep_clear)
+            made_from = made_from_of(tissue, fitting, keep_clear)
             self.notes = dict(tissue.notes)
             if self._organ is not None:
                 prepared = region(start_m, along, extent.reach_m)
@@ -219,6 +222,7 @@ class Loop:
                 parts,
                 ticks=extent.ticks,
                 rows=self._most,
+                made_from=made_from,
                 keep_ready=self._keep_ready,
                 region=prepared,
             )
@@ -391,8 +395,8 @@ class Loop:
         Raises
         ------
         InputError
-            If the snapshot was made with another tissue, or needs bone that this loop has not
-            prepared.
+            If the snapshot is of a loop with another tissue, tool, step or constants, or needs bone
+            that this loop has not prepared.
         """
         self._posed("restore").restore(snapshot)
         self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]

@@ -1,7 +1,6 @@
 """Arguments of `tissue.Loop`: tool, start, prepared region, and coupling to a device."""
 
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
@@ -18,12 +17,12 @@ from tissue.haptics.hand_motion import HandMotion, Script
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import StaysAt, frame_along
-from tissue.objects.bone import Bone
+from tissue.objects.bone import Bone, constants_of
 from tissue.objects.cutting import Structures
 from tissue.objects.organ import Organ
 from tissue.objects.part_checks import checked_numbers
 from tissue.objects.tools import PressingTool, ball
-from tissue.prediction.guard import GuardedMaker, Observes
+from tissue.prediction.guard import GuardedMaker, Observes, copy_of
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.registry import PREDICTORS
@@ -44,6 +43,7 @@ __all__ = [
     "fitted",
     "judged_device",
     "leave_out",
+    "made_from_of",
     "region",
     "start_above",
 ]
@@ -202,7 +202,8 @@ def _settings_of(
             "give the name of a predictor",
         )
     if predictor is not None and name is None:
-        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
+        own = type(predictor).__name__
+        guarded = GuardedMaker(own, lambda: copy_of(predictor, own))
         own_predictor = partial(guarded, None, limits.force_limit_N)
     coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
     is_trained = name is not None and name in PREDICTORS and PREDICTORS[name].trained
@@ -315,9 +316,32 @@ def fitted(
             "tool",
             "be a tool that presses an organ",
             type(tool).__name__,
-            "make a tool by tissue.ball",
+            "make a tool by tissue.ball; a needle or a blade enters only the tissue of a scene, "
+            "such as tissue.Loop('needle')",
         )
     return pressing
+
+
+def made_from_of(
+    tissue: Bone | Organ, tool: Cutter | PressingTool, keep_clear: Structures | None
+) -> tuple[object, ...]:
+    """Return the constants of a bone or an organ and its tool, on which the forces depend."""
+    if isinstance(tissue, Bone):
+        return (*constants_of(tissue), tool, tuple(keep_clear or ()))
+    assert isinstance(tool, PressingTool)
+    organ = tissue.soft
+    return (
+        organ.mesh,
+        organ.space.order,
+        organ.elasticity,
+        organ.held,
+        organ.prony,
+        organ.friction,
+        organ.law,
+        organ.capsule,
+        organ.rest[0],
+        tool.shape,
+    )
 
 
 def region(start_m: Array, axis: Array, reach_m: float) -> Region:

@@ -2,7 +2,10 @@
 
 from collections import deque
 from collections.abc import Callable
+from copy import deepcopy
 from math import ceil, isfinite, sqrt
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,7 +15,7 @@ from meshes.base.errors import InputError, require_positive
 from tissue.prediction.predictor import Contact, Hold, Predictor, SeesContact
 from tissue.prediction.trained import Trained
 
-__all__ = ["Guarded", "GuardedMaker", "Judged", "Observes", "Outside"]
+__all__ = ["Guarded", "GuardedMaker", "Judged", "Observes", "Outside", "copy_of"]
 
 Triple = tuple[float, float, float]
 BLEND = 10
@@ -235,13 +238,19 @@ class Outside:
         The predictor.
     name
         Name of the predictor in messages.
+
+    Raises
+    ------
+    InputError
+        If a method of the predictor, or a copy of it, raises an error. The message names the
+        predictor.
     """
 
     is_primary = True
 
     def __init__(self, inner: Observes, name: str) -> None:
         self.inner = inner
-        self._name = name
+        self.name = name
         self._pause: Callable[[], object] | None = getattr(inner, "pause", None)
         if callable(meet := getattr(inner, "meet", None)):
             self.meet = meet
@@ -262,15 +271,21 @@ class Outside:
         if force is not None and self._seen:
             missed = self.predict(1.0) - force
             self.residual_N = float(np.sqrt(missed @ missed))
-        self.inner.observe(position_m.copy(), velocity_m_s.copy(), force)
+        try:
+            self.inner.observe(position_m.copy(), velocity_m_s.copy(), force)
+        except Exception as error:
+            raise _failed(self.name, "observe", error) from error
         self._seen = self._seen or force is not None
 
     def predict(self, ticks: float) -> Array:
         """Return a copy of the predictor's force."""
-        force = np.array(self.inner.predict(ticks), dtype=np.float64)
+        try:
+            force = np.array(self.inner.predict(ticks), dtype=np.float64)
+        except Exception as error:
+            raise _failed(self.name, "predict", error) from error
         if force.shape != (3,):
             raise InputError(
-                f"predict of the predictor {self._name}",
+                f"predict of the predictor {self.name}",
                 "return three forces in newtons",
                 f"shape {force.shape}",
                 "fix predict",
@@ -281,6 +296,44 @@ class Outside:
         """Pause the predictor if it has the method ``pause``."""
         if self._pause is not None:
             self._pause()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Outside":
+        copied = Outside(copy_of(self.inner, self.name, memo), self.name)
+        copied.residual_N = self.residual_N
+        copied._seen = self._seen
+        return copied
+
+
+def copy_of(predictor: Any, name: str, memo: dict[int, Any] | None = None) -> Any:
+    """Return a copy of an external predictor.
+
+    Raises
+    ------
+    InputError
+        If the predictor cannot be copied.
+    """
+    try:
+        return deepcopy(predictor, memo)
+    except Exception as error:
+        raise InputError(
+            f"predictor {name}",
+            "support copying by copy.deepcopy",
+            f"{type(error).__name__}: {error}",
+            "remove attributes such as locks and open files, or define __deepcopy__",
+        ) from error
+
+
+def _failed(name: str, method: str, error: Exception) -> InputError:
+    """Return the error for a method of a predictor that raised an error."""
+    frames = extract_tb(error.__traceback__)
+    # The first frame is the call in this module.
+    place = f" in {Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames[1:] else ""
+    return InputError(
+        f"predictor {name}",
+        f"run {method} without an error",
+        f"{type(error).__name__}{place}: {error}",
+        f"fix {method}",
+    )
 
 
 class GuardedMaker:
@@ -306,7 +359,18 @@ class GuardedMaker:
 
     def __call__(self, trained: Trained | None, force_limit_N: float) -> Predictor:
         """Return a new predictor for a device with a given force limit [N]."""
-        inner = self.make(trained) if self.trained else self.make()
+        try:
+            inner = self.make(trained) if self.trained else self.make()
+        except InputError:
+            raise
+        except Exception as error:
+            given = "with a Trained" if self.trained else "without arguments"
+            raise InputError(
+                f"predictor {self.name}",
+                "be made without an error",
+                f"{type(error).__name__}: {error}",
+                f"fix its constructor, which is called {given}",
+            ) from error
         missing = [
             each for each in ("observe", "predict") if not callable(getattr(inner, each, None))
         ]

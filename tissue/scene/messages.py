@@ -204,15 +204,24 @@ def _of_another_kind(
 def _of_another_tool(names: Key, table: Table, chosen: type[BaseModel]) -> InputError:
     """Return the error for a key of tissues that the tool of the scene cannot enter.
 
-    `chosen` is the anatomy of the scene, for example the layers for a needle.
+    `chosen` is the anatomy of the scene, for example the layers for a needle. If the tool of the
+    scene does not fit this anatomy, the error names the first anatomy for this tool.
     """
     key = ".".join(map(shown, names))
     tool = kinds_of(_tool_of(chosen))[0]
+    anatomy = kinds_of(chosen)[0]
+    written = _inner(table, "tool").get("kind")
+    if written not in kinds_of(_tool_of(chosen)):
+        for kind in ANATOMIES.known:
+            if written in kinds_of(ANATOMIES[kind].tool):
+                tool = written
+                anatomy = kind
+                break
     return InputError(
         key,
         f"be left out for a {tool}",
         shown(_value_at(names, table)),
-        f"a {tool} needs anatomy.kind = {kinds_of(chosen)[0]}. Remove {key}, or press a shaped "
+        f"a {tool} needs anatomy.kind = {anatomy}. Remove {key}, or press a shaped "
         "organ with a probe: anatomy.kind = liver and tool.kind = sphere-probe",
     )
 

@@ -149,13 +149,14 @@ class PredictorEntry:
     trained
         True if the predictor needs the output of `tissue train`.
     colour, marker
-        Colour and marker in charts, in matplotlib's notation.
+        Colour and marker in charts, in matplotlib's notation. Empty for a registered predictor, for
+        which a chart chooses them.
     """
 
     make: Factory | None = None
     trained: bool = False
-    colour: str = "#D55E00"
-    marker: str = "*"
+    colour: str = ""
+    marker: str = ""
 
 
 PEG = ("peg_diameter_mm", "peg_length_mm")

@@ -50,6 +50,11 @@ __all__ = [
     "Voxels",
 ]
 
+ENTERED: dict[type[Part], str] = {
+    Needle: "needle.liver.linear_N_mm",
+    Blade: "soft.skin.toughness_J_m2",
+}
+"""Constant of a tissue that a tool enters, as an example in messages, by the class of the tool."""
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
@@ -362,12 +367,14 @@ class Scene(Part):
             where = f"for a {anatomy.kind}" + (
                 ", which is not cut" if not is_cut and table != "organ" else ""
             )
-            yield (
-                table,
-                table not in reads,
-                where,
-                f"set anatomy.kind = {others.get(table, 'block')}",
-            )
+            remedy = f"set anatomy.kind = {others.get(table, 'block')}"
+            if table == "organ" and isinstance(self.tool, Needle | Blade):
+                where = f"for a {self.tool.kind}"
+                remedy = (
+                    "set materials to a file with the tissue's constants, such as "
+                    f"{ENTERED[type(self.tool)]}"
+                )
+            yield table, table not in reads, where, remedy
         if isinstance(anatomy, BlockImage):
             yield (
                 "voxels.margin_mm",

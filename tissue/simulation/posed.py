@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.models.state import State
+from tissue.models.state import State, fingerprint
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
@@ -18,7 +18,7 @@ from tissue.simulation import loop as engine
 from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.simulate import builder_of
 
-__all__ = ["PosedSession", "Region", "Snapshot", "posed_parts"]
+__all__ = ["PosedSession", "Region", "Snapshot", "posed_parts", "scene_arguments"]
 
 ACROSS = 5
 """Number of copies of a scene's path in each direction across the tool's axis; chosen."""
@@ -37,12 +37,15 @@ class Snapshot:
         Simulated time [s].
     tissue
         Class and layers of the tissue. Both must be equal in a session that restores the snapshot.
+    made_from
+        Fingerprint of the constants, the step, the tool and the tissue of the session.
     state
         State of tool, tissue and structures to keep clear of.
     """
 
     time_s: float
     tissue: tuple[str, ...]
+    made_from: str
     state: State = field(repr=False)
 
 
@@ -141,6 +144,26 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
     return parts, Region.of(motion)
 
 
+def scene_arguments(scene: Scene) -> tuple[object, ...]:
+    """Return the parts of a scene on which the forces in a session depend.
+
+    The motion, the output and the times of frames have no effect on these forces.
+    """
+    tables = [dict(part) for part in (scene.anatomy, scene.organ)]
+    for table in tables:
+        table.pop("interval_ms", None)
+    given = {name: constant.value for name, constant in scene.constants.given.items()}
+    return (
+        *tables,
+        scene.voxels,
+        scene.tool,
+        scene.cutting,
+        scene.keep_clear,
+        scene.seed,
+        given,
+    )
+
+
 class PosedSession:
     """Session with a tool whose pose a caller gives, in steps of whole ticks.
 
@@ -152,6 +175,9 @@ class PosedSession:
         Number of ticks of 1 ms in a step.
     rows
         Number of ticks that the trace keeps.
+    made_from
+        Constants, tool and tissue from which the parts were made. A snapshot is refused if it is of
+        a session made from others, see `tissue.models.state.fingerprint`.
     keep_ready
         Function that is called with the tip [m] before every tick, to prepare more tissue.
     region
@@ -169,6 +195,7 @@ class PosedSession:
         *,
         ticks: int,
         rows: int,
+        made_from: tuple[object, ...],
         keep_ready: Callable[[Array], None] | None = None,
         region: Region | None = None,
     ) -> None:
@@ -185,6 +212,7 @@ class PosedSession:
         parts.cutter = None
         self.loop = engine.Loop(parts, ticks=rows, output=Output(low_pass_ms=0.0))
         self._names = (type(parts.tissue).__name__, *parts.tissue.layer_names)
+        self._made_from = fingerprint(ticks, *made_from)
         self._untouched: State | None = None
         # A tissue that does not support snapshots can still be used.
         with suppress(InputError):
@@ -238,7 +266,7 @@ class PosedSession:
 
     def snapshot(self) -> Snapshot:
         """Return a copy of the state."""
-        return Snapshot(self.loop.ticks * TICK_S, self._names, self.loop.state())
+        return Snapshot(self.loop.ticks * TICK_S, self._names, self._made_from, self.loop.state())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a copied state.
@@ -246,14 +274,21 @@ class PosedSession:
         Raises
         ------
         InputError
-            If the snapshot was made with another tissue, or needs bone that this session has not
-            prepared.
+            If the snapshot is of a session with another tissue, tool, step or constants, or needs
+            bone that this session has not prepared.
         """
         if snapshot.tissue != self._names:
             raise InputError(
                 "snapshot",
                 f"hold the state of {', '.join(self._names)}",
                 ", ".join(snapshot.tissue),
+                "make both loops from equal arguments",
+            )
+        if snapshot.made_from != self._made_from:
+            raise InputError(
+                "snapshot",
+                "be of a loop with the same constants, step_ms, tool and tissue",
+                "a snapshot of another loop",
                 "make both loops from equal arguments",
             )
         self.loop.restore(snapshot.state)

@@ -122,3 +122,12 @@ def test_a_shape_is_proposed_only_for_a_tool_that_can_enter_it(refused, here, sc
     message = refused("run", scene, "--set", "anatomy.file=cut.stl")
     assert remedy in message.replace(f"{here}/", "") and "glenoid" not in message
     assert ("anatomy.kind = liver and tool.kind = sphere-probe" in message) == ("Remove" in message)
+
+
+def test_a_refused_key_of_a_needle_names_the_needle_and_its_constants(refused):
+    changes = ("--set", "anatomy.kind=soft-tissue", "--set", "anatomy.file=cut.stl")
+    message = refused("run", "needle", *changes)
+    assert "left out for a needle, got" in message and "needs anatomy.kind = layers" in message
+    message = refused("run", "needle", "--set", "organ.young_kPa=15")
+    assert "left out for a needle, got 15. Set materials to a file" in message
+    assert "needle.liver.linear_N_mm" in message and "anatomy.kind" not in message

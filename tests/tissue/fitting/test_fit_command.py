@@ -66,4 +66,6 @@ def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, comm
 
 def test_other_scenes_are_refused(log, tmp_path, refused):
     message = refused("fit", "wall", "--measured", log, "--out", tmp_path / "fit")
-    assert message.startswith("scene must contain tissue, got a wall")
+    assert message.startswith(
+        "scene must have constants that can be fitted, got anatomy.kind = wall"
+    )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tissue.materials.scene_constants import Materials
 from tissue.models.needle.fields import FINE_M, GROWTH, NeedleFields, Track, needle_block
 from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue
@@ -176,3 +177,8 @@ def test_the_first_track_of_a_motion():
     assert Track.first_of(tips[[1, 2]], upright[:2], diameter_m=NEEDLE_M) is None  # starts inside
     # lies flat
     assert Track.first_of(tips, np.tile([1.0, 0.0, 0.0], (5, 1)), diameter_m=NEEDLE_M) is None
+
+
+def test_the_note_states_the_modulus_of_the_stress(shallow):
+    modulus_kPa = Materials.cited.values("soft", "liver")["modulus_kPa"]
+    assert f"{modulus_kPa:.3g} kPa (soft.liver.modulus_kPa)" in shallow.note

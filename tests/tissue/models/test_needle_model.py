@@ -1,5 +1,6 @@
 """Needle as a tissue model: the contract's laws, contact with the organ, reports, refused poses."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -94,7 +95,14 @@ def test_events_are_emitted_once_in_their_order():
     model = needle()
     go(model, [-1.0, 60.0])
     assert model.notices[0] == "the capsule is punctured at 16.9 mm with 2.30 N"
-    assert model.notices[1].startswith("the vessel wall is punctured at ")
+    assert re.fullmatch(
+        r"the vessel wall is punctured at \d+\.\d mm with \d\.\d\d N\. "
+        r"It lies 20\.0 mm deep and breaks at a tip force of \d\.\d\d N",
+        model.notices[1],
+    )
+    _, force_N = model.insertion.punctures[1]
+    wall = model.insertion.tissue.membranes[1]
+    assert force_N > wall.puncture_N and f" {wall.puncture_N:.2f} N" in model.notices[1]
     assert len(model.notices) == 2
     go(model, [60.0, -20.0, 60.0, -20.0])
     assert model.notices[2:] == ["the needle has left the organ"] * 2

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tissue
+from tissue.cutters import ball_burr
 from tissue.models.organ.model import LiverModel
 
 COARSE = {
@@ -211,12 +212,19 @@ def test_an_organ_is_pressed_and_reset():
     np.testing.assert_array_equal(moved(loop, down), first)
 
 
-def pressed(*, edge_mm=10, **options):
+def pressed(*, edge_mm=10, modulus_kPa=10.0, diameter_mm=20.0, **options):
     """Loop of a coarse block under a ball."""
     organ = tissue.Organ.block(
-        (40, 40, 20), edge_mm=edge_mm, modulus_kPa=10.0, poisson_ratio=0.45, **options
+        (40, 40, 20), edge_mm=edge_mm, modulus_kPa=modulus_kPa, poisson_ratio=0.45, **options
     )
-    return tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=3)
+    ball = tissue.ball(diameter_mm=diameter_mm)
+    return tissue.Loop(organ, ball, start_mm=(0, 0, 1), reach_mm=3)
+
+
+def test_a_needle_for_an_organ_is_refused_with_the_scene_that_takes_one():
+    organ = tissue.Organ.block((40, 40, 20), edge_mm=10, modulus_kPa=10.0, poisson_ratio=0.45)
+    with pytest.raises(tissue.InputError, match=r"tissue\.Loop\('needle'\)"):
+        tissue.Loop(organ, "needle")
 
 
 def test_an_organ_with_a_law_that_relaxes_is_restored():
@@ -247,6 +255,60 @@ def test_an_organ_with_a_law_that_relaxes_is_restored():
 def test_a_snapshot_of_another_law_or_mesh_is_refused(other):
     with pytest.raises(ValueError, match="equal arguments"):
         pressed(law="neo-hookean").restore(pressed(**other).snapshot())
+
+
+@pytest.mark.parametrize(
+    ("changes", "options"),
+    [
+        ({"materials": "stiff.toml"}, {}),
+        ({"anatomy.membrane_depths_mm": {"vessel wall": 12.0}}, {}),
+        ({"tool.diameter_mm": 2.0}, {}),
+        ({}, {"step_ms": 5}),
+    ],
+)
+def test_a_snapshot_of_other_constants_tool_or_step_is_refused(tmp_path, changes, options):
+    stiff = "value = 0.5\nrange = [0.4, 0.6]\nsource = 'own test'\nconfidence = 'M'\n"
+    (tmp_path / "stiff.toml").write_text(f"[needle.liver.linear_N_mm]\n{stiff}")
+    if "materials" in changes:
+        changes = {"materials": str(tmp_path / changes["materials"])}
+    loop = made("needle")
+    before = moved(loop, along([[0, 0, 5], [0, 0, -5]], 20))
+    other = tissue.Loop(tissue.load_scene("needle", changes), reach_mm=0.0, **options)
+    with pytest.raises(ValueError, match=r"same constants.*equal arguments"):
+        loop.restore(other.snapshot())
+    assert loop.ticks == len(before)
+
+
+def test_a_snapshot_fits_a_loop_whose_scene_and_constants_lie_elsewhere(tmp_path):
+    stiff = "value = 0.5\nrange = [0.4, 0.6]\nsource = 'own test'\nconfidence = 'M'\n"
+    loops = []
+    for name in ("here", "there"):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(f"[needle.liver.linear_N_mm]\n{stiff}")
+        changes = {"materials": str(path), "anatomy.interval_ms": 100.0}
+        loops.append(tissue.Loop(tissue.load_scene("needle", changes), reach_mm=0.0))
+    loops[1].restore(pickle.loads(pickle.dumps(loops[0].snapshot())))
+
+
+def test_a_snapshot_of_another_tool_or_modulus_is_refused():
+    snapshot = pressed().snapshot()
+    pressed().restore(snapshot)
+    for other in (pressed(modulus_kPa=15.0), pressed(diameter_mm=21.0), pressed(friction=0.1)):
+        with pytest.raises(ValueError, match="equal arguments"):
+            other.restore(snapshot)
+
+
+def test_a_snapshot_of_another_cutter_or_density_is_refused():
+    def over(diameter_mm=4, **bone):
+        block = tissue.Bone.block((8, 8, 4), spacing_mm=0.25, **bone)
+        burr = ball_burr(diameter_mm=diameter_mm, flutes=6, spin_rpm=20_000)
+        return tissue.Loop(block, burr, start_mm=(0, 0, 1))
+
+    snapshot = over().snapshot()
+    over().restore(snapshot)
+    for other in (over(3), over(density_kg_m3=1200.0), over(cutting={"radial_chip_N_mm2": 99.0})):
+        with pytest.raises(ValueError, match="equal arguments"):
+            other.restore(snapshot)
 
 
 @pytest.mark.parametrize(

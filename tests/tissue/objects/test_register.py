@@ -19,6 +19,7 @@ from tissue.evaluation.charts.prediction import (
     PredictorComparison,
     comparison_lines,
     draw_tasks,
+    looks,
 )
 from tissue.evaluation.stability_report import scene_stability
 from tissue.evaluation.training import HORIZONS
@@ -79,7 +80,15 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     costs = dict.fromkeys(PREDICTORS, (1.0, 2.0))
     found = PredictorComparison("wall", errors, costs, {})
     assert any("drift" in line for line in comparison_lines([found]))
+    assert any(" drift: 1.00 times the error of hold" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
+    register.predictor("drift-2", Drift)
+    seen = looks()
+    assert len(set(seen.values())) == len(seen)
+    for name in ("drift", "drift-2"):
+        others = [look for kind, look in seen.items() if kind != name]
+        assert seen[name][0] not in [colour for colour, _ in others]
+        assert seen[name][1] not in ["*", *(mark for _, mark in others)]
     with pytest.raises(InputError, match="did you mean drift"):
         load_scene("wall", {"prediction": "drif"})
     assert (
@@ -119,8 +128,23 @@ def test_a_predictor_that_never_forgets_or_returns_other_shapes_is_refused():
         def predict(self, ticks):
             return 0.0
 
-    with pytest.raises(InputError, match="512 ticks"):
+    @register.predictor("growing")
+    class Growing(Drift):
+        def predict(self, ticks):
+            self.force_N = 1.5 * self.force_N
+            return self.force_N
+
+    @register.predictor("undefined")
+    class Undefined(Drift):
+        def predict(self, ticks):
+            return np.nan * self.force_N
+
+    with pytest.raises(InputError, match=r"predictor sum must .* 512 ticks"):
         run_of(prediction="sum")
+    with pytest.raises(InputError, match="predictor growing must return the same force in two"):
+        run_of(prediction="growing")
+    with pytest.raises(InputError, match="predictor undefined must return finite forces"):
+        run_of(prediction="undefined")
     with pytest.raises(InputError, match="predictor flat"):
         run_of(prediction="flat")
 

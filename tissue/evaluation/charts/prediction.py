@@ -1,8 +1,9 @@
 """Comparison of all predictors on unseen runs: horizon, cost and slow models."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from time import perf_counter
 
@@ -35,6 +36,7 @@ __all__ = [
     "chart_prediction",
     "comparison_lines",
     "draw_tasks",
+    "looks",
     "predictable",
 ]
 
@@ -47,6 +49,12 @@ SHARES = (0.7, 1.3)
 Unseen runs use the two ratios in turn.
 """
 OURS = "koopman-look-ahead"
+OWN_COLOURS = ("#56B4E9", "#8C564B", "#000000", "#7570B3")
+OWN_MARKERS = ("X", "p", "h", "<", ">")
+"""Colours and markers of registered predictors, in the order of registration.
+
+No built-in predictor has one of them. Twenty predictors differ in colour or marker.
+"""
 DELAY_MS = 4
 """Latency of the compared loops [ms], near the paper's mean of 4.3 ms."""
 SLOW_TICKS = 10
@@ -147,6 +155,15 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
     return 1e6 * np.median(times), 1e6 * np.quantile(times, 0.99)
 
 
+def looks() -> dict[str, tuple[str, str]]:
+    """Return colour and marker of every predictor, by name."""
+    found = {kind: (PREDICTORS[kind].colour, PREDICTORS[kind].marker) for kind in PREDICTORS}
+    own = [kind for kind in found if kind not in PREDICTORS.built_in]
+    for kind, colour, marker in zip(own, cycle(OWN_COLOURS), cycle(OWN_MARKERS), strict=False):
+        found[kind] = (colour, marker)
+    return found
+
+
 def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
     """Return the scenes that have a trained predictor, and a note for each other scene.
 
@@ -205,9 +222,9 @@ def chart_prediction(
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     """Return the errors 4 ms ahead in words, and a comparison with the other predictors.
 
-    The predictor of the engine is compared with zero-order hold and with the best other predictor.
-    The text calls it better or worse only if the interval of the paired difference over runs
-    excludes zero.
+    `OURS` and every registered predictor are compared with zero-order hold and with the best other
+    predictor. The text calls a predictor better or worse only if the interval of the paired
+    difference over runs excludes zero.
     """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:
@@ -218,22 +235,26 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
                 f"{100 * at.high:.2f})"
                 f"   {each.cost_us[kind][0]:5.1f} µs"
             )
-        best = min(
-            (kind for kind in PREDICTORS if kind != OURS), key=lambda kind: at_delay[kind].mean
-        )
-        apart = mean_interval((each.errors[OURS] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
-        verdict = "not distinct from"
-        if apart.high < 0.0:
-            verdict = "better than"
-        elif apart.low > 0.0:
-            verdict = "worse than"
-        lines.append(
-            f"{each.scene:>12}  {OURS} {at_delay[OURS].mean / at_delay['hold'].mean:.2f} of "
-            f"hold, {verdict} the best "
-            f"other, {best}: {100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to "
-            f"{100 * apart.high:+.2f})"
-        )
+        own = [kind for kind in PREDICTORS if kind not in PREDICTORS.built_in]
+        lines += [_verdict(each, kind, at_delay) for kind in (OURS, *own)]
     return lines
+
+
+def _verdict(found: PredictorComparison, kind: str, at_delay: Mapping[str, Interval]) -> str:
+    """Return the comparison of a predictor with zero-order hold and the best other predictor."""
+    best = min((name for name in PREDICTORS if name != kind), key=lambda name: at_delay[name].mean)
+    apart = mean_interval((found.errors[kind] - found.errors[best])[:, HORIZONS.index(DELAY_MS)])
+    verdict = "not distinct from"
+    if apart.high < 0.0:
+        verdict = "better than"
+    elif apart.low > 0.0:
+        verdict = "worse than"
+    ratio = at_delay[kind].mean / at_delay["hold"].mean
+    return (
+        f"{found.scene:>12}  {kind}: {ratio:.2f} times the error of hold. It is {verdict} the best "
+        f"other, {best}: their errors in the same run differ by {100 * apart.mean:+.2f} "
+        f"({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
+    )
 
 
 def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> None:
@@ -270,9 +291,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     chart = figure(10.5, 4.2)
     chart.set_layout_engine("constrained")
     over_horizon, over_cost, slow = chart.subplots(1, 3)
-    for kind in PREDICTORS:
-        colour = PREDICTORS[kind].colour
-        mark = PREDICTORS[kind].marker
+    for kind, (colour, mark) in looks().items():
         mean, low, high = 100 * np.array([found.at(kind, each) for each in HORIZONS]).T
         over_horizon.plot(HORIZONS, mean, "-" + mark, color=colour, label=kind)
         over_horizon.fill_between(HORIZONS, low, high, color=colour, alpha=0.15)
@@ -285,9 +304,10 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
         slow.errorbar(cost_us, mean, [[mean - low], [high - mean]], fmt=mark, color=colour)
     over_horizon.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
     plain_numbers(over_horizon.yaxis)
-    over_cost.axvline(LIMIT_US, color="#D55E00", linestyle="--")
+    target = over_cost.axvline(LIMIT_US, color="0.3", linestyle="--")
     over_cost.set(xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %")
-    slow.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1")
+    # The axis begins at 0, where half of the star would be cut off.
+    slow.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", clip_on=False)
     slow.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %")
     slow.set_title("model at 100 Hz; star: at 1 kHz")
     for axes in (over_cost, slow):
@@ -295,8 +315,15 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
         plain_numbers(axes.xaxis)
     for axes in (over_horizon, over_cost, slow):
         axes.grid(alpha=0.3, which="both")
-    handles = over_horizon.get_legend_handles_labels()
-    chart.legend(*handles, loc="outside lower center", ncols=len(PREDICTORS), frameon=False)
+    handles, labels = over_horizon.get_legend_handles_labels()
+    chart.legend(
+        [*handles, target],
+        [*labels, f"target: {LIMIT_US:g} µs"],
+        loc="outside lower center",
+        # With five columns the width holds the longest built-in names in each.
+        ncols=5,
+        frameon=False,
+    )
     chart.suptitle(
         f"{found.scene}: {len(found.errors['hold'])} runs with other seeds, in tissue 30 % softer "
         "and stiffer; bars and bands are 95 %",
@@ -313,12 +340,11 @@ def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
     # the points of a group take 0.7 of its unit, so that groups are apart
     width = 0.7 / len(PREDICTORS)
     places = np.arange(len(found)) - 0.35 + 0.5 * width
-    for index, kind in enumerate(PREDICTORS):
-        look = PREDICTORS[kind]
+    for index, (kind, (colour, mark)) in enumerate(looks().items()):
         mean, low, high = 100 * np.array([each.at(kind, DELAY_MS) for each in found]).T
         along = places + index * width
-        axes.vlines(along, low, high, color=look.colour)
-        axes.plot(along, mean, look.marker, color=look.colour, label=kind)
+        axes.vlines(along, low, high, color=colour)
+        axes.plot(along, mean, mark, color=colour, label=kind)
     label = "force error 4 ms ahead / %, 95 % interval"
     names = [each.scene for each in found]
     axes.set(xticks=range(len(found)), xticklabels=names, ylabel=label, yscale="log")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
+from math import isnan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,8 +126,8 @@ def forecast_of(
     Raises
     ------
     InputError
-        If the response to a change does not decay, because the predictor is not a stable filter
-        there.
+        If the response to a change is not finite or does not decay, or if `predict` changes the
+        predictor.
     """
     probe = _Probe(lead_ticks, stiffness_N_m, model_ticks, depth_m)
     try:
@@ -152,7 +153,15 @@ class _Probe:
         count = self.model_ticks
         seen = (-self.depth_m * OUT, np.zeros(3), self.stiffness_N_m * self.depth_m * OUT)
         for tick in range(-(-SETTLING // count) * count):
-            self._show(settled, seen, tick)
+            force = self._show(settled, seen, tick)
+        again = settled.predict(self.lead_ticks) @ OUT
+        if again != force and not (isnan(again) and isnan(force)):
+            raise InputError(
+                "predictor",
+                "return the same force in two calls of predict",
+                f"{force:.4g} N and {again:.4g} N",
+                "change the state of the predictor in observe only",
+            )
         taps = np.zeros((count, LONGEST + 1, 3))
         quiet = self._answers(deepcopy(settled), seen, seen, 0)
         for phase in range(count):
@@ -190,7 +199,14 @@ def _faded(taps: Array) -> Array:
     # 1e-300 avoids a division by zero in a channel without any response.
     sizes = np.abs(taps) / np.maximum(np.abs(taps).max(axis=(0, 1)), 1e-300)
     ages = sizes.max(axis=(0, 2))
-    if not np.isfinite(ages).all() or ages[-1] > FADED:
+    if not np.isfinite(ages).all():
+        raise InputError(
+            "predictor",
+            "return finite forces at a contact at rest",
+            "NaN or infinity",
+            "fix predict",
+        )
+    if ages[-1] > FADED:
         raise InputError(
             "predictor",
             f"have a response that decays within {LONGEST} ticks",

@@ -146,7 +146,8 @@ class NeedleFields:
         self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float
     ) -> None:
         mesh, self.nodes, self._depths_m = needle_block(track)
-        rows = np.broadcast_to(np.asarray(elasticity, float), (len(mesh.cells), 2))
+        self._lame_Pa = np.asarray(elasticity, float)
+        rows = np.broadcast_to(self._lame_Pa, (len(mesh.cells), 2))
         organ = SoftOrgan(mesh, rows, slab_base(mesh), order=1)
         self.track = track
         self._inward = -track.outward
@@ -203,9 +204,13 @@ class NeedleFields:
     def note(self) -> str:
         """Sentence that describes the fields."""
         size = by(1e3 * np.ptp(self.series.nodes_m, axis=0), ".0f")
+        first, second = self._lame_Pa
+        modulus_kPa = 1e-3 * second * (3.0 * first + 2.0 * second) / (first + second)
         return (
             f"the linear-elastic answer of a block of {size} mm around the first track to the "
-            "deflection that the needle's model gives: a picture, not a second model of the force"
+            "deflection that the needle's model gives. Stress and reaction are those of a modulus "
+            f"of {modulus_kPa:.3g} kPa (soft.liver.modulus_kPa), which does not follow from the "
+            "needle's constants: a picture, not a second model of the force"
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:

@@ -321,8 +321,14 @@ class NeedleModel:
         )
         while punctured < insertion.punctured:
             at, force = insertion.punctures[punctured]
-            name = self.tissue.membranes[punctured].name
-            self.notices.append(f"the {name} is punctured at {1e3 * at:.1f} mm with {force:.2f} N")
+            membrane = self.tissue.membranes[punctured]
+            what = f"the {membrane.name} is punctured at {1e3 * at:.1f} mm with {force:.2f} N"
+            if membrane.depth_m > 0.0:
+                what += (
+                    f". It lies {1e3 * membrane.depth_m:.1f} mm deep and breaks at a tip force of "
+                    f"{membrane.puncture_N:.2f} N"
+                )
+            self.notices.append(what)
             punctured += 1
         if inside and insertion.inserted_m == 0.0:
             self.notices.append("the needle has left the organ")

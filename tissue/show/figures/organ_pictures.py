@@ -86,7 +86,7 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
         return None, ""
     inclusion = inclusions(series.nodes_m[series.cells], series.layer)
     if not len(inclusion):
-        return max(pressed, key=_largest), "when the organ had moved most"
+        return max(pressed, key=_largest), "the recorded frame with the largest displacement"
     middle = 1e3 * series.nodes_m[series.cells[inclusion]].mean(axis=(0, 1))
     tips = trace.vectors("tool", "mm")
     near = min(
@@ -175,6 +175,10 @@ def draw_press(run: Run, path: Path) -> str | None:
 
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
     title = f"{run.scene.name}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
+    if flat:
+        modulus_kPa = run.scene.constants.values("soft", "liver")["modulus_kPa"]
+        title += f"\nstress for soft.liver.modulus_kPa = {modulus_kPa:.3g}, "
+        title += "not for the needle's constants"
     return draw_shaded(
         make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT
     )

@@ -201,8 +201,9 @@ def draw_shaded(
             panels.append(axes)
         for axes, name in zip(panels, names, strict=False):
             axes.set_title(name, size=10)
-        # 38 pixels below the upper edge, above the titles of the panels
-        chart.text(0.5, 1.0 - 38 / size[1], title, ha="center", va="center", size=11)
+        # 38 pixels below the upper edge, above the titles of the panels; lower with a second line
+        middle = 38 + 8 * title.count("\n")
+        chart.text(0.5, 1.0 - middle / size[1], title, ha="center", va="center", size=11)
         annotate(Shaded(chart, panels, cameras, size))
         save(chart, path)
     return None

@@ -243,7 +243,17 @@ def _band_text(band: Summary) -> str:
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
-    matters = f"of the variance of the peak force: {shares or 'no Sobol indices'}"
+    matters = f"of the variance of the peak force: {shares}"
+    if not shares:
+        explained = band.get("surrogate_explains", {}).get("force_N.peak")
+        why = "it does not vary"
+        if explained is not None:
+            share = 100.0 * max(explained, 0.0)
+            why = (
+                f"the polynomial fitted to the samples explains only {share:.0f} % of its "
+                "variance; more samples may help"
+            )
+        matters = f"no Sobol indices of the peak force, because {why}"
     return f"{band['samples']} samples{asked}; {band['how']}; {matters}"
 
 

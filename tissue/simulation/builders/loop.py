@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.haptics.loop.critical_stiffness import (
@@ -26,7 +26,7 @@ from tissue.haptics.loop.sampled_loop import WallLoop, motor_lag_ticks
 from tissue.haptics.loop.vibration import Vibration
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
-from tissue.prediction.guard import Guarded
+from tissue.prediction.guard import Guarded, Outside
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling, Device, WallAnatomy
 from tissue.scene.organ import IncisedAnatomy
@@ -399,19 +399,22 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     # This stiffness does not depend on the scene, so all couplings share one forecast and one
     # critical stiffness.
     stiffness = limit if isfinite(limit) else USUAL_N_M
-    return [
-        forecast_of(
-            each,
-            lead_ticks=lead_ticks(settings),
-            stiffness_N_m=stiffness,
-            depth_m=REST_SHARE * limits.force_limit_N / stiffness,
-            model_ticks=chosen.model_ms,
-            gain=chosen.prediction_gain,
-        )
-        for each in (
-            [predictor.inner, predictor.instead] if isinstance(predictor, Guarded) else [predictor]
-        )
-    ]
+    judged: list[Predictor] = [predictor]
+    if isinstance(predictor, Guarded):
+        judged = [predictor.inner, predictor.instead]
+    name = judged[0].name if isinstance(judged[0], Outside) else settings.held.prediction
+    with names_of_caller({"predictor": f"predictor {name}"}):
+        return [
+            forecast_of(
+                each,
+                lead_ticks=lead_ticks(settings),
+                stiffness_N_m=stiffness,
+                depth_m=REST_SHARE * limits.force_limit_N / stiffness,
+                model_ticks=chosen.model_ms,
+                gain=chosen.prediction_gain,
+            )
+            for each in judged
+        ]
 
 
 def _turning_loop(settings: LoopSettings) -> WallLoop:

@@ -69,7 +69,7 @@ def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: objec
     assert isinstance(scene.anatomy, LayersAnatomy) and isinstance(scene.tool, Needle)
     diameter = 1e-3 * scene.tool.diameter_mm
     tissue = pierced_tissue(scene)
-    notes = {"needle": _needle_note(scene)}
+    notes = {"needle": _needle_note(scene, tissue)}
     track = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter)
     fields = None
     if track is not None and scene.anatomy.interval_ms > 0.0:
@@ -219,7 +219,7 @@ def pierced_tissue(scene: Scene) -> "NeedleTissue":
     return found
 
 
-def _needle_note(scene: Scene) -> str:
+def _needle_note(scene: Scene, tissue: "NeedleTissue") -> str:
     """Describe the origin of a needle's built-in constants and the limits of the model."""
     anatomy = scene.anatomy
     constants = scene.constants
@@ -243,6 +243,12 @@ def _needle_note(scene: Scene) -> str:
     ]
     if unsourced:
         remarks.append(f"no source for {' and '.join(unsourced)} of the vessel wall")
+    remarks += [
+        f"the {each.name} holds the shaft with {each.hold_N:g} N, more than its puncture force of "
+        f"{each.puncture_N:g} N, so the force does not drop at its puncture"
+        for each in tissue.membranes
+        if each.hold_N > each.puncture_N
+    ]
     remarks.append("forces across the needle's axis are not modelled")
     return "; ".join(remarks)
 

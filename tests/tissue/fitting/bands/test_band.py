@@ -172,3 +172,12 @@ def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlat
     assert spread[1] < 0.4 * spread[0]
     groups = list(fitted.summary["sobol"]["force_N.peak"])
     assert "cutting.bone.tangential_edge_N_mm + cutting.bone.radial_edge_N_mm" in groups
+
+
+@pytest.mark.parametrize(
+    ("explained", "reason"), [({"force_N.peak": -0.05}, "explains only 0 %"), ({}, "does not vary")]
+)
+def test_missing_indices_are_reported_with_the_reason(explained, reason):
+    band = {"asked": 16, "samples": 16, "how": "every sample was run", "sobol": {}, "problems": {}}
+    line = next(band_lines(band | {"surrogate_explains": explained}))
+    assert "no Sobol indices of the peak force, because" in line and reason in line

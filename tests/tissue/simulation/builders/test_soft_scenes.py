@@ -282,6 +282,9 @@ def test_the_note_of_a_needle_names_only_built_in_constants(tmp_path):
     left = [name for name in own if name.startswith("liver.static")]
     partly = note([name for name in own if name not in left])
     assert partly.startswith("static_in_N_m, static_out_N_m: bovine liver of Okamura 2004")
+    holds = {"anatomy.membrane_holds_N": {"vessel wall": 2.0}}
+    assert "the vessel wall holds the shaft with 2 N, more than its puncture" in note([], **holds)
+    assert "more than its puncture" not in note([])
     punctures = {"anatomy.membrane_punctures_N": {"vessel wall": 1.0}}
     assert note(own, **punctures).startswith("no source for hold_N of the vessel wall; ")
     assert note([*own, "vessel_wall.hold_N"], **punctures) == (
