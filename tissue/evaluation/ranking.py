@@ -388,19 +388,18 @@ def _draw(found: Ranking, path: Path) -> None:
     save(chart, path)
 
 
-def _look(place: int) -> dict[str, str]:
+def _look(place: int) -> tuple[str, str]:
     """Return colour and marker of a trainee. No two of the first 49 have the same."""
-    marker = MARKERS[place // len(COLOURS) % len(MARKERS)]
-    return {"color": COLOURS[place % len(COLOURS)], "marker": marker}
+    return COLOURS[place % len(COLOURS)], MARKERS[place // len(COLOURS) % len(MARKERS)]
 
 
 def _draw_scores(people: Sequence[Person], axes: "Axes") -> None:
     """Draw the mean score of each trainee with its interval, and the score of each run."""
     for place, person in enumerate(people):
-        look = _look(place)
-        axes.plot(person.interval, [place, place], color=look["color"], linewidth=2)
-        axes.plot(person.mean, place, **look)
-        axes.plot(person.scores, [place] * len(person.scores), "|", color=look["color"])
+        colour, marker = _look(place)
+        axes.plot(person.interval, [place, place], color=colour, linewidth=2)
+        axes.plot(person.mean, place, marker, color=colour)
+        axes.plot(person.scores, [place] * len(person.scores), "|", color=colour)
     for value, name in ((0.0, "a novice"), (100.0, "an expert")):
         axes.axvline(value, color="0.6", linestyle=":")
         axes.annotate(
@@ -413,8 +412,8 @@ def _draw_distances(people: Sequence[Person], structures: Sequence[str], axes: "
     """Draw the smallest distance of each run to each structure, and mark breaches."""
     for index, name in enumerate(structures):
         marker = MARKERS[index % len(MARKERS)]
-        breached_at = []
-        distances = []
+        breached_at: list[tuple[float, int]] = []
+        distances: list[tuple[float, int]] = []
         for place, person in enumerate(people):
             for attempt in person.attempts:
                 point = (_least_mm(attempt, name), place)
@@ -436,7 +435,8 @@ def _draw_learning(people: Sequence[Person], axes: "Axes") -> None:
     for place, person in enumerate(people):
         if len(person.attempts) > 1:
             attempts = np.arange(1, len(person.attempts) + 1)
-            axes.plot(attempts, person.scores, label=person.name, **_look(place))
+            colour, marker = _look(place)
+            axes.plot(attempts, person.scores, f"{marker}-", color=colour, label=person.name)
     axes.set(xlabel="attempt", ylabel="score")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -66,7 +66,8 @@ class Steadiness:
     score
         Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
         the constants of hands.toml. The score is linear in the logarithm of the tremor, and may
-        lie outside the range from 0 to 100.
+        lie outside the range from 0 to 100. The computed tremor also depends on the task and on
+        the scales of the coupling, so only runs with equal scales are comparable.
     low, high
         95 % interval of the score over the windows of the run.
     """
