@@ -313,6 +313,15 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
         rank(tmp_path / "people", reference, lambda folder: only[folder.name])
 
 
+def test_constants_of_a_trainee_do_not_change_the_scale_of_the_score(tmp_path):
+    path = shaken(reach(1.5), 0.1)
+    file = constants(tmp_path / "m.toml", table="hands.novice", name="tremor_m", value=2e-4)
+    reference = scored(tmp_path, saved(tmp_path / "r", path))
+    trainee = scored(tmp_path, saved(tmp_path / "t", path), materials=file)
+    own, cited = (assess(run, reference).steadiness for run in (trainee, reference))
+    assert own.score == cited.score
+
+
 def test_a_breach_of_a_run_without_a_score_is_reported(tmp_path):
     path = reach(1.5)
     runs = {
