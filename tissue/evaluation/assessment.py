@@ -1,17 +1,20 @@
 """Assessment of a trainee's run against a reference run of the same scene."""
 
-import filecmp
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
-from meshes.base.text_tables import shown
+from tissue.evaluation.same_task import (
+    AssessedRun,
+    coupling_notes,
+    require_same_task,
+    scene_notes,
+)
 from tissue.evaluation.statistics.metrics import (
     aligned_rows,
     deviation_mm,
@@ -20,14 +23,12 @@ from tissue.evaluation.statistics.metrics import (
 )
 from tissue.evaluation.steadiness import Steadiness, steadiness
 from tissue.haptics.device.device import device_parameters
-from tissue.scene.part import is_file_key
-from tissue.scene.scene import Scene
+from tissue.materials.scene_constants import Materials
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
 __all__ = [
-    "AssessedRun",
     "Assessment",
     "Breach",
     "NoSharedContactError",
@@ -67,17 +68,6 @@ class NoSharedContactError(InputError):
 
 
 @dataclass(frozen=True)
-class AssessedRun:
-    """Data of a run that an assessment reads. `path` is None if the run has no folder."""
-
-    path: Path | None
-    summary: Summary
-    trace: Table | None
-    complete: bool
-    scene: Scene | None
-
-
-@dataclass(frozen=True)
 class Breach:
     """Span of time above a limit."""
 
@@ -113,6 +103,8 @@ class Quantity:
         Limit of the values.
     reference
         Values of the reference at the place that is aligned with each tick, shape (ticks,).
+    limited
+        Ticks in which the limit applies, shape (ticks,). None for all ticks.
     """
 
     what: str
@@ -120,13 +112,17 @@ class Quantity:
     values: Array
     limit: float
     reference: Array | None = None
+    limited: NDArray[np.bool_] | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
         """Return the spans above the limit.
 
         Two spans are joined if the time between them is at most `GAP_S`.
         """
-        above = np.flatnonzero(self.values > self.limit)
+        is_above = self.values > self.limit
+        if self.limited is not None:
+            is_above = is_above & self.limited
+        above = np.flatnonzero(is_above)
         found = []
         for span in (
             np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1)
@@ -179,6 +175,15 @@ class Assessment:
     notes: tuple[str, ...] = ()
     unscored: str = ""
 
+    @property
+    def breached(self) -> tuple[str, ...]:
+        """Names of the breached structures, which the trainee's tool had to keep clear of."""
+        return tuple(
+            name
+            for name, each in self.figures["keep_clear"].items()
+            if each.get("first_breach_s") is not None
+        )
+
 
 def assess(
     trainee: AssessedRun,
@@ -205,19 +210,21 @@ def assess(
     force_limit_N
         Limit of the force on the tool [N]. Default: 1.25 times the reference's peak.
     deviation_limit_mm
-        Limit of the distance from the reference's path [mm].
+        Limit of the distance from the reference's path [mm]. It applies while the run touches the
+        tissue, or the reference touches it at the aligned place.
     overshoot_limit_mm
         Allowed depth of the tip below the reference's deepest point [mm].
 
     Raises
     ------
     InputError
-        If the runs have different tasks (another anatomy, tool or material), a run holds no trace,
-        or the reference has no contact.
+        If a run holds no trace, or the reference has no contact.
+    OtherTaskError
+        If the runs have different tasks (another anatomy, tool or material).
     NoSharedContactError
         If the run has no contact where the reference has contact.
     """
-    _require_same_task(trainee, reference)
+    require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
     theirs = _trace(reference, "reference")
     path = mine.vectors("tool", "mm")
@@ -241,8 +248,10 @@ def assess(
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
     _require_shared_contact(size, ideal_size[rows])
+    # In free air, the distance from the path harms no tissue.
+    touches = (size > 0.0) | (ideal_size[rows] > 0.0)
     quantities = (
-        Quantity("distance from the path", "mm", apart, deviation_limit_mm),
+        Quantity("distance from the path", "mm", apart, deviation_limit_mm, limited=touches),
         Quantity("force", "N", size, limit, ideal_size[rows]),
         Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, plan[rows]),
     )
@@ -259,12 +268,14 @@ def assess(
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
         "least_distance_mm": _least_distances(trainee.summary, reference.summary),
+        "keep_clear": dict(trainee.summary.get("keep_clear", {})),
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
     breaches = sorted(
         (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
     )
-    hand, unscored = _steadiness(trainee, mine)
+    scale = Materials.cited if reference.scene is None else reference.scene.constants
+    hand, unscored = _steadiness(trainee, mine, scale)
     return Assessment(
         hand,
         figures,
@@ -300,7 +311,8 @@ def _new_events(mine: Summary, theirs: Summary) -> tuple[tuple[float, str], ...]
 
 def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
     """Yield sentences on differences of the scenes, and on paths that were not finished."""
-    yield from _scene_notes(trainee.scene, reference.scene)
+    yield from scene_notes(trainee.scene, reference.scene)
+    yield from coupling_notes(trainee, reference, "the reference")
     for who, run in (("trainee", trainee), ("reference", reference)):
         if note := path_note(run.summary):
             yield f"the path of the {who} is {note}"
@@ -325,17 +337,20 @@ def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str,
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
-def _steadiness(run: AssessedRun, trace: Table) -> tuple[Steadiness | None, str]:
-    """Return tremor and score of the hand in a run, or the reason why the run has no score."""
+def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Steadiness | None, str]:
+    """Return tremor and score of the hand in a run, or the reason why the run has no score.
+
+    `scale` holds the constants of the reference. A run with constants of its own hand would
+    otherwise have a scale of its own.
+    """
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
         return None, "the run has no device whose constants are known"
-    constants = run.scene.constants
     try:
         found = steadiness(
             1e-3 * trace.vectors("device", "mm"),
             trace.vectors("device_force", "N"),
-            device_parameters(run.scene.device.kind, constants),
-            constants=constants,
+            device_parameters(run.scene.device.kind, run.scene.constants),
+            constants=scale,
         )
     except InputError as refusal:
         return None, str(refusal)
@@ -376,95 +391,8 @@ def _approach(trace: Table) -> tuple[Array, Array]:
     return axis / np.linalg.norm(axis), trace.vectors("tool", "mm")[rows[0]]
 
 
-TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
-"""Parts of a scene that define the task.
-
-The correct forces and depths depend on the tissue and on the tool.
-"""
-NUMERICAL = frozenset(
-    f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
-)
-"""Keys of the parts in `TASK` that change only the computation, not the task."""
-FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Scene keys that may differ between a trainee's run and the reference without a note.
-
-These keys describe the run, the user who moves the tool, and the device.
-"""
-
-
-def _require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
-    """Check that two runs have the same scene, tissue, tool and material."""
-    names = [str(each.summary.get("scene")) for each in (trainee, reference)]
-    differences = [("scene", *names)] if names[0] != names[1] else []
-    if trainee.scene is not None and reference.scene is not None:
-        differences += [
-            (key, shown(mine), shown(theirs))
-            for key, mine, theirs in _differences(trainee.scene, reference.scene)
-            if key.partition(".")[0] in TASK and key not in NUMERICAL
-        ]
-        if trainee.scene.constants.key != reference.scene.constants.key:
-            files = [each.materials or "the library" for each in (trainee.scene, reference.scene)]
-            differences.append(("materials", *map(str, files)))
-    for key, first, second in differences:
-        raise InputError(
-            "run and reference",
-            "be runs of the same task",
-            f"{key} = {first} and {second}",
-            "run the scene of the reference",
-        )
-
-
-def _scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield sentences on further differences between the two scenes."""
-    if trainee is None or reference is None:
-        yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
-        return
-    for key, mine, theirs in _differences(trainee, reference):
-        part = key.partition(".")[0]
-        if part not in FREE and part != "materials" and (part not in TASK or key in NUMERICAL):
-            yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
-
-
 def path_note(summary: Summary) -> str:
     """Return the reason why a run did not finish its path, empty for a finished path."""
     notes = summary.get("notes")
     text = str(notes.get("path", "")) if isinstance(notes, Mapping) else ""
     return text if text.startswith("not finished") else ""
-
-
-def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
-    """Yield each key whose value differs between two scenes, with both values.
-
-    Keys with default values are included. A key that only one of the scenes has gets the value
-    "nothing" for the other scene.
-    """
-    first, second = (dict(_flat(tomllib.loads(each.to_toml()))) for each in (one, other))
-    for key in dict.fromkeys((*first, *second)):
-        if first.get(key) != second.get(key) and not _same_file(
-            key, first.get(key), second.get(key)
-        ):
-            yield key, first.get(key, "nothing"), second.get(key, "nothing")
-
-
-def _same_file(key: str, one: object, other: object) -> bool:
-    """Return whether a key names two files of the same name and content.
-
-    A file that is not on this machine is compared by its name. A trainee's run may come from
-    another machine with another path to the anatomy.
-    """
-    names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
-    if not names_file or not isinstance(one, str) or not isinstance(other, str):
-        return False
-    first = Path(one)
-    second = Path(other)
-    if first.name != second.name:
-        return False
-    return not (first.is_file() and second.is_file()) or filecmp.cmp(first, second, shallow=False)
-
-
-def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value

@@ -5,9 +5,12 @@ from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from meshes.base.whole_file import write_text
-from tissue.evaluation.assessment import AssessedRun, Assessment, assess
-from tissue.evaluation.steadiness import Steadiness
+from tissue.evaluation.assessment import Assessment, assess
+from tissue.evaluation.same_task import AssessedRun
+from tissue.evaluation.steadiness import SCALE, Steadiness
 from tissue.show.figures.figure import figure, save
 from tissue.system.owned_folder import OwnedFolder
 
@@ -48,12 +51,23 @@ def assessment_lines(found: Assessment) -> list[str]:
             f"least distance to {name}: {each['trainee']:.2f} mm against {each['reference']:.2f}"
             for name, each in figures["least_distance_mm"].items()
         ),
+        *_structure_lines(found),
         *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
         *([f"and {_breaches(more)} more"] if more > 0 else []),
-        *([] if found.breaches else ["no limit was exceeded"]),
+        *([] if found.breaches or found.breached else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
         *(f"note: {note}" for note in found.notes),
+    ]
+
+
+def _structure_lines(found: Assessment) -> list[str]:
+    """Return a line for each structure that the trainee breached."""
+    kept = found.figures["keep_clear"]
+    return [
+        f"breach: the tool was {kept[name]['breach_depth_mm']:.2f} mm deep in {name}, first at "
+        f"{kept[name]['first_breach_s']:.3f} s"
+        for name in found.breached
     ]
 
 
@@ -65,8 +79,8 @@ def _breaches(count: int) -> str:
 def _score_line(hand: Steadiness) -> str:
     """Return the score of a hand in words."""
     return (
-        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}; a novice has 0, an "
-        f"expert 100) by a tremor of {hand.tremor_mm:.3f} mm"
+        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}) by a tremor of "
+        f"{hand.tremor_mm:.3f} mm; {SCALE}"
     )
 
 
@@ -142,12 +156,18 @@ def draw_assessment(found: Assessment, path: Path) -> None:
                 label="reference at that place",
             )
         axes.plot(time, each.values, color=TRAINEE, label="trainee")
-        axes.axhline(each.limit, color=LIMIT, linestyle="--", label="limit")
+        limits = np.full(len(time), each.limit)
+        if each.limited is not None:
+            limits[~each.limited] = np.nan
+        axes.plot(time, limits, color=LIMIT, linestyle="--", label="limit")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-        high = max(each.limit, each.values.max())
+        drawn = each.values
+        if each.reference is not None:
+            drawn = np.concatenate([drawn, each.reference])
+        high = max(each.limit, drawn.max())
         # the approach would leave no space for the depth
-        low = max(min(0.0, each.values.min()), -high)
+        low = max(min(0.0, drawn.min()), -high)
         # 8 % of free space keep the limit's line off the frame
         axes.set_ylim(low, high + 0.08 * (high - low))
     panels[2].set(xlabel="time / s", xlim=(time[0], time[-1]))
@@ -160,7 +180,8 @@ def draw_assessment(found: Assessment, path: Path) -> None:
     )
     figures = found.figures
     title = (
-        f"{figures['scene']}: a trainee against the reference, {_breaches(len(found.breaches))}; "
+        f"{figures['scene']}: a trainee against the reference, "
+        f"{_breaches(len(found.breaches) + len(found.breached))}; "
         f"{figures['deviation_mm']['mean']:.2f} mm off the path on average, force "
         f"{100.0 * figures['force_error']:.0f} % off"
     )

@@ -1,9 +1,10 @@
 """Ranking of trainees by the score of their runs against one reference, with learning curves."""
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,11 +12,15 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.assessment import AssessedRun, Assessment, NoSharedContactError, assess
+from tissue.evaluation.assessment import Assessment, NoSharedContactError, assess
+from tissue.evaluation.same_task import AssessedRun, OtherTaskError, coupling_notes
 from tissue.evaluation.statistics.intervals import mean_interval
-from tissue.evaluation.steadiness import Steadiness
+from tissue.evaluation.steadiness import SCALE, Steadiness
 from tissue.show.figures.figure import figure, save
 from tissue.system.owned_folder import OwnedFolder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "Attempt",
@@ -45,6 +50,8 @@ COLUMNS = (
 LEAST_ATTEMPTS = 3
 """Smallest number of attempts for which the interval is computed from their spread."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = "os^DvPX"
+BREACHED = "#D55E00"
 INCH_PER_ROW = 0.32
 """Height of the row of a trainee in the picture [inches]."""
 
@@ -79,6 +86,11 @@ class Person:
     def mean(self) -> float:
         """Mean score of the attempts."""
         return float(self.scores.mean())
+
+    @property
+    def breached_share(self) -> float:
+        """Share of the attempts that breached a structure."""
+        return sum(bool(each.found.breached) for each in self.attempts) / len(self.attempts)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -118,15 +130,29 @@ class Person:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Trainees in the order of their mean score, the best first.
+    """Trainees in the order of their safety and score, the best first.
 
-    `left_out` has a sentence for each run that is not ranked. A run that is not ranked has no
-    score, or has no contact where the reference has contact.
+    Trainees with a smaller share of runs that breached a structure come first. Equal shares are in
+    the order of the mean score.
+
+    Attributes
+    ----------
+    scene
+        Name of the scene.
+    people
+        Trainees in this order.
+    left_out
+        Sentence for each run that is not ranked. Such a run is of another task, has no score, or
+        has no contact where the reference has contact.
+    notes
+        Sentence for each difference between the scenes of runs and reference, with the names of
+        the runs.
     """
 
     scene: str
     people: tuple[Person, ...]
     left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def is_run(folder: Path) -> bool:
@@ -135,7 +161,9 @@ def is_run(folder: Path) -> bool:
 
 
 def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRun]) -> Ranking:
-    """Assess the runs of trainees against a reference, and order the trainees by score.
+    """Assess the runs of trainees against a reference, and order the trainees.
+
+    See `Ranking` for the order.
 
     Parameters
     ----------
@@ -151,11 +179,11 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
     Raises
     ------
     InputError
-        If a folder holds no run, a run has another task than the reference, or no run can be
-        ranked.
+        If a folder holds no run, or no run can be ranked.
     """
     people = []
     left_out = []
+    notes = _Notes(reference)
     for person in _folders(folder):
         runs = [person] if is_run(person) else [each for each in _folders(person) if is_run(each)]
         if not runs:
@@ -173,11 +201,20 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
             except NoSharedContactError as problem:
                 left_out.append(f"{run} {problem.reason}")
                 continue
+            except OtherTaskError as problem:
+                left_out.append(
+                    f"{run} is of another task than the reference: {problem.difference}. "
+                    "Run the scene of the reference"
+                )
+                continue
             except InputError as refusal:
                 raise InputError(f"{run}: {refusal}") from refusal
             if found.steadiness is None:
-                left_out.append(f"{run} has no score: {found.unscored}")
+                breached = ", ".join(found.breached)
+                harm = f"breached {breached} and " if breached else ""
+                left_out.append(f"{run} {harm}has no score: {found.unscored}")
             else:
+                notes.add(run.relative_to(folder).as_posix(), assessed, found)
                 attempts.append(Attempt(run.name, found))
         if attempts:
             people.append(Person(person.name, tuple(attempts)))
@@ -190,15 +227,49 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
             f"none in {folder}",
             "give the folder that holds one folder for each trainee",
         )
-    people.sort(key=lambda person: -person.mean)
-    return Ranking(str(reference.summary.get("scene")), tuple(people), tuple(left_out))
+    people.sort(key=lambda person: (person.breached_share, -person.mean))
+    scene = str(reference.summary.get("scene"))
+    return Ranking(scene, tuple(people), tuple(left_out), notes.sentences)
+
+
+class _Notes:
+    """Notes on differences between the scenes of ranked runs, with the runs of each note.
+
+    Scores are compared between the trainees, too. A reference without a device has no coupling, so
+    the first ranked run then takes its place.
+    """
+
+    def __init__(self, reference: AssessedRun) -> None:
+        self._reference = reference
+        self._first: tuple[str, AssessedRun] | None = None
+        self._runs: dict[str, list[str]] = {}
+
+    def add(self, name: str, run: AssessedRun, found: Assessment) -> None:
+        """Add the notes of a ranked run."""
+        notes = list(found.notes)
+        scene = self._reference.scene
+        if scene is None or scene.device is None:
+            first_name, first = self._first = self._first or (name, run)
+            notes += coupling_notes(run, first, first_name)
+        for note in notes:
+            self._runs.setdefault(note, []).append(name)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Notes, each with the names of its runs."""
+        return tuple(f"{', '.join(runs)}: {note}" for note, runs in self._runs.items())
 
 
 def ranking_lines(found: Ranking) -> list[str]:
     """Return the ranking in words."""
     people = counted(len(found.people), "trainee")
     runs = counted(sum(len(person.attempts) for person in found.people), "run")
-    lines = [f"{found.scene}: {people}, {runs}; a novice has a score of 0, an expert 100"]
+    lines = [f"{found.scene}: {people}, {runs}; {SCALE}"]
+    if structures := _structures(found):
+        lines.append(
+            f"order: first by the share of runs that breached {' or '.join(structures)}, "
+            "the smallest first, then by the mean score"
+        )
     for place, person in enumerate(found.people, 1):
         low, high = person.interval
         count = len(person.attempts)
@@ -208,8 +279,41 @@ def ranking_lines(found: Ranking) -> list[str]:
         )
         if (gain := person.gain) is not None:
             line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
+            if gain[1] <= 0.0 <= gain[2]:
+                line += ": too few attempts to show a change"
         lines.append(line)
+        lines += [f"   least distance to {each}" for each in _distance_texts(person, structures)]
+    lines += [f"note: {each}" for each in found.notes]
     return lines + [f"left out: {each}" for each in found.left_out]
+
+
+def _structures(found: Ranking) -> list[str]:
+    """Return the names of the structures that the runs had to keep clear of."""
+    return list(
+        dict.fromkeys(
+            name
+            for person in found.people
+            for attempt in person.attempts
+            for name in attempt.found.figures["keep_clear"]
+        )
+    )
+
+
+def _least_mm(attempt: Attempt, structure: str) -> float:
+    """Return the smallest distance to a structure [mm], NaN if it is not known."""
+    kept = attempt.found.figures["keep_clear"]
+    return float(kept[structure]["least_distance_mm"]) if structure in kept else float("nan")
+
+
+def _distance_texts(person: Person, structures: Sequence[str]) -> Iterator[str]:
+    """Yield the smallest distances of all attempts to each structure, with breaches, in words."""
+    for name in structures:
+        each = [
+            f"{_least_mm(attempt, name):.2f} mm"
+            + (" (breached)" if name in attempt.found.breached else "")
+            for attempt in person.attempts
+        ]
+        yield f"{name}: {', '.join(each)}"
 
 
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -223,14 +327,16 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
             temporary.open("w", encoding="utf-8", newline="") as file,
         ):
             writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows(_rows(found))
+            structures = _structures(found)
+            distances = [f"least_distance_{name}_mm" for name in structures]
+            writer.writerow([*COLUMNS, *distances, *(f"breached_{name}" for name in structures)])
+            writer.writerows(_rows(found, structures))
         _draw(found, folder / FILES[1])
     return [folder / name for name in FILES]
 
 
-def _rows(found: Ranking) -> list[tuple[object, ...]]:
-    """Return the values of `COLUMNS` for each run."""
+def _rows(found: Ranking, structures: Sequence[str]) -> list[tuple[object, ...]]:
+    """Return the values of `COLUMNS` and of the structures for each run."""
     return [
         (
             place,
@@ -245,6 +351,8 @@ def _rows(found: Ranking) -> list[tuple[object, ...]]:
             round(attempt.found.figures["peak_force_N"]["trainee"], 4),
             round(attempt.found.figures["force_error"], 4),
             len({breach.what for breach in attempt.found.breaches}),
+            *(round(_least_mm(attempt, name), 4) for name in structures),
+            *(name in attempt.found.breached for name in structures),
         )
         for place, person in enumerate(found.people, 1)
         for attempt in person.attempts
@@ -252,35 +360,86 @@ def _rows(found: Ranking) -> list[tuple[object, ...]]:
 
 
 def _draw(found: Ranking, path: Path) -> None:
-    """Draw the scores with their intervals and, for several attempts, the learning curves."""
+    """Draw scores, smallest distances to structures and, for several attempts, learning curves."""
     people = found.people
+    structures = _structures(found)
     most = max(len(person.attempts) for person in people)
+    count = 1 + bool(structures) + (most > 1)
     # inches: a row for each trainee, and space for title and axis
-    chart = figure(9.0 if most > 1 else 6.0, max(2.6, 1.3 + INCH_PER_ROW * len(people)))
+    chart = figure(2.0 + 4.0 * count, max(2.6, 1.3 + INCH_PER_ROW * len(people)))
     chart.set_layout_engine("constrained")
-    panels = chart.subplots(1, 2 if most > 1 else 1, squeeze=False)[0]
+    panels = chart.subplots(1, count, squeeze=False)[0]
+    _draw_scores(people, panels[0])
+    if structures:
+        _draw_distances(people, structures, panels[1])
+    for axes in panels[: 1 + bool(structures)]:
+        axes.set_ylim(len(people) - 0.4, -0.6)
+        axes.set_yticks(range(len(people)), [person.name for person in people])
+        axes.grid(axis="x", alpha=0.3)
+    if most > 1:
+        _draw_learning(people, panels[-1])
+        panels[-1].set_xticks(range(1, most + 1))
+    title = f"{found.scene}: steadiness of the hand, mean with 95 % interval"
+    spread = (
+        f"interval from the spread of {LEAST_ATTEMPTS} or more attempts; with fewer attempts, "
+        "from the intervals of the runs"
+    )
+    chart.suptitle(f"{title}\n{spread}", size=9)
+    save(chart, path)
+
+
+def _look(place: int) -> tuple[str, str]:
+    """Return colour and marker of a trainee. No two of the first 49 have the same."""
+    return COLOURS[place % len(COLOURS)], MARKERS[place // len(COLOURS) % len(MARKERS)]
+
+
+def _draw_scores(people: Sequence[Person], axes: "Axes") -> None:
+    """Draw the mean score of each trainee with its interval, and the score of each run."""
     for place, person in enumerate(people):
-        colour = COLOURS[place % len(COLOURS)]
-        low, high = person.interval
-        panels[0].plot([low, high], [place, place], color=colour, linewidth=2)
-        panels[0].plot(person.mean, place, "o", color=colour)
-        panels[0].plot(person.scores, [place] * len(person.scores), "|", color=colour)
-        if most > 1:
-            attempts = np.arange(1, len(person.attempts) + 1)
-            panels[1].plot(attempts, person.scores, "o-", color=colour)
+        colour, marker = _look(place)
+        axes.plot(person.interval, [place, place], color=colour, linewidth=2)
+        axes.plot(person.mean, place, marker, color=colour)
+        axes.plot(person.scores, [place] * len(person.scores), "|", color=colour)
     for value, name in ((0.0, "a novice"), (100.0, "an expert")):
-        panels[0].axvline(value, color="0.6", linestyle=":")
-        panels[0].annotate(
+        axes.axvline(value, color="0.6", linestyle=":")
+        axes.annotate(
             name, (value, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom"
         )
-    panels[0].set(xlabel="score", ylim=(len(people) - 0.4, -0.6))
-    panels[0].set_yticks(range(len(people)), [person.name for person in people])
-    panels[0].grid(axis="x", alpha=0.3)
-    if most > 1:
-        panels[1].set(xlabel="attempt", ylabel="score", xticks=range(1, most + 1))
-        panels[1].grid(alpha=0.3)
-    chart.suptitle(f"{found.scene}: steadiness of the hand, mean with 95 % interval", size=10)
-    save(chart, path)
+    axes.set_xlabel("score")
+
+
+def _draw_distances(people: Sequence[Person], structures: Sequence[str], axes: "Axes") -> None:
+    """Draw the smallest distance of each run to each structure, and mark breaches."""
+    for index, name in enumerate(structures):
+        marker = MARKERS[index % len(MARKERS)]
+        breached_at: list[tuple[float, int]] = []
+        distances: list[tuple[float, int]] = []
+        for place, person in enumerate(people):
+            for attempt in person.attempts:
+                point = (_least_mm(attempt, name), place)
+                (breached_at if name in attempt.found.breached else distances).append(point)
+        for points, colour, text in (
+            (distances, "0.4", f"{name}, not breached"),
+            (breached_at, BREACHED, f"{name}, breached"),
+        ):
+            if points:
+                across, rows = zip(*points, strict=True)
+                axes.plot(across, rows, marker, color=colour, label=text)
+    axes.axvline(0.0, color=BREACHED, linestyle="--")
+    axes.set_xlabel("least distance of each run / mm")
+    axes.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
+
+
+def _draw_learning(people: Sequence[Person], axes: "Axes") -> None:
+    """Draw the score over the attempts of each trainee with several attempts."""
+    for place, person in enumerate(people):
+        if len(person.attempts) > 1:
+            attempts = np.arange(1, len(person.attempts) + 1)
+            colour, marker = _look(place)
+            axes.plot(attempts, person.scores, f"{marker}-", color=colour, label=person.name)
+    axes.set(xlabel="attempt", ylabel="score")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def _folders(folder: Path) -> list[Path]:

@@ -13,7 +13,7 @@ from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["Steadiness", "hand_motion_m", "steadiness"]
+__all__ = ["SCALE", "Steadiness", "hand_motion_m", "steadiness"]
 
 Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
@@ -51,6 +51,8 @@ The score of zero tremor would be infinite.
 TYPICAL = "intermediate"
 """Group whose grip is assumed, because the grip of an individual person is not known."""
 NOVICE, EXPERT = "novice", "expert"
+SCALE = "0 is the tremor of a novice's hand alone, and 100 that of an expert's hand"
+"""Explanation of the score in printed results."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class Steadiness:
     score
         Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
         the constants of hands.toml. The score is linear in the logarithm of the tremor, and may
-        lie outside the range from 0 to 100.
+        lie outside the range from 0 to 100. The computed tremor also depends on the task and on
+        the scales of the coupling, so only runs with equal scales are comparable.
     low, high
         95 % interval of the score over the windows of the run.
     """

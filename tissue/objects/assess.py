@@ -53,7 +53,8 @@ def assess(
         Force on the tool that should not be exceeded [N]; default 1.25 times the peak force of the
         reference run.
     deviation_limit_mm
-        Distance from the path of the reference run that should not be exceeded [mm].
+        Distance from the path of the reference run that should not be exceeded [mm]. The limit
+        applies where the run or the reference run touches the tissue.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run [mm].
 
@@ -75,7 +76,7 @@ def assess(
 
 @suggests_arguments
 class Ranking(ranking.Ranking):
-    """Trainees in the order of their mean score; ``print`` shows a readable list."""
+    """Trainees in the order of breaches and mean score; ``print`` shows a readable list."""
 
     def __str__(self) -> str:
         return "\n".join(ranking.ranking_lines(self))
@@ -93,11 +94,14 @@ class Ranking(ranking.Ranking):
 
 @suggests_arguments
 def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
-    """Order trainees by the mean score of their runs of one scene.
+    """Order trainees by breaches and by the mean score of their runs of one scene.
 
-    The score measures how steady a hand is; see `Assessment.steadiness`. A trainee with three or
-    more attempts also has a learning curve. Runs without a score, and runs without contact where
-    the reference has contact, are left out (`Ranking.left_out`).
+    Trainees with a smaller share of runs that breached a structure of ``[keep_clear]`` come first.
+    Equal shares are in the order of the mean score. The score measures how steady a hand is; see
+    `Assessment.steadiness`. A trainee with three or more attempts also has a learning curve. Runs
+    of another task, runs without a score, and runs without contact where the reference has
+    contact, are left out (`Ranking.left_out`). `Ranking.notes` names differences of scenes and
+    couplings.
 
     Parameters
     ----------
@@ -110,7 +114,6 @@ def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
     Raises
     ------
     InputError
-        If a folder holds no run, a run belongs to another task than the reference run, or no run
-        can be ranked.
+        If a folder holds no run, or no run can be ranked.
     """
     return Ranking(**vars(ranking.rank(Path(folder), assessed_run(reference), assessed_run)))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-    from tissue.evaluation.assessment import AssessedRun
+    from tissue.evaluation.same_task import AssessedRun
     from tissue.fitting.bands.band import Band
 
 __all__ = ["Run", "assessed_run", "open_run", "report"]
@@ -336,7 +336,7 @@ def open_run(path: str | Path) -> Run:
 
 def assessed_run(run: Run | str | Path) -> "AssessedRun":
     """Return the data that an assessment needs, from a run or from the folder of a run."""
-    from tissue.evaluation.assessment import AssessedRun
+    from tissue.evaluation.same_task import AssessedRun
 
     run = run if isinstance(run, Run) else Run.load(run)
     scene = None

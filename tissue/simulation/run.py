@@ -278,8 +278,11 @@ class Run:
             found |= tissue.summary()
         found["events"] = [{"time_s": time, "what": what} for time, what in self.events]
         found["compute"] = self._compute
-        if (d_prime := chosen_scale(self.scene).d_prime) is not None:
-            found["expected_d_prime"] = d_prime
+        scale = chosen_scale(self.scene)
+        if self.scene.device is not None:
+            found["force_scale"] = scale.factor
+        if scale.d_prime is not None:
+            found["expected_d_prime"] = scale.d_prime
         if self.parts.placement is not None:
             found["placement"] = self.parts.placement.to_record()
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"

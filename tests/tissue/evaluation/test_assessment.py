@@ -1,20 +1,23 @@
 """A trainee's run held against a reference: alignment by place, breaches in time, and a picture."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
+from tissue.evaluation import assessment_files, ranking
 from tissue.evaluation.assessment import NoSharedContactError, assess
 from tissue.evaluation.assessment_files import assessed_section, assessment_lines
-from tissue.evaluation.ranking import rank
+from tissue.evaluation.ranking import rank, ranking_lines, write_ranking
 from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import Table, TraceLayout, TraceWriter
 
 COLUMNS = TraceLayout.of(()).columns
+DEVICE = (("device", "mm"), ("device_force", "N"))
 TICK_S = 1e-3
 GRID_MM = 0.02
 """Tolerance of the alignment [mm].
@@ -155,7 +158,15 @@ def of_scene(run, **changes):
     run.scene = load_scene(
         "milling", {name.replace("__", "."): value for name, value in changes.items()}
     )
+    run.summary["layers"] = ["cortical"]
     return run
+
+
+def constants(path, *, table, name, value):
+    """Write a file with one constant, and return its path as text."""
+    entry = f"{{ value = {value}, range = [0.0, 100.0], source = 'x', confidence = 'L' }}"
+    path.write_text(f"[{table}]\n{name} = {entry}\n")
+    return str(path)
 
 
 @pytest.mark.parametrize(
@@ -173,12 +184,10 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
     With another tool, tissue or material another force is right, so that no breach means anything.
     """
     if "materials" in change:
-        constants = (
-            "radial_chip_N_mm2 = { value = 40.0, range = [30.0, 50.0], source = 'x', confidence "
-            "= 'L' }"
-        )
-        (tmp_path / "m.toml").write_text(f"[cutting.bone]\n{constants}\n")
-        change = {"materials": str(tmp_path / "m.toml")}
+        file = tmp_path / "m.toml"
+        change = {
+            "materials": constants(file, table="cutting.bone", name="radial_chip_N_mm2", value=40.0)
+        }
     reference = of_scene(saved(tmp_path / "r", reach(1.0)))
     with pytest.raises(InputError, match=r"run and reference must be runs of the same task, got"):
         assess(of_scene(saved(tmp_path / "t", reach(1.0)), **change), reference)
@@ -189,6 +198,165 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
     assert found.notes == ()
     # The trace of this run was made without the columns of a device.
     assert found.steadiness is None and "no device whose constants are known" in found.unscored
+
+
+@pytest.mark.parametrize(
+    ("table", "name"),
+    [("hands.novice", "tremor_m"), ("devices.touch", "friction_N"), ("needle.liver", "cutting_N")],
+)
+def test_constants_that_the_task_does_not_use_may_differ(tmp_path, table, name):
+    file = constants(tmp_path / "m.toml", table=table, name=name, value=2e-4)
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)), materials=file, device="touch")
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), device="touch")
+    assert assess(trainee, reference).notes == ()
+
+
+def test_a_note_names_scales_of_the_coupling_that_differ(tmp_path):
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), device="touch")
+    trainee = of_scene(
+        saved(tmp_path / "t", reach(1.0)), device="touch", coupling__motion_scale=0.5
+    )
+    end = "in the reference: the scores of these runs are not comparable"
+    assert assess(trainee, reference).notes == (f"coupling.motion_scale is 0.5, and 1 {end}",)
+    # Both scenes leave the force scale to the run, and the runs chose different scales.
+    other = of_scene(saved(tmp_path / "o", reach(1.0)), device="touch")
+    other.summary["force_scale"] = 0.4
+    reference.summary["force_scale"] = 0.78
+    assert assess(other, reference).notes == (f"coupling.force_scale is 0.4, and 0.78 {end}",)
+
+
+def scored(path, run, **changes):
+    """A run with a device that moves as the tool, so that it has a score."""
+    run = of_scene(run, device="touch", **changes)
+    axes = [f"{name}_{c}_{unit}" for name, unit in DEVICE for c in "xyz"]
+    path_mm = run.trace.vectors("tool", "mm")
+    extra = np.column_stack([path_mm, np.zeros_like(path_mm)])
+    run.trace = Table((*run.trace.columns, *axes), np.column_stack([run.trace.rows, extra]))
+    run.path = path
+    return run
+
+
+def shaken(path, size_mm):
+    """Add a tremor of 10 Hz across a path."""
+    time_s = TICK_S * np.arange(len(path))
+    moved = path.copy()
+    moved[:, 1] += size_mm * np.sin(2.0 * np.pi * 10.0 * time_s)
+    return moved
+
+
+def clear(run, least_mm):
+    """Give a run a distance to a structure; a negative distance is a breach."""
+    depth = max(0.0, -least_mm)
+    first = 0.7 if depth else None
+    run.summary["keep_clear"] = {
+        "pulp": {
+            "least_distance_mm": least_mm,
+            "breach_depth_mm": depth,
+            "breach_s": 0.1 * bool(depth),
+            "first_breach_s": first,
+        }
+    }
+    return run
+
+
+def test_a_breached_structure_exceeds_a_limit(tmp_path):
+    run = clear(saved(tmp_path / "r", reach(1.0)), -0.98)
+    found = assess(run, run)
+    assert not found.breaches and found.breached == ("pulp",)
+    lines = assessment_lines(found)
+    assert "breach: the tool was 0.98 mm deep in pulp, first at 0.700 s" in lines
+    assert "no limit was exceeded" not in lines
+
+
+def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(tmp_path):
+    """The steadier hand breaches the pulp. A third run is of another task."""
+    path = reach(1.5)
+    runs = {
+        "careful": (saved(tmp_path / "people" / "careful", shaken(path, 0.2)), 0.91, {}),
+        "steady": (
+            saved(tmp_path / "people" / "steady", shaken(path, 0.05)),
+            -0.07,
+            {"coupling__motion_scale": 0.5},
+        ),
+        "wide": (
+            saved(tmp_path / "people" / "wide", path),
+            1.0,
+            {"tool__diameter_mm": 5.0},
+        ),
+    }
+    loaded = {
+        name: clear(scored(tmp_path / name, run, **changes), least_mm)
+        for name, (run, least_mm, changes) in runs.items()
+    }
+    # The reference is a scripted run, so the trainees are compared with each other.
+    reference = of_scene(saved(tmp_path / "r", path))
+    found = rank(tmp_path / "people", reference, lambda folder: loaded[folder.name])
+    assert [person.name for person in found.people] == ["careful", "steady"]
+    assert found.people[1].mean > found.people[0].mean
+    (left_out,) = found.left_out
+    assert "wide is of another task than the reference: tool.diameter_mm = 5 and 6" in left_out
+    assert found.notes == (
+        "steady: coupling.motion_scale is 0.5, and 1 in careful: the scores of these runs are not "
+        "comparable",
+    )
+    lines = ranking_lines(found)
+    assert "   least distance to pulp: -0.07 mm (breached)" in lines
+    assert f"note: {found.notes[0]}" in lines
+    write_ranking(found, tmp_path / "out", overwrite=False)
+    header, *rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
+    assert header.endswith(",least_distance_pulp_mm,breached_pulp")
+    assert rows[0].endswith(",0.91,False") and rows[1].endswith(",-0.07,True")
+    only = {"wide": loaded["wide"]}
+    for name in ("careful", "steady"):
+        shutil.rmtree(tmp_path / "people" / name)
+    with pytest.raises(InputError, match=r"another task .* Run the scene of the reference"):
+        rank(tmp_path / "people", reference, lambda folder: only[folder.name])
+
+
+def test_constants_of_a_trainee_do_not_change_the_scale_of_the_score(tmp_path):
+    path = shaken(reach(1.5), 0.1)
+    file = constants(tmp_path / "m.toml", table="hands.novice", name="tremor_m", value=2e-4)
+    reference = scored(tmp_path, saved(tmp_path / "r", path))
+    trainee = scored(tmp_path, saved(tmp_path / "t", path), materials=file)
+    own, cited = (assess(run, reference).steadiness for run in (trainee, reference))
+    assert own.score == cited.score
+
+
+def test_a_breach_of_a_run_without_a_score_is_reported(tmp_path):
+    path = reach(1.5)
+    runs = {
+        "anna": clear(scored(tmp_path, saved(tmp_path / "people" / "anna", path)), 0.9),
+        "ben": clear(of_scene(saved(tmp_path / "people" / "ben", path)), -0.1),
+    }
+    found = rank(tmp_path / "people", runs["anna"], lambda folder: runs[folder.name])
+    assert "ben breached pulp and has no score: the run has no device" in found.left_out[0]
+
+
+def test_the_depth_axis_contains_the_reference(tmp_path, monkeypatch):
+    """The reference rises further out of the tissue than the trainee."""
+    higher = reach(1.0)
+    higher[:, 2] += np.where(higher[:, 2] > 0.0, 1.0, 0.0)
+    reference = saved(tmp_path / "r", higher)
+    found = assess(saved(tmp_path / "t", reach(1.0)), reference)
+    charts = []
+    monkeypatch.setattr(assessment_files, "save", lambda chart, path: charts.append(chart))
+    assessment_files.draw_assessment(found, tmp_path / "a.png")
+    low, high = charts[0].axes[2].get_ylim()
+    assert low <= found.depth.reference.min() < found.depth.values.min()
+    assert high > found.depth.reference.max()
+
+
+def test_trainees_of_a_ranking_differ_in_colour_or_marker():
+    assert len({ranking._look(place) for place in range(49)}) == 49
+
+
+def test_a_distance_from_the_path_in_free_air_exceeds_no_limit(tmp_path):
+    path = reach(2.0)
+    aside = path.copy()
+    # Both paths leave the tissue at 1.86 s.
+    aside[1900:, 1] += 2.0
+    found = assess(saved(tmp_path / "t", aside), saved(tmp_path / "r", path))
+    assert found.figures["deviation_mm"]["worst"] > 1.9 and not found.breaches
 
 
 def test_least_distances_to_structures_of_both_runs_are_listed(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
+from tissue.evaluation import ranking
 from tissue.evaluation.ranking import Person
 from tissue.evaluation.steadiness import hand_motion_m, steadiness
 from tissue.haptics.device.device import device_parameters
@@ -198,6 +199,17 @@ def test_the_interval_of_a_mean_covers_95_percent_and_a_gain_is_the_slope():
     slope, low, high = Scored(10.0 + 4.0 * np.arange(6)).gain
     assert slope == pytest.approx(4.0) and low == pytest.approx(4.0) and high == pytest.approx(4.0)
     assert Scored([1.0, 2.0]).gain is None
+
+
+def test_a_gain_whose_interval_contains_zero_comes_from_too_few_attempts(monkeypatch):
+    monkeypatch.setattr(Scored, "name", "p03", raising=False)
+    monkeypatch.setattr(ranking, "_distance_texts", lambda *_: ())
+    monkeypatch.setattr(ranking, "_structures", lambda _: [])
+    few, many = ([21.0, 37.0, 22.0], 10.0 + 4.0 * np.arange(6))
+    words = "too few attempts to show a change"
+    for scores, is_few in ((few, True), (many, False)):
+        lines = ranking.ranking_lines(ranking.Ranking("cavity", (Scored(scores),)))
+        assert any(line.endswith(words) for line in lines) == is_few
 
 
 def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):

@@ -106,8 +106,9 @@ def test_a_device_with_more_friction_has_a_larger_scale():
 def test_the_summary_states_the_expected_sensitivity():
     run = simulate(load_scene("wall", {"device": "touch", "duration_s": 0.05}))
     assert run.summary["expected_d_prime"] == chosen_scale(run.scene).d_prime
+    assert run.summary["force_scale"] == chosen_scale(run.scene).factor
     scripted = simulate(load_scene("milling", {"duration_s": 0.01}))
-    assert "expected_d_prime" not in scripted.summary
+    assert "expected_d_prime" not in scripted.summary and "force_scale" not in scripted.summary
 
 
 @pytest.mark.slow

@@ -1,0 +1,181 @@
+"""Run that is assessed, and the comparison of its task with the task of a reference run."""
+
+import filecmp
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from meshes.base.text_tables import shown
+from tissue.scene.part import is_file_key
+from tissue.scene.scene import Scene
+from tissue.scene.used_constants import used_constants
+from tissue.simulation.run_folder import Summary
+from tissue.simulation.trace import Table
+
+__all__ = [
+    "AssessedRun",
+    "OtherTaskError",
+    "coupling_notes",
+    "require_same_task",
+    "scene_notes",
+]
+
+
+TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
+"""Parts of a scene that define the task.
+
+The correct forces and depths depend on the tissue and on the tool.
+"""
+NUMERICAL = frozenset(
+    f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
+)
+"""Keys of the parts in `TASK` that change only the computation, not the task."""
+FREE = ("name", "description", "seed", "device", "output", "fidelity")
+"""Scene keys that may differ between a trainee's run and the reference without a note.
+
+These keys describe the run, the user who moves the tool, and the device. `coupling_notes` names
+differences of the coupling.
+"""
+OPERATOR = ("hands", "devices")
+"""Tables of constants that may differ, because they describe the user and the device."""
+
+
+class OtherTaskError(InputError):
+    """Error for a run whose task is not the task of the reference run.
+
+    `difference` names the first difference, with both values.
+    """
+
+    def __init__(self, difference: str) -> None:
+        super().__init__(
+            "run and reference",
+            "be runs of the same task",
+            difference,
+            "run the scene of the reference",
+        )
+        self.difference = difference
+
+
+@dataclass(frozen=True)
+class AssessedRun:
+    """Data of a run that an assessment reads. `path` is None if the run has no folder."""
+
+    path: Path | None
+    summary: Summary
+    trace: Table | None
+    complete: bool
+    scene: Scene | None
+
+
+def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
+    """Check that two runs have the same scene, tissue, tool and material."""
+    names = [str(each.summary.get("scene")) for each in (trainee, reference)]
+    differences = [("scene", *names)] if names[0] != names[1] else []
+    if trainee.scene is not None and reference.scene is not None:
+        differences += [
+            (key, shown(mine), shown(theirs))
+            for key, mine, theirs in _differences(trainee.scene, reference.scene)
+            if key.partition(".")[0] in TASK and key not in NUMERICAL
+        ]
+        differences += _different_constants(trainee, reference)
+    for key, first, second in differences:
+        raise OtherTaskError(f"{key} = {first} and {second}")
+
+
+def _different_constants(
+    trainee: AssessedRun, reference: AssessedRun
+) -> Iterator[tuple[str, str, str]]:
+    """Yield each constant of the task whose value differs between two runs, with both values."""
+    first, second = (_task_constants(each) for each in (trainee, reference))
+    for name in dict.fromkeys((*first, *second)):
+        if first.get(name) != second.get(name):
+            yield name, shown(first.get(name, "nothing")), shown(second.get(name, "nothing"))
+
+
+def _task_constants(run: AssessedRun) -> dict[str, float]:
+    """Return the values of the constants that the tissue and the tool of a run use, by name."""
+    if run.scene is None:
+        return {}
+    return {
+        each.full: each.cited.value
+        for each in used_constants(run.scene, run.summary.get("layers", ()))
+        if each.stated is None and each.full.partition(".")[0] not in OPERATOR
+    }
+
+
+def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[str]:
+    """Yield a note for each scale of the coupling that differs between two runs.
+
+    The scales change motion and force at the device, from which the score is computed. A run
+    without a device has no coupling. `name` is the name of the other run in the note.
+    """
+    if run.scene is None or other.scene is None:
+        return
+    if run.scene.device is None or other.scene.device is None:
+        return
+    mine, theirs = run.scene.device.coupling, other.scene.device.coupling
+    scales = {
+        "motion_scale": (mine.motion_scale, theirs.motion_scale),
+        "force_scale": (mine.force_scale, theirs.force_scale),
+    }
+    # A scene may leave the choice of the force scale to the run. Runs of earlier versions do not
+    # record their choice.
+    if "force_scale" in run.summary and "force_scale" in other.summary:
+        scales["force_scale"] = (run.summary["force_scale"], other.summary["force_scale"])
+    for key, (first, second) in scales.items():
+        if first != second:
+            yield (
+                f"coupling.{key} is {shown(first)}, and {shown(second)} in {name}: the scores of "
+                "these runs are not comparable"
+            )
+
+
+def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
+    """Yield sentences on further differences between the two scenes."""
+    if trainee is None or reference is None:
+        yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
+        return
+    for key, mine, theirs in _differences(trainee, reference):
+        part = key.partition(".")[0]
+        if part not in FREE and part != "materials" and (part not in TASK or key in NUMERICAL):
+            yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
+
+
+def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
+    """Yield each key whose value differs between two scenes, with both values.
+
+    Keys with default values are included. A key that only one of the scenes has gets the value
+    "nothing" for the other scene.
+    """
+    first, second = (dict(_flat(tomllib.loads(each.to_toml()))) for each in (one, other))
+    for key in dict.fromkeys((*first, *second)):
+        if first.get(key) != second.get(key) and not _same_file(
+            key, first.get(key), second.get(key)
+        ):
+            yield key, first.get(key, "nothing"), second.get(key, "nothing")
+
+
+def _same_file(key: str, one: object, other: object) -> bool:
+    """Return whether a key names two files of the same name and content.
+
+    A file that is not on this machine is compared by its name. A trainee's run may come from
+    another machine with another path to the anatomy.
+    """
+    names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
+    if not names_file or not isinstance(one, str) or not isinstance(other, str):
+        return False
+    first = Path(one)
+    second = Path(other)
+    if first.name != second.name:
+        return False
+    return not (first.is_file() and second.is_file()) or filecmp.cmp(first, second, shallow=False)
+
+
+def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
