@@ -1,6 +1,7 @@
 """A CT to a scene that runs, from every format and orientation, by label and by threshold."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,41 @@ def test_a_site_may_be_given_in_ras(reference, tmp_path):
     assert (other.folder / "scene.toml").read_text() == (made.folder / "scene.toml").read_text()
 
 
+def test_the_move_of_a_site_to_the_surface_is_reported(reference, tmp_path):
+    made, *_ = reference
+    x, y, z = TOP
+    options = {"site": (-x, -y, z + 9.0), "coordinates": "RAS"}
+    other = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", **options)
+    sentence = next(each for each in other.sentences if each.startswith("site:"))
+    now = r"moved 9\.\d mm to the surface, now at \(-0\.\d+, 0\.\d+, 1[12][.\d]*\) RAS$"
+    assert re.search(now, sentence), sentence
+
+
+def test_the_nearest_corner_is_a_site_in_the_same_coordinates(reference, tmp_path):
+    image = reference[0].folder.parent / "ct.nrrd"
+    with pytest.raises(InputError, match="nearest corner is") as refused:
+        imported(image, tmp_path / "out", site=(9.0, 20.0, 15.0), coordinates="RAS")
+    corner = tuple(map(float, str(refused.value).rsplit("(")[-1].split(")")[0].split(",")))
+    assert imported(image, tmp_path / "out", site=corner, coordinates="RAS").has_site
+
+
+def test_a_refused_site_comes_after_the_bone_that_was_found(reference, command, tmp_path):
+    image = reference[0].folder.parent / "ct.nrrd"
+    site = ("--site", "0,0,500", "--density", LINE, "--out", tmp_path / "out")
+    code, printed, message = command("import", image, *site)
+    assert code == 2 and "threshold" in printed and "bone of" in printed
+    assert message.startswith("error: --site must lie within 10 mm") and message.count("\n") == 1
+
+
+def test_the_duration_of_the_scene_that_is_followed_is_not_copied_for_a_path(reference, tmp_path):
+    image = reference[0].folder.parent / "ct.nrrd"
+    path = imported(image, tmp_path / "path", like="glenoid")
+    assert tissue.load_scene("glenoid").duration_s is not None
+    assert tissue.load_scene(path.scene).duration_s is None
+    thrust = imported(image, tmp_path / "thrust", like="pedicle")
+    assert tissue.load_scene(thrust.scene).duration_s == tissue.load_scene("pedicle").duration_s
+
+
 def test_a_label_is_the_bone_and_its_names_are_kept(tmp_path):
     image = ball()
     write_nrrd(tmp_path / "ct.nrrd", *axes_of(image))
@@ -161,7 +197,11 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
             "region must be left out without labels, got humerus. Give --labels FILE too",
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
-        ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
+        (
+            {"site": (0.0, -1.0, 500.0), "coordinates": "RAS"},
+            r"site must lie within 10 mm .* got \(0, -1, 500\) RAS in ct.nrrd.* nearest corner is "
+            r"\(.*\) RAS\b",
+        ),
         ({"site": (0.0, float("nan"), 0.0)}, "site must hold three finite numbers"),
         (
             {"coordinates": "RAS", "site": None},
