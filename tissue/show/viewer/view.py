@@ -17,7 +17,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.show.viewer.run_scene import Choice, times_of
-from tissue.show.viewer.saved_surfaces import saved_fields
+from tissue.show.viewer.saved_surfaces import is_bone_from_file, saved_fields
 from tissue.show.viewer.site_window import is_imported, show_site
 from tissue.show.viewer.window import Window, check_movie, write_clean, write_movie
 from tissue.simulation.builders.parts import motion_of
@@ -249,7 +249,12 @@ def _about(saved: SavedRun) -> str:
     if saved.status == "running":
         where += f", process {saved.summary['process']['id']} writes it"
     problem = f" ({saved.problem})" if saved.problem else ""
-    return f"run is incomplete: it {begun} {where}{problem}"
+    missing = ""
+    if saved.scene is not None and is_bone_from_file(saved.scene):
+        missing = (
+            ". The tissue is not shown, because tissue from a file is saved at the end of a run"
+        )
+    return f"run is incomplete: it {begun} {where}{problem}{missing}"
 
 
 def show(
