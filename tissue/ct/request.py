@@ -32,6 +32,7 @@ from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import TO_LPS, read_site
 from meshes.surfaces.site import Site, corner_near, place_site
 from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.surfaces.triangle_files import SURFACE_SUFFIXES
 
 __all__ = [
     "NAMED_SITES",
@@ -99,7 +100,8 @@ class ImportRequest:
     def __post_init__(self) -> None:
         if self.labels is None:
             options = ("label_names", "region", "keep_clear", "parts")
-            self._leave_out("without labels", *options, remedy="give --labels FILE too")
+            remedy = "give the file of the labels by --labels, or leave it out"
+            self._leave_out("without labels", *options, remedy=remedy)
         if self.region is not None:
             self._leave_out("with a region, whose label is the bone", "threshold")
         if self.threshold is not None:
@@ -239,6 +241,13 @@ class ImportRequest:
 
     def read_image(self) -> Image:
         """Read the image."""
+        if self.source.suffix.lower() in SURFACE_SUFFIXES:
+            raise InputError(
+                "source",
+                "be an image",
+                self.source.name,
+                "a surface needs no import: set anatomy.file to it in a scene",
+            )
         with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
             return read_image(self.source, spacing_mm=self.spacing_mm, series=self.series)
 

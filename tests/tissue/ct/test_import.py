@@ -85,6 +85,14 @@ def test_the_density_reaches_the_cutting_force(reference, tmp_path):
     assert np.median(volume[volume > 1200]) == pytest.approx(DENSE_HU + 500.0, rel=0.02)
 
 
+def test_a_bone_without_cortical_bone_is_noted(reference, tmp_path):
+    made, _, summary = reference
+    assert "cortical bone" not in summary["notes"]
+    porous = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", density="line:1.0,-100.0")
+    notes = force_N(porous)[1]["notes"]
+    assert notes["cortical bone"].startswith("none: no bone in the region reaches 1000 kg/m3")
+
+
 def test_a_site_may_be_given_in_ras(reference, tmp_path):
     made, *_ = reference
     x, y, z = TOP
@@ -194,7 +202,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     [
         (
             {"region": "humerus"},
-            "region must be left out without labels, got humerus. Give --labels FILE too",
+            "region must be left out without labels, got humerus. Give the file of the labels",
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         (
@@ -235,6 +243,20 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(reference, tmp_path, opt
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
 
 
+def test_a_surface_is_not_imported(tmp_path):
+    with pytest.raises(InputError, match=r"got bone.stl. A surface needs no import: set anatomy.f"):
+        tissue.import_ct(tmp_path / "bone.stl", tmp_path / "out")
+
+
+def test_names_are_suggested_for_labels_without_names(reference, tmp_path):
+    made, *_ = reference
+    image = ball()
+    write_nrrd(tmp_path / "a.nrrd", ball_mask(image).astype(np.uint8), *axes_of(image)[1:])
+    options = {"labels": tmp_path / "a.nrrd", "region": "femur_right"}
+    with pytest.raises(InputError, match=r"Use one of label 1, or name the labels by --label-n"):
+        imported(made.folder.parent / "ct.nrrd", tmp_path / "out", **options)
+
+
 def test_an_image_of_other_units_gets_a_shell(tmp_path):
     image = ball()
     values, axes, origin = axes_of(image)
@@ -261,7 +283,7 @@ def test_pictures_are_drawn(reference, tmp_path):
     [
         (
             ["--part", "tumour=40"],
-            "--part must be left out without labels, got tumour. Give --labels",
+            "--part must be left out without labels, got tumour. Give the file of the labels by",
         ),
         (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
         (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0. Give --path"),
