@@ -279,8 +279,8 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
     return (
         f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and "
-        f"{high[0]:.0f}; smallest {held.min():.0f}, "
-        f"largest {held.max():.0f}"
+        f"{high[0]:.0f} by the uncertainty of the law; voxels of the bone from {held.min():.0f} "
+        f"to {held.max():.0f}"
     )
 
 

@@ -211,9 +211,10 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     for (kind, names), known in zip(asked.items(), (layers, fields), strict=True):
         for name in names:
             if name not in known:
-                listed = ", ".join(dict.fromkeys(known)) or "none, for this run has none"
+                listed = ", ".join(dict.fromkeys(known))
                 argument = "hide" if kind == "layer" else kind
-                raise InputError(argument, f"name a {kind} of the run", name, f"use {listed}")
+                remedy = f"use {listed}" if listed else f"leave it out: this run has no {kind}"
+                raise InputError(argument, f"name a {kind} of the run", name, remedy)
     can_move = series is not None and series.displacement is not None
     most = LARGEST_SCALE if can_move else 1.0
     require_range("scale", choice.scale, 0.0 if can_move else 1.0, most, "use 1 for true size")
