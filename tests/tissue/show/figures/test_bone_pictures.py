@@ -13,7 +13,7 @@ SPACING_M = 1e-3
 
 @pytest.mark.parametrize(("voxels_inside", "is_cut"), [(0.0, True), (6.0, True), (-6.0, False)])
 def test_faces_at_the_end_of_whole_bricks_are_cut_out(voxels_inside, is_cut):
-    """Where the requested corner lies up to a brick inside the volume, bone continues beyond it."""
+    """A requested corner up to a brick inside the volume has bone beyond it."""
     full = np.full((SIDE, SIDE, SIDE), 255, np.uint8)
     volume = VoxelVolume(
         np.zeros(3), SPACING_M, full, np.zeros_like(full), full.astype(np.uint16), ("bone",)

@@ -73,5 +73,5 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
 
 
 def test_a_run_without_fields_is_shown_without_a_field(whole, tmp_path):
-    with pytest.raises(InputError, match="got density_kg_m3. Leave it out: this run has no field"):
+    with pytest.raises(InputError, match=r"got density_kg_m3. Leave it out: this run has no field"):
         view(whole, Choice(field="density_kg_m3"), screenshot=tmp_path / "run.png")
