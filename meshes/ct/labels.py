@@ -49,6 +49,11 @@ _SHOWN_NAMES = 12
 """Largest number of names that an error message lists."""
 
 
+def unnamed(number: int) -> str:
+    """Return the name of a label for which the file states no name."""
+    return f"label {number}"
+
+
 @dataclass(frozen=True, eq=False)
 class Labels:
     """Label volume in LPS [mm], and the names of its labels.
@@ -85,9 +90,11 @@ class Labels:
             near = [each for each in known if name in each or each in name] or known
             shown = ", ".join(near[:_SHOWN_NAMES])
             more = f" and {len(near) - _SHOWN_NAMES} more" if len(near) > _SHOWN_NAMES else ""
-            raise InputError(
-                "label", f"be one that {self.image.source} holds", name, f"use one of {shown}{more}"
-            )
+            remedy = f"use one of {shown}{more}"
+            # the file states no names
+            if all(each == unnamed(number) for number, each in self.names.items()):
+                remedy += ", or name the labels by --label-names"
+            raise InputError("label", f"be one that {self.image.source} holds", name, remedy)
         return found[0]
 
     def mask(self, name: str) -> Flags:
@@ -194,7 +201,7 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
         )
     placed = replace(stored, values=values, notes=(*stored.notes, *notes))
     stated = {**stored.names, **header_names(path)}
-    names = {number: stated.get(number, f"label {number}") for number in held}
+    names = {number: stated.get(number, unnamed(number)) for number in held}
     return Labels(along_lps(placed, path.name, labels=True, lattice=image), names)
 
 

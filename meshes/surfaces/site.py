@@ -21,6 +21,7 @@ __all__ = [
     "SurfaceSamples",
     "across",
     "axes_along",
+    "corner_near",
     "exits",
     "normal_near",
     "place_site",
@@ -330,6 +331,12 @@ def exits(surface: Surface, point: Array, rotation: Array) -> Array:
     return found.height[found.entering < 0]
 
 
+def corner_near(surface: Surface, point: Floats) -> Array:
+    """Return the corner of a surface that is nearest to a point [m], shape (3,)."""
+    distance = np.linalg.norm(surface.vertices_m - point, axis=1)
+    return np.asarray(surface.vertices_m[np.argmin(distance)])
+
+
 def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
     """Find the point where the axis through `centre` leaves the bone.
 
@@ -338,8 +345,9 @@ def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
     if abs(nearest) > _FARTHEST_M:
-        vertex = surface.vertices_m[np.argmin(np.linalg.norm(surface.vertices_m - centre, axis=1))]
-        given, corner = (in_brackets(1e3 * point, ".4g") for point in (centre, vertex))
+        given, corner = (
+            in_brackets(1e3 * point, ".4g") for point in (centre, corner_near(surface, centre))
+        )
         raise InputError(
             "anatomy.centre_mm",
             "lie within 10 mm of the surface along the normal",

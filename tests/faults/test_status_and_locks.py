@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from tissue import InputError, load_scene, simulate
+from tissue.scene.anatomy import BoneSurface
 from tissue.show.viewer.view import _about
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.simulation.simulate import RunObserver
@@ -111,7 +112,12 @@ def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
         raise ZeroDivisionError("over\nnothing")
     saved = SavedRun(out)
     assert (saved.status, saved.problem) == ("failed", "ZeroDivisionError: over nothing")
-    assert _about(saved).startswith("run is incomplete: it failed before its first tick")
+    about = _about(saved)
+    assert about.startswith("run is incomplete: it failed before its first tick")
+    assert "The tissue is not shown" not in about
+    anatomy = BoneSurface(file="bone.ply")
+    saved.scene = saved.scene.model_copy(update={"anatomy": anatomy})
+    assert _about(saved).startswith(about) and "The tissue is not shown" in _about(saved)
     assert not (out / ".lock").exists()
 
 

@@ -115,15 +115,20 @@ def import_(
     options = asdict(image) | asdict(scene)
     flags = {name: f"--{name.replace('_', '-')}" for name in options}
     flags |= {"crop_mm": flags["crop"], "parts": flags["part"]}
-    with names_of_caller(flags), progress() as shown:
-        made = import_ct(
-            source,
-            out,
-            **_arguments(options),
-            max_memory_GB=max_memory_GB,
-            overwrite=overwrite,
-            progress=shown,
-        )
+    try:
+        with names_of_caller(flags), progress() as shown:
+            made = import_ct(
+                source,
+                out,
+                **_arguments(options),
+                max_memory_GB=max_memory_GB,
+                overwrite=overwrite,
+                progress=shown,
+            )
+    except InputError as error:
+        for finding in getattr(error, "__notes__", ()):
+            console.print(finding)
+        raise
     for sentence in made.sentences:
         console.print(sentence)
     console.print(f"files in {made.folder}")

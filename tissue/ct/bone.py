@@ -99,8 +99,30 @@ class _Source:
 
 
 def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Create the draft of a scene with a bone."""
+    """Create the draft of a scene with a bone.
+
+    Raises
+    ------
+    InputError
+        If the image or an option cannot be used. The findings until then are notes of the error.
+    """
     source, sentences = _source(request, progress)
+    try:
+        return _draft(request, name, progress, (source, sentences))
+    except InputError as error:
+        for sentence in sentences:
+            error.add_note(sentence)
+        raise
+
+
+def _draft(
+    request: ImportRequest,
+    name: str,
+    progress: Progress,
+    inspected: tuple[_Source, list[str]],
+) -> Draft:
+    """Create the draft from an inspected image, and append findings to the given sentences."""
+    source, sentences = inspected
     progress("finding the bone", 0.0)
     bone, threshold, found = _bone(request, source)
     surface = _surface(bone, source.inspection.source)
@@ -246,7 +268,7 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
             f"{longest:.4g} mm in {source}",
             "check the spacing in the image's header",
         )
-    surface = surface_from_triangles(vertices, faces, source="bone.ply", scale_mm=1.0, cut_off=True)
+    surface = surface_from_triangles(vertices, faces, source=source, scale_mm=1.0, cut_off=True)
     return replace(surface, caps_m=surface.caps_m + bone.cuts)
 
 
@@ -257,8 +279,8 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
     return (
         f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and "
-        f"{high[0]:.0f}; smallest {held.min():.0f}, "
-        f"largest {held.max():.0f}"
+        f"{high[0]:.0f} by the uncertainty of the law; voxels of the bone from {held.min():.0f} "
+        f"to {held.max():.0f}"
     )
 
 

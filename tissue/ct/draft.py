@@ -156,8 +156,14 @@ def scene_name(folder: Path) -> str:
 
 
 def scene_tables(scene: Scene, keys: Iterable[str]) -> dict[str, Any]:
-    """Return selected keys and tables of a scene, without values that are defaults."""
+    """Return selected keys and tables of a scene, without values that are defaults.
+
+    The duration is left out if the motion is a path of points, because a run then lasts as long as
+    its path. A copied duration would stop the tool early on a longer path.
+    """
     stated = scene.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+    if "points_mm" in stated.get("motion", {}):
+        stated.pop("duration_s", None)
     return {key: stated[key] for key in keys if key in stated}
 
 

@@ -30,8 +30,9 @@ from meshes.images.reading import Spacing, read_image
 from meshes.paths.toolpath import PathDepth, ReplayTable, depth_along, read_toolpath, to_replay
 from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import TO_LPS, read_site
-from meshes.surfaces.site import Site, place_site
+from meshes.surfaces.site import Site, corner_near, place_site
 from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.surfaces.triangle_files import SURFACE_SUFFIXES
 
 __all__ = [
     "NAMED_SITES",
@@ -99,7 +100,8 @@ class ImportRequest:
     def __post_init__(self) -> None:
         if self.labels is None:
             options = ("label_names", "region", "keep_clear", "parts")
-            self._leave_out("without labels", *options, remedy="give --labels FILE too")
+            remedy = "give the file of the labels by --labels, or leave it out"
+            self._leave_out("without labels", *options, remedy=remedy)
         if self.region is not None:
             self._leave_out("with a region, whose label is the bone", "threshold")
         if self.threshold is not None:
@@ -226,6 +228,12 @@ class ImportRequest:
         # RAS has the opposite signs of x and y, so the lower and upper ends are exchanged
         return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
 
+    def shown(self, point_m: np.ndarray) -> str:
+        """Return a point [m, LPS] as text [mm], in the coordinates of the request."""
+        point = self._lps(_three(1e3 * point_m))  # LPS and RAS differ by the same two signs
+        # adding zero removes the sign of a negative zero
+        return f"{in_brackets((each + 0.0 for each in point), '.4g')} {self.coordinates}"
+
     def _lps(self, point: Point) -> Point:
         """Convert a point or direction to LPS."""
         x, y, z = point
@@ -233,6 +241,13 @@ class ImportRequest:
 
     def read_image(self) -> Image:
         """Read the image."""
+        if self.source.suffix.lower() in SURFACE_SUFFIXES:
+            raise InputError(
+                "source",
+                "be an image",
+                self.source.name,
+                "a surface needs no import: set anatomy.file to it in a scene",
+            )
         with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
             return read_image(self.source, spacing_mm=self.spacing_mm, series=self.series)
 
@@ -321,8 +336,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             point = _three(centre_mm)
             normal = None if outward is None else _three(outward)
         if point is not None:
-            site = place_site(surface, centre_mm=point, normal=normal)
-            return Placed(site), f"site: {site.confidence}"
+            return _at_point(request, surface, point, normal)
     if isinstance(request.site, str):
         return _searched(request.site, surface)
     # the label's name suggests a joint, such as the glenoid for a scapula
@@ -334,6 +348,36 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
         return _searched(usual, surface)
     except InputError as error:
         return None, f"site: no {usual} was found ({error}); {pick}"
+
+
+def _at_point(
+    request: ImportRequest, surface: Surface, point: Point, normal: Point | None
+) -> tuple[Placed, str]:
+    """Place a site at a point [mm, LPS], and report the distance to the surface.
+
+    Raises
+    ------
+    InputError
+        If the point is not on the surface. The message has the coordinates of the request.
+    """
+    centre = 1e-3 * np.array(point)
+    try:
+        site = place_site(surface, centre_mm=point, normal=normal)
+    except InputError as error:
+        if error.argument != "anatomy.centre_mm":
+            raise
+        raise InputError(
+            "site",
+            error.requirement,
+            f"{request.shown(centre)} in {request.source.name}",
+            f"give a point on the face, in mm; the nearest corner is "
+            f"{request.shown(corner_near(surface, centre))}",
+        ) from None
+    sentence = f"site: {site.confidence}"
+    moved = f"{1e3 * np.linalg.norm(site.centre_m - centre):.1f}"
+    if moved != "0.0":
+        sentence += f", moved {moved} mm to the surface, now at {request.shown(site.centre_m)}"
+    return Placed(site), sentence
 
 
 def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:

@@ -347,7 +347,8 @@ def energy_note(
 ) -> str:
     """Describe the specific cutting energy of each layer, with range and origin.
 
-    The specific cutting energy is the tangential chip coefficient.
+    The specific cutting energy is the tangential chip coefficient. It holds at the stated density
+    and chip thickness.
 
     Parameters
     ----------
@@ -365,7 +366,15 @@ def energy_note(
     remarks = []
     for layer in layer_names:
         material = CUT_AS.get(layer, bone)
-        energy = constants.layer_constants(layer, bone=bone)[ENERGY]
+        found = constants.layer_constants(layer, bone=bone)
+        energy = found[ENERGY]
+        # the energy depends on these two quantities only if their exponents are not zero
+        at = []
+        if found["density_exponent"].value:
+            at.append(f"{found['reference_density_kg_m3'].value:g} kg/m3")
+        if found["size_exponent"].value:
+            at.append(f"a chip of {found['reference_chip_um'].value:g} µm")
+        where = f" at {' and '.join(at)}" if at else ""
         known = [
             name for name in (layer, material) if f"cutting.{name}.{ENERGY}" in constants.given
         ]
@@ -373,6 +382,6 @@ def energy_note(
         remarks.append(
             f"{[*known, material][0]} {1e-3 * energy.value:g} "
             f"({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3"
-            f"{origin}, confidence {energy.confidence}"
+            f"{where}{origin}, confidence {energy.confidence}"
         )
     return "; ".join(sorted(set(remarks)))

@@ -4,6 +4,7 @@ import csv
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import path_note
-from tissue.objects.html import figures_of, table_html
+from tissue.objects.html import figures_of, figures_of_trace, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
 from tissue.scene.load import full_key, names_file
@@ -86,7 +87,7 @@ class Comparison:
         if len(runs) < 2:
             raise InputError("compare", "be given at least two runs", len(runs), "name another run")
         self.runs = dict(runs)
-        self.figures = {name: figures_of(run.summary) for name, run in runs.items()}
+        self.figures = {name: _figures(run) for name, run in runs.items()}
         self.scene_differences = _differences([run.scene for run in runs.values()])
         self.notes = list(_notes(self.runs))
         self._are_named = are_named
@@ -386,17 +387,29 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
     return {key: values for key, values in found.items() if values != values[:1] * len(values)}
 
 
+def _figures(run: Run) -> dict[str, float]:
+    """Return the figures of a run; for a run that did not reach its end, those of its trace."""
+    if run.status == "complete":
+        return figures_of(run.summary)
+    # a run that was stopped before its first tick has no trace
+    with suppress(InputError):
+        return figures_of_trace(run.trace)
+    return {}
+
+
 def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
     """Yield notes on incomplete runs, and on differences that are not in the scenes."""
     for name, run in runs.items():
         if run.status != "complete":
-            yield f"{name} did not reach its end: it is {run.status}"
+            yield (
+                f"{name} did not reach its end: it is {run.status}. Its time and loads are from "
+                "its trace"
+            )
         if note := path_note(run.summary):
             yield f"the path of {name} is {note}"
     outside: dict[str, list[object]] = {
         "simulated time, which peaks, means and volumes depend on,": [
-            f"{round(float(run.summary.get('simulated_s', 0.0)), 3):.12g} s"
-            for run in runs.values()
+            f"{round(_figures(run).get('simulated_s', 0.0), 3):.12g} s" for run in runs.values()
         ],
         "scene": [run.scene.name for run in runs.values()],
         **{

@@ -6,13 +6,17 @@ from html import escape
 import numpy as np
 
 from meshes.base.arrays import Array
+from tissue.models.tissue_model import TICK_S
 from tissue.show.figures.force_time import event_lines
 from tissue.show.report.page import run_rows
+from tissue.simulation.run import load_figures
 from tissue.simulation.run_folder import Summary
+from tissue.simulation.trace import Table
 
 __all__ = [
     "curve",
     "figures_of",
+    "figures_of_trace",
     "folded",
     "intervals_of",
     "run_html",
@@ -86,20 +90,39 @@ def run_line(summary: Summary) -> list[str]:
     ]
 
 
+BANDED = {
+    "peak_force_N": ("force_N", "peak"),
+    "mean_force_N": ("force_N", "mean_in_contact"),
+    "peak_torque_Nm": ("torque_Nm", "peak"),
+    "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
+}
+"""Keys of loads in a summary and in its uncertainty band (load and figure), by name of the figure.
+"""
+
+
+def figures_of_trace(trace: Table) -> dict[str, float]:
+    """Return the figures of a run that did not reach its end, keyed by names with units.
+
+    The figures are the time and the loads of its trace, which may have no rows.
+    """
+    if not len(trace.rows):
+        return {}
+    loads = load_figures(trace)
+    return {
+        "simulated_s": len(trace.rows) * TICK_S,
+        **{name: loads[load][figure] for name, (load, figure) in BANDED.items()},
+    }
+
+
 def figures_of(summary: Summary) -> dict[str, float]:
     """Return the figures of a complete run, keyed by names with units."""
     if summary["status"] != "complete":
         return {}
-    force = summary["force_N"]
-    torque = summary["torque_Nm"]
     tick = summary["tick_us"]
     removed = summary["removed_mm3"] if summary["cuts"] else {}
     return {
         "simulated_s": summary["simulated_s"],
-        "peak_force_N": force["peak"],
-        "mean_force_N": force["mean_in_contact"],
-        "peak_torque_Nm": torque["peak"],
-        "mean_torque_Nm": torque["mean_in_contact"],
+        **{name: summary[load][figure] for name, (load, figure) in BANDED.items()},
         **({"removed_mm3": sum(removed.values())} if removed else {}),
         **(
             {f"removed_{layer}_mm3": volume for layer, volume in removed.items()}
@@ -115,16 +138,6 @@ def figures_of(summary: Summary) -> dict[str, float]:
         "tick_99_percent_us": tick["p99"],
         "missed_deadlines": summary["missed_deadlines"],
     }
-
-
-BANDED = {
-    "peak_force_N": ("force_N", "peak"),
-    "mean_force_N": ("force_N", "mean_in_contact"),
-    "peak_torque_Nm": ("torque_Nm", "peak"),
-    "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
-}
-"""Keys in the summary of an uncertainty band (load and figure), keyed by the name of the figure.
-"""
 
 
 def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:

@@ -146,7 +146,8 @@ def plot_figures(
     """
     from matplotlib import pyplot
 
-    columns = min(len(names), 3)
+    # four panels are two rows of two, so that no row has a single panel
+    columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
     # Heights in inches of a panel, and of the legend above all panels.
     size = 3.2 * columns, 2.4 * rows + 0.3
@@ -161,6 +162,8 @@ def plot_figures(
             look: dict[str, Any] = {"marker": "o", "markersize": 3.5, "color": colour}
             if any(isinstance(place, str) for place, _ in points):
                 look["linestyle"] = ""  # there is nothing between two names
+                # long names, such as those of files, would overlap
+                axes.tick_params(axis="x", rotation=20.0)
             else:
                 points.sort()
             axes.plot(*zip(*points, strict=True), label=label, **look)

@@ -174,11 +174,13 @@ def scene_text(name: str) -> str:
     if why := refusal(SCENES.group, name):
         raise InputError(why)
     names = scene_names()
+    inside = Path(name) / "scene.toml"
+    remedy = f"use {inside}" if is_file(inside) else "list them with `tissue scenes`"
     raise InputError(
         "scene",
         f"be a built-in name ({', '.join(names)}) or a TOML file",
         f"{name}{nearest(name, names)}",
-        "list them with `tissue scenes`",
+        remedy,
     )
 
 

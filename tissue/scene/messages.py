@@ -1,5 +1,6 @@
 """Error messages for a scene: key, requirement, value and remedy."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
@@ -63,7 +64,11 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if choices and _alternatives(field.annotation)[0] not in (int, float):
         return unknown_name(key, choices, got)
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
-    return InputError(key, f"be {wanted}", _shown(got), _remedy(field))
+    remedy = _corrected(key, got, kind) or _remedy(field)
+    # a value that is too small may be in metres
+    if key.endswith("_mm") and kind.startswith("greater_than"):
+        remedy += ", in mm"
+    return InputError(key, f"be {wanted}", _shown(got), remedy)
 
 
 def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> InputError:
@@ -107,7 +112,19 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
     else:
         wanted = f"be one of {', '.join(known)}"
         suggested = did_you_mean([full[-1] for full in meant])
-    return InputError(key, wanted, f"{shown(names[-1])}{suggested}", "rename or remove it")
+    remedy = _of_density(names, table) or "rename or remove it"
+    return InputError(key, wanted, f"{shown(names[-1])}{suggested}", remedy)
+
+
+def _of_density(names: Key, table: Table) -> str:
+    """Return how to change the density of a bone that has an image of its density, or no text."""
+    has_image = "density_file" in _inner(table, "anatomy")
+    if has_image and names[0] == "anatomy" and "density" in names[-1]:
+        return (
+            "import the CT again with --density line:SLOPE,OFFSET to scale its density, or "
+            "remove the key"
+        )
+    return ""
 
 
 def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
@@ -198,7 +215,8 @@ def _of_another_kind(
     if names != meant:
         got += did_you_mean([".".join(meant)])
     key = ".".join(map(shown, names))
-    return InputError(key, f"be left out for {where}", got, f"{remedy}, or remove it")
+    remedy = _of_density(names, table) or f"{remedy}, or remove it"
+    return InputError(key, f"be left out for {where}", got, remedy)
 
 
 def _of_another_tool(names: Key, table: Table, chosen: type[BaseModel]) -> InputError:
@@ -324,6 +342,23 @@ def _bounds(metadata: Iterable[object]) -> str:
         if hasattr(limit, name)
     ]
     return " and ".join(words)
+
+
+MEASURE = re.compile(r"([-+.\deE]*\d)\s*([^\s\d]+)")
+"""Regular expression for a number with a unit, such as 22mm."""
+
+
+def _corrected(key: str, got: object, kind: str) -> str:
+    """Return an instruction with the corrected value of the user; empty if it is not clear."""
+    if not isinstance(got, str):
+        return ""
+    if key == "name" and kind == "string_pattern_mismatch":
+        plain = re.sub("[^a-z0-9_-]+", "-", got.lower()).strip("-_")
+        return f'use "{plain}"' if plain else ""
+    found = MEASURE.fullmatch(got)
+    if found is not None and key.endswith(f"_{found[2].replace('/', '_')}"):
+        return f"use {found[1]}, because the key states the unit"
+    return ""
 
 
 def _remedy(field: FieldInfo) -> str:

@@ -196,12 +196,12 @@ def cut_out(
         the bone itself ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
-    # 1.5 voxels allow for the rounding of the region to whole voxels. Where the volume ends farther
-    # from the requested corner, the bone itself ends. A face on the boundary of the volume is
-    # within 0.25 voxel of the boundary.
+    # The volume is rounded outward to whole bricks. 1.5 voxels allow for the rounding to whole
+    # voxels of other volumes. Where the volume ends before the requested corner, the bone itself
+    # ends. A face on the boundary of the volume is within 0.25 voxel of the boundary.
     near = 0.25 * volume.spacing_m
     for corner, asked, side in zip(volume.bounds_m, reach_m, (-1.0, 1.0), strict=True):
-        for axis in np.flatnonzero(np.abs(corner - asked) < 1.5 * volume.spacing_m):
+        for axis in np.flatnonzero(side * (corner - asked) > -1.5 * volume.spacing_m):
             along = np.asarray(surface.points)[:, axis] * 1e-3
             cut |= (side * (along - corner[axis]) > -near)[surface.regular_faces].all(axis=1)
     return cut

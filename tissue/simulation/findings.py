@@ -8,7 +8,7 @@ from meshes.base.arrays import Array
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import frame_along
-from tissue.scene.anatomy import MolarAnatomy, Tooth
+from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ThrustMotion
@@ -38,8 +38,8 @@ A tool that leaves the bone sideways does not break through.
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
     """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
-    ``path_s`` is the requested duration [s]. There is a note if the run is shorter than its
-    scripted motion.
+    There is also a note if a bone with an image of its density has no cortical bone. ``path_s`` is
+    the requested duration [s]. There is a note if the run is shorter than its scripted motion.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -66,6 +66,14 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             found["membranes"] = (
                 f"not all reached: the needle tip went {deepest:.3g} mm deep, and these "
                 f"lie deeper: {', '.join(beyond)}; see anatomy.membrane_depths_mm"
+            )
+    if isinstance(scene.anatomy, Bone) and scene.anatomy.density_file is not None:
+        start = dict(zip(parts.tissue.layer_names, parts.tissue.start_m3.tolist(), strict=True))
+        if start["cortical"] + start["subchondral"] == 0.0:
+            dense = scene.anatomy.cortical_above_kg_m3
+            found["cortical bone"] = (
+                f"none: no bone in the region reaches {dense:g} kg/m3. Thick voxels of a CT blur "
+                "thin cortical bone; lower anatomy.cortical_above_kg_m3, or import a finer CT"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.carver import CarvingReplay
 
-__all__ = ["DEADLINE_US", "Run"]
+__all__ = ["DEADLINE_US", "Run", "load_figures"]
 
 
 DEADLINE_US = 1000.0
@@ -260,11 +260,7 @@ class Run:
             ("removed_mm3", tissue.removed_m3),
         ):
             found[name] = dict(zip(trace.layer_names, (volumes_m3 * 1e9).tolist(), strict=True))
-        contact = trace["contact_mm2"] > 0.0
-        for name, unit in (("force", "N"), ("torque", "Nm")):
-            size = np.linalg.norm(trace.vectors(f"model_{name}", unit), axis=1)
-            mean = float(size[contact].mean()) if contact.any() else 0.0
-            found[f"{name}_{unit}"] = {"peak": float(size.max()), "mean_in_contact": mean}
+        found |= load_figures(trace)
         found |= self._timing_figures()
         if self.parts.keep_clear is not None:
             found["keep_clear"] = self.parts.keep_clear.summary()
@@ -461,6 +457,17 @@ class Run:
                 "run", f"hold {name}", f"{self._files.path} without it", "run the scene again"
             )
         return part
+
+
+def load_figures(trace: Table) -> dict[str, dict[str, float]]:
+    """Return peak and mean in contact of force [N] and torque [N m], for a trace with rows."""
+    found = {}
+    contact = trace["contact_mm2"] > 0.0
+    for name, unit in (("force", "N"), ("torque", "Nm")):
+        size = np.linalg.norm(trace.vectors(f"model_{name}", unit), axis=1)
+        mean = float(size[contact].mean()) if contact.any() else 0.0
+        found[f"{name}_{unit}"] = {"peak": float(size.max()), "mean_in_contact": mean}
+    return found
 
 
 def _spread(values: Array) -> dict[str, Any]:

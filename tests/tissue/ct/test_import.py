@@ -1,6 +1,7 @@
 """A CT to a scene that runs, from every format and orientation, by label and by threshold."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,14 @@ def test_the_density_reaches_the_cutting_force(reference, tmp_path):
     assert np.median(volume[volume > 1200]) == pytest.approx(DENSE_HU + 500.0, rel=0.02)
 
 
+def test_a_bone_without_cortical_bone_is_noted(reference, tmp_path):
+    made, _, summary = reference
+    assert "cortical bone" not in summary["notes"]
+    porous = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", density="line:1.0,-100.0")
+    notes = force_N(porous)[1]["notes"]
+    assert notes["cortical bone"].startswith("none: no bone in the region reaches 1000 kg/m3")
+
+
 def test_a_site_may_be_given_in_ras(reference, tmp_path):
     made, *_ = reference
     x, y, z = TOP
@@ -91,6 +100,41 @@ def test_a_site_may_be_given_in_ras(reference, tmp_path):
         made.folder.parent / "ct.nrrd", tmp_path / "out", site=(-x, -y, z), coordinates="RAS"
     )
     assert (other.folder / "scene.toml").read_text() == (made.folder / "scene.toml").read_text()
+
+
+def test_the_move_of_a_site_to_the_surface_is_reported(reference, tmp_path):
+    made, *_ = reference
+    x, y, z = TOP
+    options = {"site": (-x, -y, z + 9.0), "coordinates": "RAS"}
+    other = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", **options)
+    sentence = next(each for each in other.sentences if each.startswith("site:"))
+    now = r"moved 9\.\d mm to the surface, now at \(-0\.\d+, 0\.\d+, 1[12][.\d]*\) RAS$"
+    assert re.search(now, sentence), sentence
+
+
+def test_the_nearest_corner_is_a_site_in_the_same_coordinates(reference, tmp_path):
+    image = reference[0].folder.parent / "ct.nrrd"
+    with pytest.raises(InputError, match="nearest corner is") as refused:
+        imported(image, tmp_path / "out", site=(9.0, 20.0, 15.0), coordinates="RAS")
+    corner = tuple(map(float, str(refused.value).rsplit("(")[-1].split(")")[0].split(",")))
+    assert imported(image, tmp_path / "out", site=corner, coordinates="RAS").has_site
+
+
+def test_a_refused_site_comes_after_the_bone_that_was_found(reference, command, tmp_path):
+    image = reference[0].folder.parent / "ct.nrrd"
+    site = ("--site", "0,0,500", "--density", LINE, "--out", tmp_path / "out")
+    code, printed, message = command("import", image, *site)
+    assert code == 2 and "threshold" in printed and "bone of" in printed
+    assert message.startswith("error: --site must lie within 10 mm") and message.count("\n") == 1
+
+
+def test_the_duration_of_the_scene_that_is_followed_is_not_copied_for_a_path(reference, tmp_path):
+    image = reference[0].folder.parent / "ct.nrrd"
+    path = imported(image, tmp_path / "path", like="glenoid")
+    assert tissue.load_scene("glenoid").duration_s is not None
+    assert tissue.load_scene(path.scene).duration_s is None
+    thrust = imported(image, tmp_path / "thrust", like="pedicle")
+    assert tissue.load_scene(thrust.scene).duration_s == tissue.load_scene("pedicle").duration_s
 
 
 def test_a_label_is_the_bone_and_its_names_are_kept(tmp_path):
@@ -158,10 +202,14 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     [
         (
             {"region": "humerus"},
-            "region must be left out without labels, got humerus. Give --labels FILE too",
+            "region must be left out without labels, got humerus. Give the file of the labels",
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
-        ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
+        (
+            {"site": (0.0, -1.0, 500.0), "coordinates": "RAS"},
+            r"site must lie within 10 mm .* got \(0, -1, 500\) RAS in ct.nrrd.* nearest corner is "
+            r"\(.*\) RAS\b",
+        ),
         ({"site": (0.0, float("nan"), 0.0)}, "site must hold three finite numbers"),
         (
             {"coordinates": "RAS", "site": None},
@@ -195,6 +243,20 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(reference, tmp_path, opt
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
 
 
+def test_a_surface_is_not_imported(tmp_path):
+    with pytest.raises(InputError, match=r"got bone.stl. A surface needs no import: set anatomy.f"):
+        tissue.import_ct(tmp_path / "bone.stl", tmp_path / "out")
+
+
+def test_names_are_suggested_for_labels_without_names(reference, tmp_path):
+    made, *_ = reference
+    image = ball()
+    write_nrrd(tmp_path / "a.nrrd", ball_mask(image).astype(np.uint8), *axes_of(image)[1:])
+    options = {"labels": tmp_path / "a.nrrd", "region": "femur_right"}
+    with pytest.raises(InputError, match=r"Use one of label 1, or name the labels by --label-n"):
+        imported(made.folder.parent / "ct.nrrd", tmp_path / "out", **options)
+
+
 def test_an_image_of_other_units_gets_a_shell(tmp_path):
     image = ball()
     values, axes, origin = axes_of(image)
@@ -221,7 +283,7 @@ def test_pictures_are_drawn(reference, tmp_path):
     [
         (
             ["--part", "tumour=40"],
-            "--part must be left out without labels, got tumour. Give --labels",
+            "--part must be left out without labels, got tumour. Give the file of the labels by",
         ),
         (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
         (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0. Give --path"),

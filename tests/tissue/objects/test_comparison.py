@@ -1,6 +1,8 @@
 """Comparison of runs: figures, differences of their scenes, and their forces in one picture."""
 
 import csv
+import json
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
@@ -196,7 +198,25 @@ def test_files_are_written_once(run, other, tmp_path):
 
 def test_lengths_are_compared_to_the_tick(run):
     runs = {
-        name: SimpleNamespace(status="complete", scene=run.scene, summary={"simulated_s": length_s})
+        name: SimpleNamespace(
+            status="complete", scene=run.scene, summary=run.summary | {"simulated_s": length_s}
+        )
         for name, length_s in (("a", 10.001), ("b", 10.002))
     }
     assert any("a 10.001 s, b 10.002 s" in note for note in _notes(runs))
+
+
+def test_a_run_that_was_stopped_has_the_time_and_loads_of_its_trace(run, tmp_path):
+    stopped = tmp_path / "stopped"
+    shutil.copytree(run.path, stopped)
+    rows = (stopped / "trace.csv").read_text().splitlines(keepends=True)
+    (stopped / "trace.csv").write_text("".join(rows[:201]))
+    early = {"format": 1, "tissue": "0.2.0", "scene": "milling", "layers": run.summary["layers"]}
+    (stopped / "summary.json").write_text(json.dumps(early | {"status": "interrupted"}))
+    found = tissue.compare(run, stopped)
+    size = np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)[:200]
+    assert found.figures["stopped"]["simulated_s"] == pytest.approx(0.2)
+    assert found.figures["stopped"]["peak_force_N"] == pytest.approx(size.max(), rel=1e-6)
+    assert "milling 0.3 s, stopped 0.2 s" in " ".join(found.notes)
+    (stopped / "trace.csv").unlink()
+    assert tissue.compare(run, stopped).figures["stopped"] == {}

@@ -213,6 +213,21 @@ def test_the_machine_is_no_figure_of_a_sweep(pressed, out):
     pyplot.close(panel.figure)
 
 
+def test_long_names_on_the_axis_do_not_overlap(out):
+    runs = []
+    for number, name in enumerate(("density_minus20", "density", "density_plus20")):
+        runs.append(SweptRun(name, {"anatomy.density_file": f"/hip/{name}.nrrd"}, out))
+        figures = {f"{part}_N": 1.0 + number for part in "abcd"}
+        vars(runs[-1]).update({"figures": figures, "intervals": {}})
+    panels = module.Sweep(["anatomy.density_file"], runs).plot()
+    chart = panels[0].figure
+    for panel in panels:
+        assert all(text.get_rotation() > 0.0 for text in panel.get_xticklabels())
+    assert len({panel.get_subplotspec().rowspan.start for panel in panels}) == 2
+    assert len({panel.get_subplotspec().colspan.start for panel in panels}) == 2
+    pyplot.close(chart)
+
+
 @pytest.mark.slow
 def test_a_band_of_each_run(scene, out):
     """Runs without the requested band are run again; runs with it are kept."""

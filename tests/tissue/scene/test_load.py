@@ -195,3 +195,32 @@ def test_the_text_none_leaves_stress_out(tmp_path):
     assert load_scene(file).stress is None
     with pytest.raises(InputError, match=r"stress must be none or a table with .*, got off"):
         load_scene("molar", {"stress": "off"})
+
+
+@pytest.mark.parametrize(
+    ("changes", "remedy"),
+    [
+        ({"name": "Hip d0.8"}, 'Use "hip-d0-8"'),
+        ({"tool.diameter_mm": "22mm"}, "Use 22, because the key states the unit"),
+        ({"motion.feed_mm_s": "0.5 mm/s"}, "Use 0.5, because the key states the unit"),
+        ({"tool.diameter_mm": "22 inches"}, "Use 6"),
+        ({"tool.diameter_mm": 0.022}, "Use 6, in mm"),
+    ],
+)
+def test_the_remedy_follows_from_the_value_of_the_user(changes, remedy):
+    with pytest.raises(InputError) as refused:
+        load_scene("milling", changes)
+    assert str(refused.value).endswith(f". {remedy}")
+
+
+def test_the_scene_in_a_given_folder_is_suggested(tmp_path):
+    (tmp_path / "scene.toml").write_text(scene_text("milling"))
+    with pytest.raises(InputError, match=r"Use .*scene.toml$"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("key", ["density_scale", "density_kg_m3"])
+def test_the_density_of_an_image_is_scaled_by_another_import(key):
+    anatomy = {"kind": "bone", "file": "bone.ply", "density_file": "density.nrrd"}
+    with pytest.raises(InputError, match="Import the CT again with --density line:SLOPE,OFFSET"):
+        load_scene("milling", {"anatomy": anatomy | {key: 1.2}})

@@ -304,6 +304,16 @@ def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
     return float(u0), float(u1), float(v0), float(v1)
 
 
+def _fills(depth: DepthMap, shown: tuple[float, float, float, float]) -> bool:
+    """Return whether bone fills the shown extent [mm], so that its outline is not in the map."""
+    inside = []
+    ends = zip(depth.extent_mm[::2], depth.extent_mm[1::2], depth.bone.shape, strict=True)
+    for (low, high, count), first, last in zip(ends, shown[::2], shown[1::2], strict=True):
+        middle = low + (high - low) / count * (np.arange(count) + 0.5)
+        inside.append((middle > first) & (middle < last))
+    return bool(depth.bone[np.ix_(*inside)].all())
+
+
 @styled
 def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     """Draw the map of removed depth on the face that the tool enters."""
@@ -342,8 +352,10 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     # white under black keeps the outline of a layer visible on dark depths
     handles: list[Artist] = [
         Patch(facecolor=BONE, label="not cut", **EDGE),
-        Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"),
     ]
+    if not _fills(depth, (u0, u1, v0, v1)):
+        label = "bone in the simulated region"
+        handles.append(Line2D([], [], color="0.15", linewidth=1.0, label=label))
     for (name, mask), dashes in zip(depth.exposed.items(), cycle(EXPOSED), strict=False):
         draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
         # half as wide as the white line below

@@ -34,7 +34,15 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.carver import CarvingReplay
 
-__all__ = ["BoneOverTime", "Plane", "bone_of", "cut_plane", "saved_fields", "tool_force"]
+__all__ = [
+    "BoneOverTime",
+    "Plane",
+    "bone_of",
+    "cut_plane",
+    "is_bone_from_file",
+    "saved_fields",
+    "tool_force",
+]
 
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -231,9 +239,14 @@ def _over_time(
     return BoneOverTime(volume, end, replay, axis=axis)
 
 
+def is_bone_from_file(scene: Scene) -> bool:
+    """Return whether the bone of a scene is from a file, which may have changed since a run."""
+    return isinstance(scene.anatomy, CutAnatomy) and scene.anatomy.from_file is not None
+
+
 def _coarse(scene: Scene) -> VoxelVolume | None:
     """Return the initial bone of a scene in coarse voxels; None for bone from a file."""
-    if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
+    if not isinstance(scene.anatomy, CutAnatomy) or is_bone_from_file(scene):
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     coarse = scene.voxels.model_copy(update={"spacing_mm": spacing})

@@ -17,7 +17,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.show.viewer.run_scene import Choice, times_of
-from tissue.show.viewer.saved_surfaces import saved_fields
+from tissue.show.viewer.saved_surfaces import is_bone_from_file, saved_fields
 from tissue.show.viewer.site_window import is_imported, show_site
 from tissue.show.viewer.window import Window, check_movie, write_clean, write_movie
 from tissue.simulation.builders.parts import motion_of
@@ -211,9 +211,10 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     for (kind, names), known in zip(asked.items(), (layers, fields), strict=True):
         for name in names:
             if name not in known:
-                listed = ", ".join(dict.fromkeys(known)) or "none, for this run has none"
+                listed = ", ".join(dict.fromkeys(known))
                 argument = "hide" if kind == "layer" else kind
-                raise InputError(argument, f"name a {kind} of the run", name, f"use {listed}")
+                remedy = f"use {listed}" if listed else f"leave it out: this run has no {kind}"
+                raise InputError(argument, f"name a {kind} of the run", name, remedy)
     can_move = series is not None and series.displacement is not None
     most = LARGEST_SCALE if can_move else 1.0
     require_range("scale", choice.scale, 0.0 if can_move else 1.0, most, "use 1 for true size")
@@ -249,7 +250,12 @@ def _about(saved: SavedRun) -> str:
     if saved.status == "running":
         where += f", process {saved.summary['process']['id']} writes it"
     problem = f" ({saved.problem})" if saved.problem else ""
-    return f"run is incomplete: it {begun} {where}{problem}"
+    missing = ""
+    if saved.scene is not None and is_bone_from_file(saved.scene):
+        missing = (
+            ". The tissue is not shown, because tissue from a file is saved at the end of a run"
+        )
+    return f"run is incomplete: it {begun} {where}{problem}{missing}"
 
 
 def show(

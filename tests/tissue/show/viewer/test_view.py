@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError
+from tissue.show.viewer.run_scene import Choice
 from tissue.show.viewer.view import view
 
 
@@ -69,3 +70,8 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     assert reported == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
     assert [one.name for one in tmp_path.iterdir()] == ([] if older is None else [name])
     assert older is None or file.read_bytes() == older
+
+
+def test_a_run_without_fields_is_shown_without_a_field(whole, tmp_path):
+    with pytest.raises(InputError, match=r"got density_kg_m3. Leave it out: this run has no field"):
+        view(whole, Choice(field="density_kg_m3"), screenshot=tmp_path / "run.png")
