@@ -94,7 +94,9 @@ class Voxels(Part):
     `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Thickness of the bone that is kept around the region that the tool can reach."""
+    """Distance to which bone is simulated around the tool on the scripted motion. A hand can lead the
+    tool beyond this distance. An event then reports that the tool left the simulated region.
+    """
 
 
 class Cutting(Part):
