@@ -53,6 +53,11 @@ __all__ = [
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
+def _as_list(value: object) -> object:
+    """Return a list that contains a single text; other values are unchanged."""
+    return [value] if isinstance(value, str) else value
+
+
 class KeepClear(Part):
     """Structures that the tool must not touch.
 
@@ -60,7 +65,9 @@ class KeepClear(Part):
     the run records an event (breach).
     """
 
-    names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
+    names: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(
+        (), strict=False, examples=[("canal",)]
+    )
     """Names of structures of the anatomy, such as a vertebra's canal. The distance is correct
     within 10 mm of the scripted motion. No safety margin is subtracted.
     """

@@ -8,6 +8,8 @@ import tomli_w
 import trimesh
 
 import tissue
+from meshes.base.errors import InputError
+from tissue.scene.load import parse_overrides
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0
@@ -77,3 +79,19 @@ def test_a_breach_is_an_event_with_its_depth(run):
     assert first == "breached canal, which is to be kept clear of"
     depth = float(re.match(r"left canal: ([0-9.]+) mm deep", last)[1])
     assert 0.0 <= depth + exact_mm(run).min() < 0.01
+
+
+@pytest.mark.parametrize("text", ["[Pulp]", "Pulp", '["Pulp"]', "pulp,canal"])
+def test_a_name_that_the_anatomy_does_not_have_is_refused_with_its_names(text):
+    texts = ["stress=none", "voxels.spacing_mm=0.2", f"keep_clear.names={text}"]
+    scene = tissue.load_scene("molar", parse_overrides(texts))
+    words = r"keep_clear.names must be structures of the anatomy \(pulp\), got .*\. Use pulp, or"
+    with pytest.raises(InputError, match=words):
+        tissue.simulate(scene)
+
+
+def test_one_structure_needs_no_list():
+    (entry,) = parse_overrides(["keep_clear.names=pulp"]).items()
+    assert tissue.load_scene("molar", dict([entry])).keep_clear.names == ("pulp",)
+    with pytest.raises(InputError, match=r"must be a list of names, got 3\."):
+        tissue.load_scene("molar", {"keep_clear.names": 3})
