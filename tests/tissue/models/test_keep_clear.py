@@ -10,6 +10,7 @@ import trimesh
 import tissue
 from meshes.base.errors import InputError
 from tissue.scene.load import parse_overrides
+from tissue.show.report.page import run_rows
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0
@@ -72,6 +73,17 @@ def test_the_distance_from_a_canal_in_a_block_is_that_of_a_ball_from_a_cylinder(
     assert found["first_breach_s"] == pytest.approx(
         run.trace["time_s"][exact_mm(run) < 0.0][0], abs=2e-3
     )
+
+
+def test_the_result_table_has_the_smallest_distance_and_the_simulated_volume(run):
+    rows = dict(run_rows(run.summary))
+    least = run.summary["keep_clear"]["canal"]["least_distance_mm"]
+    assert rows["smallest distance to canal"] == f"{least:.3g} mm"
+    (layer,) = run.summary["start_mm3"]
+    removed, start = run.summary["removed_mm3"][layer], run.summary["start_mm3"][layer]
+    assert rows[f"removed {layer}"] == f"{removed:.3g} of the simulated {start:.4g} mm³"
+    summary = run.summary | {"start_mm3": {layer: 0.0}}
+    assert f"removed {layer}" not in dict(run_rows(summary))
 
 
 def test_a_breach_is_an_event_with_its_depth(run):
