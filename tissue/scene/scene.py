@@ -101,8 +101,8 @@ class Voxels(Part):
     `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Distance to which bone is simulated around the tool on the scripted motion. A hand can lead the
-    tool beyond this distance. An event then reports that the tool left the simulated region.
+    """Distance to which bone is simulated around the tool on the scripted motion. A hand can lead
+    the tool beyond this distance. An event then reports that the tool left the simulated region.
     """
 
 
