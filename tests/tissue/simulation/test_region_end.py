@@ -40,24 +40,24 @@ def by_hand(folder, margin_mm):
     return tissue.simulate(scene, device=RecordedDevice(times, path))
 
 
-def told(run, words):
+def reported(run, words):
     return [event["what"] for event in run.summary["events"] if words in event["what"]]
 
 
 def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_nothing(tmp_path):
     run = by_hand(tmp_path, 0.5)
     assert run.trace["tool_z_mm"].min() < -5.0  # in the plate, below the end of the region
-    assert len(told(run, "left the simulated region")) == 1
-    assert told(run, "Use a voxels.margin_mm above 0.5")
-    assert not told(run, "breached") and not told(run, "broke through")
+    assert len(reported(run, "left the simulated region")) == 1
+    assert reported(run, "Use a voxels.margin_mm above 0.5")
+    assert not reported(run, "breached") and not reported(run, "broke through")
     assert "break_through" not in run.summary
     assert run.summary["keep_clear"]["plate"]["least_distance_mm"] > 0.0
 
 
 def test_in_a_larger_region_the_breach_is_reported(tmp_path):
     run = by_hand(tmp_path, 9.0)
-    assert not told(run, "left the simulated region")
-    assert told(run, "breached plate")
+    assert not reported(run, "left the simulated region")
+    assert reported(run, "breached plate")
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -80,8 +80,8 @@ def test_only_tissue_beyond_the_region_counts(known):
     for tip_mm, left in (
         ((0.0, 0.0, -0.3), False),  # inside
         ((0.0, 0.0, 3.0), False),  # above the block
-        ((0.9, 0.0, 0.3), False),  # beside the region, above the block
-        ((0.9, 0.0, -0.3), True),  # beside the region, in the block
+        ((0.9, 0.0, 0.3), False),  # next to the region, above the block
+        ((0.9, 0.0, -0.3), True),  # next to the region, in the block
     ):
         watch = RegionEnd(volume, cutter, margin_mm=3.0, tissue=whole)
         motion.tip_m[:] = 1e-3 * np.array(tip_mm)
