@@ -419,7 +419,8 @@ def _no_run(folder: Path) -> InputError:
         inside = sorted(each.parent for each in folder.glob("*/summary.json"))
         near = [each.name for each in folder.parent.iterdir()]
     except OSError:
-        inside = near = []
+        inside = []
+        near = []
     if inside:
         got = f"{folder}, which contains {len(inside)} runs"
         return InputError("run", "be the folder of one run", got, f"use {inside[0]}")
