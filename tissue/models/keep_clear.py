@@ -121,6 +121,7 @@ class KeepClear:
         self.notices = list[str]()
         self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
+        self._follows = True
         outline = filled(Outline, DEVICE, **vars(outline_table(profile)))
         medial = _medial(profile)
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
@@ -130,7 +131,7 @@ class KeepClear:
         for number, search in enumerate(self._structures):
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
-            if not placed:
+            if self._follows and not placed:
                 self._follow(self._breaches[number], distance_m)
         self._tick += 0 if placed else 1
 
@@ -172,6 +173,11 @@ class KeepClear:
             f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.3f} mm deep, {lasted_s:.3g} s long"
         )
         breach.began_s = None
+
+    def stop_reporting(self) -> None:
+        """Close all breaches, and record no further distance or breach."""
+        self.finish()
+        self._follows = False
 
     def finish(self) -> None:
         """Close the breaches that last to the end of the run."""

@@ -26,6 +26,7 @@ __all__ = [
     "Response",
     "SchedulesBackground",
     "StartsBackground",
+    "StopsReporting",
     "TissueModel",
     "ToolMotion",
     "WaitsForBackground",
@@ -190,6 +191,14 @@ class HasNotices(Protocol):
 
     notices: list[str]
     """Events, a sentence each; the loop removes them as it logs them."""
+
+
+@runtime_checkable
+class StopsReporting(Protocol):
+    """Object that reports events until the tool leaves the simulated region."""
+
+    def stop_reporting(self) -> None:
+        """Report no further events, and keep the present results."""
 
 
 @runtime_checkable

@@ -69,6 +69,9 @@ class Comparison:
     are_named
         Whether the user chose the names. Otherwise the legend of the figure shows the values that
         differ between the runs.
+    are_folders
+        Whether the names are those of folders that the user chose. The legend then shows the names
+        in addition to the values.
 
     Attributes
     ----------
@@ -83,7 +86,9 @@ class Comparison:
         Other obstacles to the comparison, a sentence each.
     """
 
-    def __init__(self, runs: Mapping[str, Run], *, are_named: bool = False) -> None:
+    def __init__(
+        self, runs: Mapping[str, Run], *, are_named: bool = False, are_folders: bool = False
+    ) -> None:
         if len(runs) < 2:
             raise InputError("compare", "be given at least two runs", len(runs), "name another run")
         self.runs = dict(runs)
@@ -91,6 +96,7 @@ class Comparison:
         self.scene_differences = _differences([run.scene for run in runs.values()])
         self.notes = list(_notes(self.runs))
         self._are_named = are_named
+        self._are_folders = are_folders
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
         """Return titles, and for each figure the values of all runs.
@@ -185,7 +191,11 @@ class Comparison:
         return overlay(curves, over=over, about_axis=cuts)
 
     def _labels(self) -> list[str]:
-        """Return names for a legend: the values of the keys that differ, if they are short."""
+        """Return texts for a legend.
+
+        The texts are the values of the keys that differ, or the names of the runs if the values are
+        long.
+        """
         if self._are_named:
             return list(self.runs)
         keys = {
@@ -197,6 +207,8 @@ class Comparison:
         for at in range(len(self.runs)):
             stated = [_stated(key, keys[key][at], self.scene_differences) for key in keys]
             labels.append(", ".join(stated))
+        if self._are_folders:
+            labels = [f"{name}: {label}" for name, label in zip(self.runs, labels, strict=True)]
         are_usable = len(set(labels)) == len(labels) and max(map(len, labels)) <= LONGEST_LABEL
         return labels if are_usable else list(self.runs)
 
@@ -329,7 +341,11 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
         raise InputError(
             "names", f"be {len(held)} different names, one for each run", called, "change the names"
         )
-    return Comparison(dict(zip(called, held, strict=True)), are_named=names is not None)
+    return Comparison(
+        dict(zip(called, held, strict=True)),
+        are_named=names is not None,
+        are_folders=all(run.path is not None for run in held),
+    )
 
 
 def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -318,6 +318,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
         is_pattern = kind == "string_pattern_mismatch"
         return "lower-case letters, digits, - and _" if is_pattern else "text"
     if get_origin(part) is tuple:
+        if get_args(part)[0] is str:
+            return "a list of names"
         if get_args(part)[-1] is Ellipsis:
             return "a list of at least two points [x, y, z]"
         limits = _bounds(getattr(get_args(part)[0], "__metadata__", ()))
@@ -385,6 +387,8 @@ def _toml(value: object) -> str:
     """Return a value in the form of a scene file."""
     if isinstance(value, Mapping):
         return f"{{ {', '.join(f'{name} = {shown(each)}' for name, each in value.items())} }}"
+    if isinstance(value, tuple) and all(isinstance(each, str) for each in value):
+        return f"[{', '.join(map(_toml, value))}]"
     return f'"{value}"' if isinstance(value, str) else shown(value)
 
 

@@ -58,6 +58,11 @@ ENTERED: dict[type[Part], str] = {
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
+def _as_list(value: object) -> object:
+    """Return a list that contains a single text; other values are unchanged."""
+    return [value] if isinstance(value, str) else value
+
+
 class KeepClear(Part):
     """Structures that the tool must not touch.
 
@@ -65,7 +70,9 @@ class KeepClear(Part):
     the run records an event (breach).
     """
 
-    names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
+    names: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(
+        (), strict=False, examples=[("canal",)]
+    )
     """Names of structures of the anatomy, such as a vertebra's canal. The distance is correct
     within 10 mm of the scripted motion. No safety margin is subtracted.
     """
@@ -99,7 +106,9 @@ class Voxels(Part):
     `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Thickness of the bone that is kept around the region that the tool can reach."""
+    """Distance to which bone is simulated around the tool on the scripted motion. A hand can lead
+    the tool beyond this distance. An event then reports that the tool left the simulated region.
+    """
 
 
 class Cutting(Part):

@@ -27,6 +27,7 @@ __all__ = [
     "bone_surface",
     "changed_box",
     "coarse_volume",
+    "cut_faces",
     "cut_out",
     "depth_map",
     "facing",
@@ -196,15 +197,32 @@ def cut_out(
         the bone itself ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
-    # The volume is rounded outward to whole bricks. 1.5 voxels allow for the rounding to whole
-    # voxels of other volumes. Where the volume ends before the requested corner, the bone itself
-    # ends. A face on the boundary of the volume is within 0.25 voxel of the boundary.
+    # A face on the boundary of the volume is within 0.25 voxel of the boundary.
     near = 0.25 * volume.spacing_m
-    for corner, asked, side in zip(volume.bounds_m, reach_m, (-1.0, 1.0), strict=True):
-        for axis in np.flatnonzero(side * (corner - asked) > -1.5 * volume.spacing_m):
-            along = np.asarray(surface.points)[:, axis] * 1e-3
-            cut |= (side * (along - corner[axis]) > -near)[surface.regular_faces].all(axis=1)
+    for axis, side in cut_faces(volume, reach_m):
+        corner = volume.bounds_m[max(side, 0)]
+        along = np.asarray(surface.points)[:, axis] * 1e-3
+        cut |= (side * (along - corner[axis]) > -near)[surface.regular_faces].all(axis=1)
     return cut
+
+
+def cut_faces(volume: VoxelVolume, reach_m: tuple[Array, Array]) -> list[tuple[int, int]]:
+    """Return the faces of a volume at which the voxels end inside bone.
+
+    A face is an axis, and -1 for the lower or 1 for the upper end. The arguments are those of
+    `cut_out`.
+    """
+    from kernels.bricks import BRICK
+
+    # The region is rounded up to whole bricks (blocks of voxels). Where the volume ends farther
+    # from the requested corner, the bone itself ends.
+    rounded_m = (BRICK + 0.5) * volume.spacing_m
+    return [
+        (int(axis), side)
+        for corner, asked, side in zip(volume.bounds_m, reach_m, (-1, 1), strict=True)
+        for axis in np.flatnonzero(np.abs(corner - asked) < rounded_m)
+        if volume.fraction.take(0 if side < 0 else -1, axis=axis).max() >= HALF
+    ]
 
 
 def _voxels(points_mm: Floats, volume: VoxelVolume) -> Array:

@@ -339,6 +339,9 @@ class Loop:
             (end - recorded) * 1e6,
         )
         self._take_notices(index * TICK_S)
+        end_of_region = self.parts.region_end
+        if end_of_region is not None and (left := end_of_region.check(index, stepper.tool)):
+            self.events.append((index * TICK_S, left))
         self.ticks = index + 1
         return row
 

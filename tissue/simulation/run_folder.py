@@ -11,6 +11,7 @@ from typing import Any
 
 from meshes.base.errors import InputError, is_file
 from meshes.base.file_limits import require_regular
+from meshes.base.hints import closest, did_you_mean
 from meshes.base.placement import Placement
 from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import package_version, require_version, whole_file, write_text
@@ -412,6 +413,25 @@ def summary_of(folder: Path) -> Summary:
     return _table_of(folder) or {}
 
 
+def _no_run(folder: Path) -> InputError:
+    """Return the error for a folder that holds no run."""
+    try:
+        inside = sorted(each.parent for each in folder.glob("*/summary.json"))
+        near = [each.name for each in folder.parent.iterdir()]
+    except OSError:
+        inside = []
+        near = []
+    if inside:
+        got = f"{folder}, which contains {len(inside)} runs"
+        return InputError("run", "be the folder of one run", got, f"use {inside[0]}")
+    if not folder.exists():
+        got = f"{folder}{did_you_mean(closest(folder.name, near))}"
+        return InputError("run", "be an existing folder", got, "check the path")
+    return InputError(
+        "run", "be a folder that `tissue run` wrote", folder, "give for example runs/glenoid"
+    )
+
+
 def read_summary(folder: Path) -> Summary:
     """Read the summary of a run and validate its version and entries.
 
@@ -422,9 +442,7 @@ def read_summary(folder: Path) -> Summary:
     """
     path = folder / "summary.json"
     if not is_file(path):
-        raise InputError(
-            "run", "be a folder that `tissue run` wrote", folder, "give for example runs/glenoid"
-        )
+        raise _no_run(folder)
     held = _table_of(folder)
     if not held:
         got = "something else" if held is None else "an empty one"

@@ -186,7 +186,9 @@ def simulate(
         )
         broke = []
         if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
-            broke = break_throughs(parts.volume, trace, radius_m=parts.cutter.profile.radius_m)
+            left = None if parts.region_end is None else parts.region_end.left_tick
+            valid = Table(trace.columns, trace.rows[:left], trace.layer_names)
+            broke = break_throughs(parts.volume, valid, radius_m=parts.cutter.profile.radius_m)
         through = [
             (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
         ]

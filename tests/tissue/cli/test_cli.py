@@ -109,7 +109,7 @@ from tissue.scene.load import scene_names
         ),
         (
             ("view", "runs"),
-            "run must be a folder that `tissue run` wrote, got runs. Give for example runs/glenoid",
+            "run must be an existing folder, got runs. Check the path",
         ),
     ],
 )

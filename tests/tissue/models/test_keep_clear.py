@@ -8,6 +8,9 @@ import tomli_w
 import trimesh
 
 import tissue
+from meshes.base.errors import InputError
+from tissue.scene.load import parse_overrides
+from tissue.show.report.page import run_rows
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0
@@ -72,8 +75,35 @@ def test_the_distance_from_a_canal_in_a_block_is_that_of_a_ball_from_a_cylinder(
     )
 
 
+def test_the_result_table_has_the_smallest_distance_and_the_simulated_volume(run):
+    rows = dict(run_rows(run.summary))
+    least = run.summary["keep_clear"]["canal"]["least_distance_mm"]
+    assert rows["smallest distance to canal"] == f"{least:.3g} mm"
+    (layer,) = run.summary["start_mm3"]
+    removed, start = run.summary["removed_mm3"][layer], run.summary["start_mm3"][layer]
+    assert rows[f"removed {layer}"] == f"{removed:.3g} of the simulated {start:.4g} mm³"
+    summary = run.summary | {"start_mm3": {layer: 0.0}}
+    assert f"removed {layer}" not in dict(run_rows(summary))
+
+
 def test_a_breach_is_an_event_with_its_depth(run):
     first, last = (event["what"] for event in run.summary["events"])
     assert first == "breached canal, which is to be kept clear of"
     depth = float(re.match(r"left canal: ([0-9.]+) mm deep", last)[1])
     assert 0.0 <= depth + exact_mm(run).min() < 0.01
+
+
+@pytest.mark.parametrize("text", ["[Pulp]", "Pulp", '["Pulp"]', "pulp,canal"])
+def test_a_name_that_the_anatomy_does_not_have_is_refused_with_its_names(text):
+    texts = ["stress=none", "voxels.spacing_mm=0.2", f"keep_clear.names={text}"]
+    scene = tissue.load_scene("molar", parse_overrides(texts))
+    words = r"keep_clear.names must be structures of the anatomy \(pulp\), got .*\. Use pulp, or"
+    with pytest.raises(InputError, match=words):
+        tissue.simulate(scene)
+
+
+def test_one_structure_needs_no_list():
+    (entry,) = parse_overrides(["keep_clear.names=pulp"]).items()
+    assert tissue.load_scene("molar", dict([entry])).keep_clear.names == ("pulp",)
+    with pytest.raises(InputError, match=r"must be a list of names, got 3\."):
+        tissue.load_scene("molar", {"keep_clear.names": 3})

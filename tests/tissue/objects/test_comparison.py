@@ -142,10 +142,19 @@ def legend(panels):
 def test_the_legend_states_what_differs(run, other):
     found = tissue.compare(run, other)
     assert legend(found.plot()) == [
-        "spacing 0.4 mm, feed 5 mm/s",
-        "spacing 0.5 mm, feed 9 mm/s",
+        "milling: spacing 0.4 mm, feed 5 mm/s",
+        "faster: spacing 0.5 mm, feed 9 mm/s",
     ]
     assert legend(tissue.compare(run, other, names=("a", "b")).plot()) == ["a", "b"]
+
+
+def test_the_legend_names_the_folders_of_saved_runs(other, tmp_path):
+    for name in ("p04", "p10"):
+        shutil.copytree(other.path, tmp_path / name)
+    two = [tissue.Run.load(tmp_path / name) for name in ("p04", "p10")]
+    found = tissue.compare(*two)
+    found.scene_differences = {"seed": (404, 610), "device.hand": ("novice", "expert")}
+    assert legend(found.plot()) == ["p04: seed 404, hand novice", "p10: seed 610, hand expert"]
 
 
 def test_keys_are_stated_in_words():

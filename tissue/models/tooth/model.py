@@ -86,6 +86,7 @@ class ToothModel(MilledTissue):
         self._reach_m = float(distance.max())
         # Infinite if the voxels hold no pulp.
         self._pulp_near = bool(np.isfinite(self._reach_m))
+        self._reports_pulp = True
         self.measure_names: tuple[str, ...] = ("dentin_over_pulp_mm",) if self._pulp_near else ()
         self._moves = slice(len(self.measure_names), len(self.measure_names) + 6)
         if stress is not None:
@@ -303,7 +304,7 @@ class ToothModel(MilledTissue):
 
         A trial pose is not measured.
         """
-        if not self._pulp_near:
+        if not (self._pulp_near and self._reports_pulp):
             return
         self.milling.take(motion)
         self._clearance()
@@ -311,6 +312,10 @@ class ToothModel(MilledTissue):
         self._report_pulp(float(np.minimum.reduce(self._nearest.host)))
         if self._response is not None:
             self._response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
+
+    def stop_reporting(self) -> None:
+        """Keep the smallest distance to the pulp, and report no exposure."""
+        self._reports_pulp = False
 
     def _report_pulp(self, near_m: float) -> None:
         """Update the smallest distance; report when it falls below a limit or reaches the pulp."""

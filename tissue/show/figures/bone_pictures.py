@@ -31,6 +31,7 @@ from tissue.simulation.bone_surface import (
     HALF,
     DepthMap,
     bone_surface,
+    cut_faces,
     cut_out,
     smooth_normals,
     with_depth,
@@ -130,10 +131,15 @@ class _View:
         if self.plane is None:
             return np.zeros(surface.n_cells, dtype=bool)
         axis, place = self.plane
-        near = np.abs(np.asarray(surface.points)[:, axis] - place) < 1e3 * self.volume.spacing_m
-        # within 26 degrees of the plane's normal: smoothed normals of the cut face are not exact
-        flat = np.abs(np.asarray(surface.point_data["Normals"])[:, axis]) > 0.9
-        return np.asarray((near & flat)[surface.regular_faces].all(axis=1))
+        points = np.asarray(surface.points)
+        triangles = surface.regular_faces
+        near = np.abs(points[:, axis] - place) < 1e3 * self.volume.spacing_m
+        # The bevel along the edge of the plane belongs to the plane. Smoothed normals differ there,
+        # so the normals of the triangles decide.
+        corners = points[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        flat = 2.0 * normals[:, axis] ** 2 > 0.99 * (normals**2).sum(axis=1)
+        return np.asarray(near[triangles].all(axis=1) & flat)
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
@@ -162,9 +168,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[
             after.regular_faces
         ].mean(axis=1)
-        # The box is the simulated region; the bone continues beyond it.
-        simulated_m = reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
-        carved[cut_out(after, volume, simulated_m)] = CUT_OUT
+        carved[cut_out(after, volume, _simulated_m(run))] = CUT_OUT
         opened = view.opened(after)
         carved[opened] = colours[after.cell_data["layer"][opened]]
         for surface in (before, after):
@@ -184,6 +188,11 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     )
     names = [f"{when}{opened}" for when in ("before", "after")]
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
+
+
+def _simulated_m(run: Run) -> tuple[Array, Array]:
+    """Return the corners of the simulated region, beyond which the bone continues [m]."""
+    return reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
 
 
 def _depth_paint(depth_mm: Singles, limit: float) -> Array:
@@ -226,9 +235,13 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
     chart = shaded.chart
     colours = layer_colours(volume.layer_names)
     present = np.unique(volume.layer[volume.fraction >= HALF])
+    kinds = {"not cut": BONE}
+    towards = shaded.cameras[0].towards_eye
+    if any(side * towards[axis] > 0.0 for axis, side in cut_faces(volume, _simulated_m(run))):
+        kinds["edge of the\nsimulated region"] = CUT_OUT
     named = (
         {volume.layer_names[index]: colours[volume.layer_names[index]] for index in present},
-        {"not cut": BONE, "edge of the\nsimulated region": CUT_OUT},
+        kinds,
     )
     for axes, legend in zip(shaded.panels, named, strict=True):
         # `foot` is the height below the panel, which the legends and the colour bar share
@@ -304,14 +317,14 @@ def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
     return float(u0), float(u1), float(v0), float(v1)
 
 
-def _fills(depth: DepthMap, shown: tuple[float, float, float, float]) -> bool:
-    """Return whether bone fills the shown extent [mm], so that its outline is not in the map."""
-    inside = []
-    ends = zip(depth.extent_mm[::2], depth.extent_mm[1::2], depth.bone.shape, strict=True)
-    for (low, high, count), first, last in zip(ends, shown[::2], shown[1::2], strict=True):
-        middle = low + (high - low) / count * (np.arange(count) + 0.5)
-        inside.append((middle > first) & (middle < last))
-    return bool(depth.bone[np.ix_(*inside)].all())
+def _within(depth: DepthMap, shown: tuple[float, float, float, float]) -> tuple[slice, slice]:
+    """Return the rows and columns of the map that lie in an extent along both axes [mm]."""
+    u0, u1, v0, v1 = depth.extent_mm
+    start = np.array([u0, v0])
+    edge = np.array([u1 - u0, v1 - v0]) / depth.depth_mm.shape
+    low = np.rint((np.array(shown[::2]) - start) / edge).astype(int)
+    high = np.rint((np.array(shown[1::2]) - start) / edge).astype(int)
+    return slice(low[0], high[0]), slice(low[1], high[1])
 
 
 @styled
@@ -353,7 +366,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     handles: list[Artist] = [
         Patch(facecolor=BONE, label="not cut", **EDGE),
     ]
-    if not _fills(depth, (u0, u1, v0, v1)):
+    if not depth.bone[_within(depth, (u0, u1, v0, v1))].all():
         label = "bone in the simulated region"
         handles.append(Line2D([], [], color="0.15", linewidth=1.0, label=label))
     for (name, mask), dashes in zip(depth.exposed.items(), cycle(EXPOSED), strict=False):

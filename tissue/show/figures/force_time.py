@@ -204,7 +204,7 @@ def _draw_components(
 
 
 def _draw_path(axes: "Axes", run: Run) -> None:
-    """Draw the tip position along the tool's axis, and shade the layer at the tip."""
+    """Draw the tip position along the tool's axis, and shade the layer of largest contact."""
     trace = run.trace
     time = trace["time_s"]
     turned = tool_axes(tool_turns(trace))
@@ -216,7 +216,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
         if name == NO_LAYER:
             continue
         # one legend entry for each layer
-        label = "" if name in named else f"tip in {name}".replace("$", r"\$")
+        label = "" if name in named else f"largest contact: {name}".replace("$", r"\$")
         end = time[min(last, len(time) - 1)]
         axes.axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0, label=label)
         named.add(name)
@@ -304,7 +304,8 @@ def draw_played(run: Run, path: Path) -> None:
     # the line of the limit far above the forces would flatten them
     if sizes["device_force"].max() > 0.5 * limit_N:
         label = f"largest force of the {held.kind}, {limit_N:g} N"
-        panels[0].axhline(limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)), label=label)
+        # solid, because the commanded force is dashed
+        panels[0].axhline(limit_N, color="0.2", linewidth=1.0, label=label)
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
     panels[1].set_title("the steepest moment, grey above", loc="left")
     apart = np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0)

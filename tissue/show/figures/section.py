@@ -303,7 +303,7 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
         Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"),
         Line2D([], [], label="tool", **TOOL),
-        Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
+        Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)"),
     ]
     if borders:
         label = "edges of the layers that are left"

@@ -118,7 +118,7 @@ HIDDEN = ("tool_q", "device_q")
 
 
 def columns(trace: Table) -> Record:
-    """Return all columns of the trace that vary, and the layer at the tip, for the browser."""
+    """Return the columns of the trace that vary, and the layer of largest contact."""
     varying = [
         name
         for name in trace.columns

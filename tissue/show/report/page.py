@@ -65,10 +65,17 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     tick = summary["tick_us"]
     rows = [("simulated", f"{summary['simulated_s']:g} s")]
     if summary["cuts"]:
+        start = summary["start_mm3"]
         rows += [
-            (f"removed {layer}", f"{removed:.3g} of {summary['start_mm3'][layer]:.4g} mm³")
+            # The rest of the bone is not simulated, so its volume is not known.
+            (f"removed {layer}", f"{removed:.3g} of the simulated {start[layer]:.4g} mm³")
             for layer, removed in summary["removed_mm3"].items()
+            if start[layer] > 0.0
         ]
+    rows += [
+        (f"smallest distance to {name}", f"{each['least_distance_mm']:.3g} mm")
+        for name, each in summary.get("keep_clear", {}).items()
+    ]
     return [
         *rows,
         (

@@ -35,6 +35,7 @@ from tissue.simulation.builders.parts import (
     require_touch,
     w_first_notice,
 )
+from tissue.simulation.builders.region_end import region_end
 from tissue.simulation.builders.voxels import structures, volume_of
 
 if TYPE_CHECKING:
@@ -157,6 +158,7 @@ def milled(
         notes=notes,
         keep_clear=clear,
     )
+    parts.region_end = region_end(scene, parts)
     file = recorded_file(scene)
     if file and (notice := w_first_notice(volume, cutter, motion, file)):
         parts.events.append((0.0, notice))

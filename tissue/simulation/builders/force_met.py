@@ -212,7 +212,10 @@ def chosen_scale(scene: Scene) -> ForceScale:
     at_device = Met(met.force_N, motion_scale * met.stiffness_N_m, met.depth_m / motion_scale)
     series = Series.of(limits, scene.constants)
     factor = scale_for(at_device, limits, series)
-    why = f", chosen for the {met.force_N:.3g} N that the script meets at most"
+    why = (
+        f", chosen for a largest force of {met.force_N:.3g} N on the scripted motion, "
+        "which depends on path and feed"
+    )
     if not met.stiffness_N_m > 0.0:
         return ForceScale(factor, why)
     d_prime = series.sensitivity(at_device, factor)

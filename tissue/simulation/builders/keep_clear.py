@@ -11,6 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
+from meshes.base.text_tables import shown
 from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
@@ -59,11 +60,12 @@ def keep_clear(
     found: dict[str, Structure] = {}
     for name in wanted.names:
         if name not in shapes:
+            use = f"use {next(iter(shapes))}, or " if shapes else ""
             raise InputError(
                 "keep_clear.names",
                 f"be structures of the anatomy ({', '.join(shapes) or 'none'})",
-                name,
-                "give its surface in [keep_clear.files]",
+                shown(name),
+                f"{use}give its surface in [keep_clear.files]",
             )
         report(f"meshing the surface of {name}", 0.0)
         distances[name] = shapes[name].distance

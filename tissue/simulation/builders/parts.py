@@ -18,6 +18,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.fem.fields import FieldSeries
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
+from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
 from tissue.motion.drilling_recording import RECORDINGS, SHAFT_TO_X
@@ -88,6 +89,8 @@ class Parts:
     keep_clear
         Measurement of the tool's distance from structures that it must not touch; None if the scene
         names no structure.
+    region_end
+        Watch on a tool that can leave the simulated region; None for a scripted motion.
     """
 
     motion: Motion
@@ -97,6 +100,7 @@ class Parts:
     placement: Placement | None = None
     notes: dict[str, str] = field(default_factory=dict)
     keep_clear: KeepClear | None = None
+    region_end: RegionEnd | None = None
     events: Events = field(default_factory=list)
 
     @property

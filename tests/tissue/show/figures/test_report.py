@@ -11,9 +11,12 @@ from tissue.show.figures import draw_pictures
 from tissue.simulation.bone_files import write_bone
 from tissue.simulation.bone_surface import (
     bone_surface,
+    cut_faces,
+    cut_out,
     depth_map,
     smooth_normals,
 )
+from tissue.simulation.builders.parts import reach
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -53,6 +56,16 @@ def _ball(radius: float, spacing: float) -> VoxelVolume:
         np.full(fraction.shape, 1800, np.uint16),
         ("bone",),
     )
+
+
+def test_bone_ends_at_the_faces_of_the_region_but_not_above(run):
+    volume = run.parts.volume
+    region = reach(run.cutter, run.parts.motion, 1e-3 * run.scene.voxels.margin_mm)
+    faces = cut_faces(volume, region)
+    assert (2, -1) in faces and (2, 1) not in faces
+    surface = bone_surface(volume, volume.fraction)
+    low = surface.points[surface.regular_faces][cut_out(surface, volume, region)].reshape(-1, 3)
+    assert np.isclose(low[:, 2].min(), 1e3 * volume.bounds_m[0][2], atol=0.25 * SPACING_MM)
 
 
 def test_voxels_read_back_in_millimetres(run, folder):

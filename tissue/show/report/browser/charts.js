@@ -67,7 +67,7 @@ function makeCharts(trace, charts, events, moment) {
         const key = head.appendChild(document.createElement("span"));
         key.className = "key fill";
         key.style.setProperty("--key", colour);
-        key.textContent = `in ${name}`;
+        key.textContent = `largest contact: ${name}`;
       });
     }
     const svg = element("svg", { height: chart.tall ? 220 : 130 }, box);

@@ -60,7 +60,7 @@ class Readings:
     device_N
         Magnitude of the force that the device plays [N]; None if there is no device.
     layer
-        Name of the layer at the tool, such as ``dentin``.
+        Name of the layer with the largest contact area, such as ``dentin``.
     numbers
         Values of the columns `NUMBERS`, keyed by name.
     """

@@ -1,0 +1,89 @@
+"""A hand that leads the tool out of the simulated region, compared with a larger region."""
+
+import numpy as np
+import pytest
+import tomli_w
+import trimesh
+
+import tissue
+from meshes.shapes.sdf import box
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.models.bone.region_end import RegionEnd
+from tissue.models.tissue_model import ToolMotion
+
+BLOCK = {
+    "name": "block",
+    "anatomy": {"kind": "block", "size_mm": [8.0, 8.0, 10.0]},
+    "voxels": {"spacing_mm": 0.3},
+    "tool": {"kind": "ball-burr", "diameter_mm": 2.0, "spin_rpm": 40000.0},
+    "motion": {"kind": "path", "points_mm": [[0, 0, 1], [0, 0, -1]], "feed_mm_s": 20.0},
+    "device": {"kind": "touch", "coupling": {"stiffness_N_m": 300.0, "force_scale": 0.01}},
+    "keep_clear": {"files": {"plate": "plate.stl"}},
+    "duration_s": 0.5,
+}
+DEPTH_MM = 7.0
+"""Depth to which the hand moves; the path has 1 mm."""
+
+
+def by_hand(folder, margin_mm):
+    plate = trimesh.creation.box((20.0, 20.0, 1.0))
+    plate.apply_translation([0.0, 0.0, -5.5])
+    plate.export(folder / "plate.stl")
+    (folder / "scene.toml").write_text(tomli_w.dumps(BLOCK))
+    scene = tissue.load_scene(folder / "scene.toml", {"voxels.margin_mm": margin_mm})
+    times = 1e-3 * np.arange(501)
+    path = np.zeros((501, 3))
+    path[:, 2] = 1e-3 * np.interp(times, [0.0, 0.45], [1.0, -DEPTH_MM])
+    return tissue.simulate(scene, device=RecordedDevice(times, path))
+
+
+def reported(run, words):
+    return [event["what"] for event in run.summary["events"] if words in event["what"]]
+
+
+def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_nothing(tmp_path):
+    run = by_hand(tmp_path, 0.5)
+    assert run.trace["tool_z_mm"].min() < -5.0  # in the plate, below the end of the region
+    assert len(reported(run, "left the simulated region")) == 1
+    assert reported(run, "Use a voxels.margin_mm above 0.5")
+    assert not reported(run, "breached") and not reported(run, "broke through")
+    assert "break_through" not in run.summary
+    assert run.summary["keep_clear"]["plate"]["least_distance_mm"] > 0.0
+
+
+def test_in_a_larger_region_the_breach_is_reported(tmp_path):
+    run = by_hand(tmp_path, 9.0)
+    assert not reported(run, "left the simulated region")
+    assert reported(run, "breached plate")
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_only_tissue_beyond_the_region_counts(known):
+    """Half a block, whose right half lies beyond the region; known exactly, or by its voxels."""
+    shape = (20, 20, 20)
+    fraction = np.full(shape, 255, np.uint8)
+    fraction[:, :, 10:] = 0  # air from z = 0
+    volume = VoxelVolume(
+        np.full(3, -1e-3),
+        1e-4,
+        fraction,
+        np.zeros(shape, np.uint8),
+        np.full(shape, 1800.0, np.uint16),
+        ("bone",),
+    )
+    whole = box((4e-3, 2e-3, 1e-3), (1e-3, 0.0, -0.5e-3)) if known else None
+    cutter = Cutter(ball_burr(diameter_m=5e-4), 6, 1000.0)
+    motion = ToolMotion()
+    for tip_mm, left in (
+        ((0.0, 0.0, -0.3), False),  # inside
+        ((0.0, 0.0, 3.0), False),  # above the block
+        ((0.9, 0.0, 0.3), False),  # next to the region, above the block
+        ((0.9, 0.0, -0.3), True),  # next to the region, in the block
+    ):
+        watch = RegionEnd(volume, cutter, margin_mm=3.0, tissue=whole)
+        motion.tip_m[:] = 1e-3 * np.array(tip_mm)
+        assert bool(watch.check(0, motion)) == left
+        assert watch.check(1, motion) == ""
