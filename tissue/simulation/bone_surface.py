@@ -212,15 +212,14 @@ def cut_faces(volume: VoxelVolume, reach_m: tuple[Array, Array]) -> list[tuple[i
     A face is an axis, and -1 for the lower or 1 for the upper end. The arguments are those of
     `cut_out`.
     """
-    from kernels.bricks import BRICK
-
-    # The region is rounded up to whole bricks (blocks of voxels). Where the volume ends farther
-    # from the requested corner, the bone itself ends.
-    rounded_m = (BRICK + 0.5) * volume.spacing_m
+    # The region is rounded outward to whole bricks (blocks of voxels). 1.5 voxels allow for the
+    # rounding to whole voxels of other volumes. Where the volume ends before the requested corner,
+    # the bone itself ends.
+    rounded_m = 1.5 * volume.spacing_m
     return [
         (int(axis), side)
         for corner, asked, side in zip(volume.bounds_m, reach_m, (-1, 1), strict=True)
-        for axis in np.flatnonzero(np.abs(corner - asked) < rounded_m)
+        for axis in np.flatnonzero(side * (corner - asked) > -rounded_m)
         if volume.fraction.take(0 if side < 0 else -1, axis=axis).max() >= HALF
     ]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshes.voxels.volume import VoxelVolume
-from tissue.show.figures.bone_pictures import _fills
+from tissue.show.figures.bone_pictures import _within
 from tissue.simulation.bone_surface import DepthMap, bone_surface, cut_out
 
 SIDE = 16
@@ -25,9 +25,9 @@ def test_faces_at_the_end_of_whole_bricks_are_cut_out(voxels_inside, is_cut):
     assert (share > 0.5) if is_cut else (share == 0.0)
 
 
-def test_the_outline_of_bone_is_in_the_legend_only_if_it_is_in_the_map():
+def test_the_outline_of_bone_is_looked_for_in_the_shown_part_of_the_map():
     bone = np.ones((10, 10), bool)
     bone[0] = False
     depth = DepthMap(2, 1, (0, 1), (0.0, 10.0, 0.0, 10.0), np.zeros((10, 10)), bone, bone, {})
-    assert not _fills(depth, depth.extent_mm)
-    assert _fills(depth, (2.0, 10.0, 0.0, 10.0))
+    assert not bone[_within(depth, depth.extent_mm)].all()
+    assert bone[_within(depth, (2.0, 10.0, 0.0, 10.0))].all()
