@@ -30,6 +30,7 @@ from ridge import Ridge, ridge_weights
 
 from meshes.base.errors import InputError
 from tissue.evaluation.training import Recorder, Recording, trial
+from tissue.haptics.device.device import device_parameters
 from tissue.prediction.guard import Guarded
 from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.online import AdaptivePath
@@ -97,6 +98,8 @@ def scores(
     """
     kept, trained = Kept.read(path), Trained.read(shipped_file(variant.name), scene=variant.name)
     one = trial(variant, kept.run.seed, delay_ms=RECORDED_MS, share=share)
+    step_m = device_parameters(one.held.kind, one.constants).encoder_step_m
+    trained = trained.at_step(step_m)
     same = sorted(path.parent.glob(f"{variant.name}-same-*.pickle"))
     others = [Kept.read(each).run for each in same[: RIDGE_RUNS + 1]]
     others = [run for run in others if run.seed != kept.run.seed]
@@ -107,7 +110,7 @@ def scores(
         if kind == RIDGE:
             return Ridge(weights)
         if kind == NEVER_TRAINED:
-            path = AdaptivePath(general_operator(without=variant.name))
+            path = AdaptivePath(general_operator(without=variant.name, step_m=step_m))
             return Guarded(LookAhead(path, slopes="given"), Hold(), reach_N=FORCE_LIMIT_N)
         return trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
 

@@ -15,6 +15,7 @@ from meshes.base.progress import Progress, silent
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import OBSERVER_MEMORY, VELOCITY_MEMORY, ConstantAcceleration
@@ -29,7 +30,7 @@ from tissue.prediction.delays import (
     coordinates,
 )
 from tissue.prediction.predictor import Contact, Predictor, SeesContact
-from tissue.prediction.trained import VALIDATED_AT, Trained
+from tissue.prediction.trained import FINE_STEP_M, VALIDATED_AT, Trained
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.load import changed
 from tissue.scene.registry import GROUPS, PREDICTORS
@@ -192,8 +193,10 @@ class Recorder:
         self._cores = cores
         self._organ: Parts | None = None
 
-    def record(self, scene: Scene) -> Recording:
+    def record(self, scene: Scene, *, encoder_step_m: float | None = None) -> Recording:
         """Run a scene by its hand.
+
+        The simulated device has the encoder steps of its parameters, unless others are given [m].
 
         Raises
         ------
@@ -203,6 +206,10 @@ class Recorder:
         parts = self._parts(scene)
         motion = parts.motion
         assert isinstance(motion, HandMotion)
+        if encoder_step_m is not None:
+            device = motion.device
+            assert isinstance(device, SimulatedDevice)
+            device.parameters = replace(device.parameters, encoder_step_m=encoder_step_m)
         begin = motion.sweep_m()[0]
         rows, contact, took = _run(
             motion, parts.tissue, round((scene.duration_s or motion.duration_s) / TICK_S)
@@ -355,19 +362,36 @@ def train(
             "trials", f"be from {LEAST_TRIALS} to {MOST_TRIALS}", trials, f"use {TRIALS}"
         )
     recorder = Recorder(cores=cores)
-    runs = []
+    device = device_parameters(trial(scene, 0).held.kind, scene.constants)
+
+    def is_kept(index: int) -> bool:
+        """Return True if a trial is used for training."""
+        return index % HELD_OUT != HELD_OUT - 1
+
+    def recorded(index: int, encoder_step_m: float) -> Recording:
+        """Record a trial."""
+        one = trial(scene, index)
+        run = recorder.record(one, encoder_step_m=encoder_step_m)
+        if not run.contact[0].cuts:
+            run = replace(run, ideal_N=recorder.ideal_force_N(one, run))
+        return run
+
+    runs, fine = [], []
     for index in range(trials):
         # fit and validation count as two more trials
         progress(f"running trial {index + 1} of {trials}", index / (trials + 2))
-        one = trial(scene, index)
-        run = recorder.record(one)
-        if not run.contact[0].cuts:
-            run = replace(run, ideal_N=recorder.ideal_force_N(one, run))
-        runs.append(run)
+        runs.append(recorded(index, device.encoder_step_m))
+        if device.encoder_step_m > FINE_STEP_M and is_kept(index):
+            fine.append(recorded(index, FINE_STEP_M))
     progress("fitting", trials / (trials + 2))
-    kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
-    limit = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
+    kept = [run for index, run in enumerate(runs) if is_kept(index)]
+    limit = device.force_limit_N
     trained = with_fallback(fit(scene.name, kept), kept, limit)
+    trained = replace(
+        trained,
+        step_m=device.encoder_step_m,
+        fine=fit(scene.name, fine).operator if fine else None,
+    )
     trained.facts["command"] = f"tissue train {scene.name} --trials {trials}"
     progress("validating", (trials + 1) / (trials + 2))
     return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], limit)

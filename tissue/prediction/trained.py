@@ -1,8 +1,9 @@
 """Trained predictors of a scene, and their file of arrays and one line of JSON."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
@@ -17,7 +18,14 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
 from tissue.prediction.delays import COORDINATES, DELAYS, HORIZON, DelayOperator, Moments
 
-__all__ = ["VALIDATED_AT", "Trained", "general_operator", "is_trained", "shipped_file"]
+__all__ = [
+    "FINE_STEP_M",
+    "VALIDATED_AT",
+    "Trained",
+    "general_operator",
+    "is_trained",
+    "shipped_file",
+]
 
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that are part of the package, one file for each scene."""
@@ -27,8 +35,14 @@ VALIDATED_AT = 6
 The value is the horizon for 4 ms of latency. On a Touch, this horizon is 6.11 ticks including the
 path to the motor, see `tissue.simulation.builders.loop.lead_ticks`.
 """
+FINE_STEP_M = 1e-5
+"""Encoder step of the second operator [m].
+
+It is the step of the finest devices whose errors of prediction were measured. For smaller steps,
+the second operator is used.
+"""
 FORMAT = "tissue predictor"
-VERSION = 4
+VERSION = 5
 """Version of the file."""
 SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 * HORIZON)}
 """Shapes of the arrays of a file, the moments in `tissue.prediction.delays.Moments`."""
@@ -44,6 +58,12 @@ class Trained:
         Name of the scene.
     operator
         Delay operator of displacement and stretch of an axis [m], see `tissue.prediction.delays`.
+        It was trained with the encoder steps of the device.
+    step_m
+        Encoder step of the device in training [m].
+    fine
+        Operator of the same trials with encoder steps of `FINE_STEP_M`. None if `step_m` is not
+        larger.
     fallback
         Name of the predictor that is used outside the training range. It is the best predictor
         without an operator.
@@ -53,8 +73,28 @@ class Trained:
 
     scene: str
     operator: DelayOperator
+    step_m: float = FINE_STEP_M
+    fine: DelayOperator | None = None
     fallback: str = "hold"
     facts: dict[str, Any] = field(default_factory=dict)
+
+    def at_step(self, step_m: float) -> "Trained":
+        """Return the predictors for a device with other encoder steps [m].
+
+        The moments are interpolated linearly over the step q. A displacement d that is shorter than
+        a step is read as q with a probability of d / q, so that its mean square is d q. Outside the
+        steps in training, the nearest operator is used.
+        """
+        fine = self.fine
+        if fine is None or step_m >= self.step_m:
+            return self
+        share = (max(step_m, FINE_STEP_M) - FINE_STEP_M) / (self.step_m - FINE_STEP_M)
+        ends = ((share, self.operator.moments), (1.0 - share, fine.moments))
+        moments = Moments(
+            *(sum(part * getattr(each, key) for part, each in ends) for key in SHAPES)
+        )
+        growth = max(self.operator.growth, fine.growth)
+        return replace(self, operator=DelayOperator(moments, growth), fine=None)
 
     def loses(self, kind: str, other: str) -> bool:
         """Return True if ``other`` had a smaller error than ``kind`` in validation.
@@ -81,8 +121,12 @@ class Trained:
         require_new_file(path, overwrite=overwrite)
         if not path.parent.is_dir():
             raise InputError("file", "lie in a folder that exists", path, f"create {path.parent}")
-        moments = self.operator.moments
-        stored = {key: getattr(moments, key) for key in SHAPES}
+        operators = {"": self.operator} | ({"fine_": self.fine} if self.fine else {})
+        stored = {
+            prefix + key: getattr(each.moments, key)
+            for prefix, each in operators.items()
+            for key in SHAPES
+        }
         whole = {
             "format": FORMAT,
             "version": VERSION,
@@ -90,7 +134,8 @@ class Trained:
             "scene": self.scene,
             "delays": DELAYS,
             "header": {
-                "growth": self.operator.growth,
+                "growth": {prefix: each.growth for prefix, each in operators.items()},
+                "step_m": self.step_m,
                 "fallback": self.fallback,
                 "facts": self.facts,
             },
@@ -130,10 +175,22 @@ class Trained:
                 )
             if tuple(whole["delays"]) != DELAYS:
                 raise InputError(what, "have the delays of this version", path, again)
-            moments = Moments(**{key: _checked(key, held[key]) for key in SHAPES})
             header = whole["header"]
-            operator = DelayOperator(moments, float(header["growth"]))
-            return cls(whole["scene"], operator, header["fallback"], header["facts"])
+            operators = {
+                prefix: DelayOperator(
+                    Moments(**{key: _checked(key, held[prefix + key]) for key in SHAPES}),
+                    float(growth),
+                )
+                for prefix, growth in header["growth"].items()
+            }
+            return cls(
+                whole["scene"],
+                operators[""],
+                float(header["step_m"]),
+                operators.get("fine_"),
+                header["fallback"],
+                header["facts"],
+            )
         except InputError:
             raise
         except Exception as problem:  # a damaged archive raises many kinds of errors
@@ -170,13 +227,14 @@ def is_trained(scene: str, file: str = "") -> bool:
 
 
 @cache
-def general_operator(*, without: str = "") -> DelayOperator:
+def general_operator(*, without: str = "", step_m: float = inf) -> DelayOperator:
     """Return the operator fitted to the training data of all built-in predictors.
 
-    Every scene has the same weight. The data of the scene ``without`` are left out.
+    Every scene has the same weight. The data of the scene ``without`` are left out. ``step_m`` is
+    the encoder step of the device; by default, it is the step of the devices in training.
     """
     operators = [
-        Trained.read(path).operator
+        Trained.read(path).at_step(step_m).operator
         for path in sorted(SHIPPED.glob("*.npz"))
         if path.stem != without
     ]

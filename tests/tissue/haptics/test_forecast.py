@@ -44,7 +44,8 @@ class Control(Hold):
 
 def bare(kind):
     """A predictor without the guard that may hand over to another."""
-    found = maker_of(kind, scene_name="wall", file="", force_limit_N=3.3)()
+    made = maker_of(kind, scene_name="wall", file="", force_limit_N=3.3, encoder_step_m=5.5e-5)
+    found = made()
     return getattr(found, "inner", found)
 
 

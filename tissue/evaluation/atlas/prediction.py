@@ -342,6 +342,7 @@ class TrainedElsewhere(Page):
                     scene_name="molar",
                     file=str(path),
                     force_limit_N=SIX_DOF.force_limit_N,
+                    encoder_step_m=SIX_DOF.encoder_step_m,
                 )(),
             )
         # none of the seeds of `recordings`

@@ -106,7 +106,9 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     """
     file = scene.predictor_file
     trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
-    limit_N = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
+    device = device_parameters(trial(scene, 0).held.kind, scene.constants)
+    limit_N = device.force_limit_N
+    trained = trained.at_step(device.encoder_step_m)
     recorder = Recorder()
     steps = trials + len(PREDICTORS)
 

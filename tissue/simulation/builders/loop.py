@@ -130,6 +130,7 @@ class LoopSettings:
             scene_name=self.scene_name,
             file=self.coupling.predictor_file,
             force_limit_N=self.limits.force_limit_N,
+            encoder_step_m=self.limits.encoder_step_m,
         )
 
     def predictor(self) -> Predictor | None:

@@ -47,7 +47,7 @@ Nine in ten people have a larger threshold.
 
 
 def maker_of(
-    kind: str, *, scene_name: str, file: str, force_limit_N: float
+    kind: str, *, scene_name: str, file: str, force_limit_N: float, encoder_step_m: float
 ) -> Callable[[], Predictor]:
     """Return a function that makes new predictors for a scene's device.
 
@@ -65,6 +65,8 @@ def maker_of(
     force_limit_N
         Largest force of the device. The difference between a prediction and the current force is
         limited to this value.
+    encoder_step_m
+        Encoder step of the device [m].
 
     Raises
     ------
@@ -78,13 +80,21 @@ def maker_of(
         known = is_trained(scene_name, file)
         if not (PREDICTORS[kind].trained or (kind == ADAPTIVE and known)):
             return None
-        return Trained.read(Path(file) if file else shipped_file(scene_name), scene=scene_name)
+        found = Trained.read(Path(file) if file else shipped_file(scene_name), scene=scene_name)
+        return found.at_step(encoder_step_m)
 
-    return lambda: trained_predictor(kind, trained(), force_limit_N=force_limit_N)
+    return lambda: trained_predictor(
+        kind, trained(), force_limit_N=force_limit_N, encoder_step_m=encoder_step_m
+    )
 
 
-def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: float) -> Predictor:
+def trained_predictor(
+    kind: str, trained: Trained | None, *, force_limit_N: float, encoder_step_m: float = inf
+) -> Predictor:
     """Return a predictor under its guard, from its name in `PREDICTORS` and trained parameters.
+
+    The encoder step of the device [m] chooses the operator of `koopman-online` without trained
+    parameters. By default, it is the step of the devices in training.
 
     Raises
     ------
@@ -112,7 +122,9 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
             # The operator brought no improvement on the validation data.
             return fallback
     if kind == ADAPTIVE:
-        path: DelayPath = AdaptivePath(general_operator() if trained is None else trained.operator)
+        path: DelayPath = AdaptivePath(
+            general_operator(step_m=encoder_step_m) if trained is None else trained.operator
+        )
     else:
         assert trained is not None
         path = DelayPath(trained.operator)
