@@ -368,12 +368,13 @@ def energy_note(
         material = CUT_AS.get(layer, bone)
         found = constants.layer_constants(layer, bone=bone)
         energy = found[ENERGY]
-        # the energy depends on these two quantities only if their exponents are not zero
+        # the energy depends on these two quantities only with an exponent that is not zero
+        values = {name: each.value for name, each in found.items()}
         at = []
-        if found["density_exponent"].value:
-            at.append(f"{found['reference_density_kg_m3'].value:g} kg/m3")
-        if found["size_exponent"].value:
-            at.append(f"a chip of {found['reference_chip_um'].value:g} µm")
+        if values.get("density_exponent"):
+            at.append(f"{values['reference_density_kg_m3']:g} kg/m3")
+        if values.get("size_exponent"):
+            at.append(f"a chip of {values['reference_chip_um']:g} µm")
         where = f" at {' and '.join(at)}" if at else ""
         known = [
             name for name in (layer, material) if f"cutting.{name}.{ENERGY}" in constants.given
