@@ -363,10 +363,7 @@ def train(
         )
     recorder = Recorder(cores=cores)
     device = device_parameters(trial(scene, 0).held.kind, scene.constants)
-
-    def is_kept(index: int) -> bool:
-        """Return True if a trial is used for training."""
-        return index % HELD_OUT != HELD_OUT - 1
+    held_out = range(HELD_OUT - 1, trials, HELD_OUT)
 
     def recorded(index: int, encoder_step_m: float) -> Recording:
         """Record a trial."""
@@ -381,20 +378,17 @@ def train(
         # fit and validation count as two more trials
         progress(f"running trial {index + 1} of {trials}", index / (trials + 2))
         runs.append(recorded(index, device.encoder_step_m))
-        if device.encoder_step_m > FINE_STEP_M and is_kept(index):
+        if device.encoder_step_m > FINE_STEP_M and index not in held_out:
             fine.append(recorded(index, FINE_STEP_M))
     progress("fitting", trials / (trials + 2))
-    kept = [run for index, run in enumerate(runs) if is_kept(index)]
+    kept = [run for index, run in enumerate(runs) if index not in held_out]
     limit = device.force_limit_N
-    trained = with_fallback(fit(scene.name, kept), kept, limit)
-    trained = replace(
-        trained,
-        step_m=device.encoder_step_m,
-        fine=fit(scene.name, fine).operator if fine else None,
-    )
+    other = fit(scene.name, fine).operator if fine else None
+    trained = replace(fit(scene.name, kept), step_m=device.encoder_step_m, fine=other)
+    trained = with_fallback(trained, kept, limit)
     trained.facts["command"] = f"tissue train {scene.name} --trials {trials}"
     progress("validating", (trials + 1) / (trials + 2))
-    return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], limit)
+    return validated(trained, [runs[index] for index in held_out], limit)
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
