@@ -60,8 +60,9 @@ def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
 def fingerprint(*parts: object) -> str:
     """Return a short text that is equal for equal parts, in another process too.
 
-    Parts are numbers, texts, arrays, tables of a scene, dataclasses, and collections of these. An
-    absolute path stands for the content of its file. Only the class of other objects is used.
+    Parts are numbers, texts, arrays, tables of a scene, dataclasses, and collections of these.
+    Numbers are equal whatever their type. An absolute path stands for the content of its file or
+    folder. Only the class of other objects is used.
     """
     digest = blake2b(digest_size=16)
     for known in _plain(parts):
@@ -81,6 +82,7 @@ def _plain(part: object) -> Iterator[bytes]:
         yield f"{part.dtype}{part.shape}".encode()
         yield np.ascontiguousarray(part).tobytes()
     elif isinstance(part, Mapping):
+        yield str(len(part)).encode()
         for name in sorted(part):
             yield str(name).encode()
             yield from _plain(part[name])
@@ -89,16 +91,19 @@ def _plain(part: object) -> Iterator[bytes]:
         for each in part:
             yield from _plain(each)
     elif isinstance(part, str) and Path(part).is_absolute():
-        yield _content(Path(part))
-    elif part is None or isinstance(part, bool | int | float | str | np.generic):
-        yield repr(part).encode()
+        yield from _contents(Path(part))
+    elif isinstance(part, int | float | np.number):
+        # 4 and 4.0 are equal arguments
+        yield repr(float(part)).encode()
+    elif part is None or isinstance(part, str):
+        yield str(part).encode()
     else:
         yield type(part).__qualname__.encode()
 
 
-def _content(path: Path) -> bytes:
-    """Return the checksum of a file; the same text for all folders."""
-    if not path.is_file():
-        return b"folder"
-    with path.open("rb") as file:
-        return file_digest(file, "blake2b").digest()
+def _contents(path: Path) -> Iterator[bytes]:
+    """Return the checksums of a file, or of the files directly in a folder."""
+    for each in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if each.is_file():
+            with each.open("rb") as file:
+                yield file_digest(file, "blake2b").digest()

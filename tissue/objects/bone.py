@@ -68,12 +68,15 @@ class BoneSource:
         Notes on findings and assumptions, keyed by subject.
     density_kg_m3
         Density of a bone with a single density [kg/m3]; None for other bones.
+    made_from
+        Shape and densities of a bone whose voxels are made only where a tool comes near.
     """
 
     voxels: "Callable[[], VoxelVolume | BricksOnDemand]"
     outer: "Callable[[], pyvista.PolyData] | None" = None
     notes: Mapping[str, str] = field(default_factory=dict)
     density_kg_m3: float | None = None
+    made_from: tuple[object, ...] = ()
 
 
 @suggests_arguments
@@ -198,7 +201,9 @@ class Bone:
             )
 
         source = _anatomy_source(anatomy, spacing_mm=spacing_mm, outer=outer)
-        return cls(source, **options)
+        densities = (cortical_thickness_mm, cortical_density_kg_m3, trabecular_density_kg_m3)
+        made_from = (surface.vertices_m, surface.faces, *densities)
+        return cls(replace(source, made_from=made_from), **options)
 
     @classmethod
     def block(
@@ -222,7 +227,8 @@ class Bone:
         """
         anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
         source = _anatomy_source(anatomy, spacing_mm=spacing_mm)
-        return cls(replace(source, density_kg_m3=density_kg_m3), **options)
+        made_from = (*size_mm, density_kg_m3)
+        return cls(replace(source, density_kg_m3=density_kg_m3, made_from=made_from), **options)
 
     @classmethod
     def from_array(
@@ -479,14 +485,15 @@ class Bone:
 
 
 def constants_of(bone: Bone) -> tuple[object, ...]:
-    """Return the constants of a bone: coefficients, lattice, density and material of its voxels.
+    """Return the constants of a bone: coefficients, lattice, shape, and material of its voxels.
 
-    The material is None for a bone whose voxels are made where a tool comes near.
+    The material is None for a bone whose voxels are made where a tool comes near. The shape is
+    empty for other bones, because their voxels are part of a snapshot.
     """
     made = bone.voxel_bone
     store = made.store
     material = None if made.on_demand else store.material.numpy()[: len(store.places)]
-    return made.coefficients, store.grid, bone._source.density_kg_m3, material
+    return made.coefficients, store.grid, bone._source.made_from, material
 
 
 def _anatomy_source(

@@ -38,7 +38,7 @@ class Snapshot:
     tissue
         Class and layers of the tissue. Both must be equal in a session that restores the snapshot.
     made_from
-        Fingerprint of the constants, the step, the tool and the tissue of the session.
+        Fingerprint of the constants, the step, the tool and the prepared tissue of the session.
     state
         State of tool, tissue and structures to keep clear of.
     """
@@ -145,9 +145,10 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
 
 
 def scene_arguments(scene: Scene) -> tuple[object, ...]:
-    """Return the parts of a scene on which the forces in a session depend.
+    """Return the parts of a scene on which the state and the forces in a session depend.
 
-    The motion, the output and the times of frames have no effect on these forces.
+    The motion chooses the tissue that is prepared. The output and the times of frames have no
+    effect on the forces.
     """
     tables = [dict(part) for part in (scene.anatomy, scene.organ)]
     for table in tables:
@@ -157,6 +158,7 @@ def scene_arguments(scene: Scene) -> tuple[object, ...]:
         *tables,
         scene.voxels,
         scene.tool,
+        scene.motion,
         scene.cutting,
         scene.keep_clear,
         scene.seed,
@@ -212,7 +214,7 @@ class PosedSession:
         parts.cutter = None
         self.loop = engine.Loop(parts, ticks=rows, output=Output(low_pass_ms=0.0))
         self._names = (type(parts.tissue).__name__, *parts.tissue.layer_names)
-        self._made_from = fingerprint(ticks, *made_from)
+        self._made_from = fingerprint(ticks, region, *made_from)
         self._untouched: State | None = None
         # A tissue that does not support snapshots can still be used.
         with suppress(InputError):
@@ -287,7 +289,7 @@ class PosedSession:
         if snapshot.made_from != self._made_from:
             raise InputError(
                 "snapshot",
-                "be of a loop with the same constants, step_ms, tool and tissue",
+                "be of a loop with the same constants, step_ms, tool and prepared tissue",
                 "a snapshot of another loop",
                 "make both loops from equal arguments",
             )

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+import pyvista
 
 import tissue
 from tissue.cutters import ball_burr
@@ -263,6 +264,8 @@ def test_a_snapshot_of_another_law_or_mesh_is_refused(other):
         ({"materials": "stiff.toml"}, {}),
         ({"anatomy.membrane_depths_mm": {"vessel wall": 12.0}}, {}),
         ({"tool.diameter_mm": 2.0}, {}),
+        ({"motion.points_mm": [[1, 0, 5], [1, 0, -40]]}, {}),
+        ({}, {"reach_mm": 1.0}),
         ({}, {"step_ms": 5}),
     ],
 )
@@ -273,7 +276,7 @@ def test_a_snapshot_of_other_constants_tool_or_step_is_refused(tmp_path, changes
         changes = {"materials": str(tmp_path / changes["materials"])}
     loop = made("needle")
     before = moved(loop, along([[0, 0, 5], [0, 0, -5]], 20))
-    other = tissue.Loop(tissue.load_scene("needle", changes), reach_mm=0.0, **options)
+    other = tissue.Loop(tissue.load_scene("needle", changes), **{"reach_mm": 0.0} | options)
     with pytest.raises(ValueError, match=r"same constants.*equal arguments"):
         loop.restore(other.snapshot())
     assert loop.ticks == len(before)
@@ -305,8 +308,21 @@ def test_a_snapshot_of_another_cutter_or_density_is_refused():
         return tissue.Loop(block, burr, start_mm=(0, 0, 1))
 
     snapshot = over().snapshot()
-    over().restore(snapshot)
+    over(4.0, density_kg_m3=1800).restore(snapshot)
     for other in (over(3), over(density_kg_m3=1200.0), over(cutting={"radial_chip_N_mm2": 99.0})):
+        with pytest.raises(ValueError, match="equal arguments"):
+            other.restore(snapshot)
+
+
+def test_a_snapshot_of_bone_from_another_file_or_density_is_refused(tmp_path):
+    def under(height_mm=4.0, **bone):
+        file = tmp_path / f"{height_mm}.stl"
+        pyvista.Box((-4, 4, -4, 4, -height_mm, 0)).triangulate().save(file)
+        return tissue.Loop(tissue.Bone.from_file(file, spacing_mm=0.5, **bone), start_mm=(0, 0, 1))
+
+    snapshot = under().snapshot()
+    under().restore(snapshot)
+    for other in (under(3.9), under(cortical_density_kg_m3=1200.0)):
         with pytest.raises(ValueError, match="equal arguments"):
             other.restore(snapshot)
 
