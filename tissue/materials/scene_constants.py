@@ -343,7 +343,7 @@ def energy_note(
     constants: Materials,
     *,
     bone: str = "bone",
-    stated: float | None = None,
+    changes: Mapping[str, float | None],
 ) -> str:
     """Describe the specific cutting energy of each layer, with range and origin.
 
@@ -358,23 +358,23 @@ def energy_note(
         Constants of the scene.
     bone
         Material of bone.
-    stated
-        Coefficient from the scene that replaces all other values [N/mm2].
+    changes
+        Constants from the scene that replace the constants of all layers.
     """
-    if stated is not None:
+    if (stated := changes.get(ENERGY)) is not None:
         return f"{1e-3 * stated:g} J/mm3, as the scene states"
     remarks = []
     for layer in layer_names:
         material = CUT_AS.get(layer, bone)
         found = constants.layer_constants(layer, bone=bone)
         energy = found[ENERGY]
+        law = changed_coefficients(found, changes)
         # the energy depends on these two quantities only with an exponent that is not zero
-        values = {name: each.value for name, each in found.items()}
         at = []
-        if values.get("density_exponent"):
-            at.append(f"{values['reference_density_kg_m3']:g} kg/m3")
-        if values.get("size_exponent"):
-            at.append(f"a chip of {values['reference_chip_um']:g} µm")
+        if law.density_exponent:
+            at.append(f"{law.reference_density_kg_m3:g} kg/m3")
+        if law.size_exponent:
+            at.append(f"a chip of {1e6 * law.reference_chip_m:g} µm")
         where = f" at {' and '.join(at)}" if at else ""
         known = [
             name for name in (layer, material) if f"cutting.{name}.{ENERGY}" in constants.given

@@ -5,7 +5,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.materials.constants import constants
-from tissue.materials.scene_constants import Materials
+from tissue.materials.scene_constants import Materials, energy_note
 from tissue.scene.load import load_scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import note_own_constants
@@ -122,3 +122,12 @@ def test_a_file_without_effect_is_refused(texts, changes, words, tmp_path):
     scene = load_scene("glenoid", changes | {"materials": str(written(tmp_path, *texts))})
     with pytest.raises(InputError, match=words):
         note_own_constants(scene, ("subchondral", "trabecular"), {})
+
+
+def test_the_note_on_the_cutting_energy_follows_the_exponents_of_the_scene():
+    def note(**changes):
+        return energy_note(("cortical",), Materials.cited, changes=changes)
+
+    assert " J/mm3 at 1800 kg/m3, confidence" in note()
+    assert " J/mm3 at 1800 kg/m3 and a chip of 100 µm" in note(size_exponent=0.3)
+    assert " J/mm3, confidence" in note(density_exponent=0.0)

@@ -122,7 +122,7 @@ def milled(
             tuple(volume.layer_names[at] for at in np.unique(volume.layer)),
             scene.constants,
             bone=scene.cutting.material,
-            stated=scene.cutting.tangential_chip_N_mm2,
+            changes=scene.cutting.model_dump(exclude={"material"}),
         )
         spacing_mm = scene.tool.shell_spacing_mm
         spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
