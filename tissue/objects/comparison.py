@@ -94,7 +94,7 @@ class Comparison:
         self.runs = dict(runs)
         self.figures = {name: _figures(run) for name, run in runs.items()}
         self.scene_differences = _differences([run.scene for run in runs.values()])
-        self.notes = list(_notes(self.runs))
+        self.notes = list(_notes(self.runs, self.figures))
         self._are_named = are_named
         self._are_folders = are_folders
 
@@ -413,19 +413,17 @@ def _figures(run: Run) -> dict[str, float]:
     return {}
 
 
-def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
+def _notes(runs: Mapping[str, Run], figures: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
     """Yield notes on incomplete runs, and on differences that are not in the scenes."""
     for name, run in runs.items():
         if run.status != "complete":
-            yield (
-                f"{name} did not reach its end: it is {run.status}. Its time and loads are from "
-                "its trace"
-            )
+            origin = ". Its time and loads are from its trace" if figures[name] else ""
+            yield f"{name} did not reach its end: it is {run.status}{origin}"
         if note := path_note(run.summary):
             yield f"the path of {name} is {note}"
     outside: dict[str, list[object]] = {
         "simulated time, which peaks, means and volumes depend on,": [
-            f"{round(_figures(run).get('simulated_s', 0.0), 3):.12g} s" for run in runs.values()
+            f"{round(each.get('simulated_s', 0.0), 3):.12g} s" for each in figures.values()
         ],
         "scene": [run.scene.name for run in runs.values()],
         **{
