@@ -365,7 +365,7 @@ def train(
     device = device_parameters(trial(scene, 0).held.kind, scene.constants)
     held_out = range(HELD_OUT - 1, trials, HELD_OUT)
 
-    def recorded(index: int, encoder_step_m: float) -> Recording:
+    def recorded(index: int, encoder_step_m: float | None = None) -> Recording:
         """Record a trial."""
         one = trial(scene, index)
         run = recorder.record(one, encoder_step_m=encoder_step_m)
@@ -377,7 +377,7 @@ def train(
     for index in range(trials):
         # fit and validation count as two more trials
         progress(f"running trial {index + 1} of {trials}", index / (trials + 2))
-        runs.append(recorded(index, device.encoder_step_m))
+        runs.append(recorded(index))
         if device.encoder_step_m > FINE_STEP_M and index not in held_out:
             fine.append(recorded(index, FINE_STEP_M))
     progress("fitting", trials / (trials + 2))

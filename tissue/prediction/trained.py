@@ -58,9 +58,8 @@ class Trained:
         Name of the scene.
     operator
         Delay operator of displacement and stretch of an axis [m], see `tissue.prediction.delays`.
-        It was trained with the encoder steps of the device.
     step_m
-        Encoder step of the device in training [m].
+        Encoder step of the operator [m].
     fine
         Operator of the same trials with encoder steps of `FINE_STEP_M`. None if `step_m` is not
         larger.
@@ -88,13 +87,15 @@ class Trained:
         fine = self.fine
         if fine is None or step_m >= self.step_m:
             return self
-        share = (max(step_m, FINE_STEP_M) - FINE_STEP_M) / (self.step_m - FINE_STEP_M)
-        ends = ((share, self.operator.moments), (1.0 - share, fine.moments))
+        step_m = max(step_m, FINE_STEP_M)
+        share = (step_m - FINE_STEP_M) / (self.step_m - FINE_STEP_M)
+        own = self.operator.moments
         moments = Moments(
-            *(sum(part * getattr(each, key) for part, each in ends) for key in SHAPES)
+            share * own.coordinates + (1.0 - share) * fine.moments.coordinates,
+            share * own.targets + (1.0 - share) * fine.moments.targets,
         )
         growth = max(self.operator.growth, fine.growth)
-        return replace(self, operator=DelayOperator(moments, growth), fine=None)
+        return replace(self, operator=DelayOperator(moments, growth), step_m=step_m, fine=None)
 
     def loses(self, kind: str, other: str) -> bool:
         """Return True if ``other`` had a smaller error than ``kind`` in validation.

@@ -75,8 +75,10 @@ def test_an_operator_follows_the_encoder_steps_of_a_device():
     assert trained.at_step(5.5e-5) is trained
     assert trained.at_step(1e-4) is trained
     for step_m in (FINE_STEP_M, 0.0):
-        found = trained.at_step(step_m).operator.moments
-        assert np.array_equal(found.coordinates, trained.fine.moments.coordinates)
+        found = trained.at_step(step_m)
+        assert found.step_m == FINE_STEP_M
+        moments = found.operator.moments
+        assert np.array_equal(moments.coordinates, trained.fine.moments.coordinates)
     found, direct = (
         np.diag(each.moments.coordinates)[: len(DELAYS) - 1]
         for each in (trained.at_step(3e-5).operator, read_at(3e-5))
