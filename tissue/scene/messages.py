@@ -346,7 +346,7 @@ def _bounds(metadata: Iterable[object]) -> str:
     return " and ".join(words)
 
 
-MEASURE = re.compile(r"([-+.\deE]*\d)\s*([^\s\d]+)")
+MEASURE = re.compile(r"([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*([^\s\d]+)")
 """Regular expression for a number with a unit, such as 22mm."""
 
 

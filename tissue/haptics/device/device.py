@@ -128,7 +128,8 @@ class DeviceParameters:
     mass_kg, damping_N_s_m, friction_N
         Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Position resolution of the encoders [m]; 0 for exact positions.
+        Position resolution of the encoders [m]; 0 for exact positions. It chooses the operator of a
+        trained predictor.
     force_limit_N
         Largest force [N].
     force_slew_N_ms
