@@ -16,6 +16,7 @@ import argparse
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import count
 
 import numpy as np
 from harness import machine, table
@@ -65,7 +66,8 @@ class Stiffening(Recorder):
         parts = super()._parts(scene)
         motion = parts.motion
         assert isinstance(motion, HandMotion)
-        advance, ticks = motion.advance, iter(range(10**9))
+        advance = motion.advance
+        ticks = count()
 
         def changing(*arguments: object) -> None:
             if next(ticks) == self._tick:

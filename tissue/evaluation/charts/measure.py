@@ -247,7 +247,8 @@ def short_of(scene: Scene, quick: bool) -> Scene:
     A scene in which a hand cuts is not shortened. At the start of a cut, the hand presses less than
     the friction of its device, and the force error would be noise.
     """
-    if scene.device is not None and isinstance(scene.tool, Tool):
+    cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
+    if scene.device is not None and cuts:
         return scene
     return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
 
