@@ -39,8 +39,8 @@ def assess(
         Force that should not be exceeded, in newtons; default 1.25 times the peak force of the
         reference run.
     deviation_limit_mm
-        Distance from the path of the reference run that should not be exceeded while the tool
-        touches the tissue, in mm; default 1.
+        Distance from the path of the reference run that should not be exceeded where one of the
+        runs touches the tissue, in mm; default 1.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run, in mm;
         default 0.5.

@@ -256,6 +256,7 @@ def assess(
         Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, plan[rows]),
     )
     worst = int(apart.argmax())
+    kept = _keep_clear(trainee.summary, mine)
     figures = {
         "scene": trainee.summary.get("scene"),
         "time_in_contact_s": _both(_contact_s, mine, theirs),
@@ -267,8 +268,8 @@ def assess(
         "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
-        "least_distance_mm": _least_distances(trainee.summary, reference.summary),
-        "keep_clear": dict(trainee.summary.get("keep_clear", {})),
+        "least_distance_mm": _least_distances(kept, _keep_clear(reference.summary, theirs)),
+        "keep_clear": kept,
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
     breaches = sorted(
@@ -357,16 +358,39 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
     return found, ""
 
 
-def _least_distances(mine: Summary, theirs: Summary) -> dict[str, dict[str, float]]:
+def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | None]]:
+    """Return smallest distance and breach of each structure that a run has to keep clear of.
+
+    A run that was stopped has no such entry in its summary. Its distances are in the trace.
+    """
+    if "keep_clear" in summary:
+        return dict(summary["keep_clear"])
+    found = {}
+    for column in trace.columns:
+        if not column.startswith("distance_"):
+            continue
+        distance_mm = trace[column]
+        least_mm = float(distance_mm.min())
+        first_s = float(trace["time_s"][np.argmax(distance_mm < 0.0)]) if least_mm < 0.0 else None
+        found[column.removeprefix("distance_").removesuffix("_mm")] = {
+            "least_distance_mm": least_mm,
+            "breach_depth_mm": max(0.0, -least_mm),
+            "first_breach_s": first_s,
+        }
+    return found
+
+
+def _least_distances(
+    mine: Mapping[str, Mapping[str, float | None]], theirs: Mapping[str, Mapping[str, float | None]]
+) -> dict[str, dict[str, float | None]]:
     """Return the smallest distances of both runs from the structures that are kept clear [mm]."""
-    first, second = (
-        {name: each["least_distance_mm"] for name, each in one.get("keep_clear", {}).items()}
-        for one in (mine, theirs)
-    )
     return {
-        name: {"trainee": first[name], "reference": second[name]}
-        for name in first
-        if name in second
+        name: {
+            "trainee": each["least_distance_mm"],
+            "reference": theirs[name]["least_distance_mm"],
+        }
+        for name, each in mine.items()
+        if name in theirs
     }
 
 

@@ -80,7 +80,8 @@ def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
             if key.partition(".")[0] in TASK and key not in NUMERICAL
         ]
         differences += _different_constants(trainee, reference)
-    for key, first, second in differences:
+    if differences:
+        key, first, second = differences[0]
         raise OtherTaskError(f"{key} = {first} and {second}")
 
 
@@ -115,7 +116,8 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
         return
     if run.scene.device is None or other.scene.device is None:
         return
-    mine, theirs = run.scene.device.coupling, other.scene.device.coupling
+    mine = run.scene.device.coupling
+    theirs = other.scene.device.coupling
     scales = {
         "motion_scale": (mine.motion_scale, theirs.motion_scale),
         "force_scale": (mine.force_scale, theirs.force_scale),

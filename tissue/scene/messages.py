@@ -61,10 +61,11 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
     choices = choices_of(field)
     # A key that takes a number or a name, such as auto, states both.
-    if choices and _alternatives(field.annotation)[0] not in (int, float):
+    is_number = _alternatives(field.annotation)[0] in (int, float)
+    if choices and not is_number:
         return unknown_name(key, choices, got)
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
-    remedy = _corrected(key, got, kind) or _remedy(field)
+    remedy = _corrected(key, got, kind, is_number=is_number) or _remedy(field)
     # a value that is too small may be in metres
     if key.endswith("_mm") and kind.startswith("greater_than"):
         remedy += ", in mm"
@@ -350,15 +351,18 @@ MEASURE = re.compile(r"([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*([^\s\d]+)")
 """Regular expression for a number with a unit, such as 22mm."""
 
 
-def _corrected(key: str, got: object, kind: str) -> str:
-    """Return an instruction with the corrected value of the user; empty if it is not clear."""
+def _corrected(key: str, got: object, kind: str, *, is_number: bool) -> str:
+    """Return an instruction with the corrected value of the user; empty if it is not clear.
+
+    A unit is removed only from the value of a key that takes a number.
+    """
     if not isinstance(got, str):
         return ""
     if key == "name" and kind == "string_pattern_mismatch":
         plain = re.sub("[^a-z0-9_-]+", "-", got.lower()).strip("-_")
         return f'use "{plain}"' if plain else ""
     found = MEASURE.fullmatch(got)
-    if found is not None and key.endswith(f"_{found[2].replace('/', '_')}"):
+    if is_number and found is not None and key.endswith(f"_{found[2].replace('/', '_')}"):
         return f"use {found[1]}, because the key states the unit"
     return ""
 

@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from meshes.base.errors import InputError, is_file
+from meshes.base.errors import InputError, counted, is_file
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.placement import Placement
@@ -422,7 +422,7 @@ def _no_run(folder: Path) -> InputError:
         inside = []
         near = []
     if inside:
-        got = f"{folder}, which contains {len(inside)} runs"
+        got = f"{folder}, which contains {counted(len(inside), 'run')}"
         return InputError("run", "be the folder of one run", got, f"use {inside[0]}")
     if not folder.exists():
         got = f"{folder}{did_you_mean(closest(folder.name, near))}"

@@ -268,6 +268,18 @@ def test_a_breached_structure_exceeds_a_limit(tmp_path):
     assert "no limit was exceeded" not in lines
 
 
+def test_a_stopped_run_breaches_by_the_distances_of_its_trace(tmp_path):
+    run = saved(tmp_path / "r", reach(1.0))
+    distance_mm = 0.5 - 0.001 * np.arange(len(run.trace.rows))
+    rows = np.column_stack([run.trace.rows, distance_mm])
+    run.trace = Table((*run.trace.columns, "distance_pulp_mm"), rows)
+    found = assess(run, run)
+    assert found.breached == ("pulp",)
+    kept = found.figures["keep_clear"]["pulp"]
+    assert kept["least_distance_mm"] == distance_mm.min() == -kept["breach_depth_mm"]
+    assert kept["first_breach_s"] == run.trace["time_s"][distance_mm < 0.0][0]
+
+
 def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(tmp_path):
     """The steadier hand breaches the pulp. A third run is of another task."""
     path = reach(1.5)

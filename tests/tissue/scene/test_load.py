@@ -205,6 +205,8 @@ def test_the_text_none_leaves_stress_out(tmp_path):
         ({"motion.feed_mm_s": "0.5 mm/s"}, "Use 0.5, because the key states the unit"),
         ({"tool.diameter_mm": "22 inches"}, "Use 6"),
         ({"tool.diameter_mm": "2..5mm"}, "Use 6"),
+        ({"tool.diameter_mm": "--5mm"}, "Use 6"),
+        ({"anatomy.size_mm": "8mm"}, "Use [20, 12, 8]"),
         ({"tool.diameter_mm": 0.022}, "Use 6, in mm"),
     ],
 )

@@ -10,6 +10,12 @@ from tissue.models.tissue_model import StopsReporting, ToolMotion
 
 __all__ = ["RegionEnd"]
 
+MOST_POINTS = 1000
+"""Largest number of points of the tool that are compared with the tissue.
+
+A ball burr has 805 points. A drill of 30 mm has 7593 points, which take 20 ms in the vertebra.
+"""
+
 
 class RegionEnd:
     """Watch on the end of the simulated region, beyond which voxels of the tissue are missing.
@@ -52,11 +58,25 @@ class RegionEnd:
         self._tissue = tissue
         self._reporters = reporters
         # `reach` uses the same distance for the region.
-        self._points_m = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
-        self._reach_m = float(np.linalg.norm(self._points_m, axis=1).max())
+        points_m = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
+        self._points_m = points_m[:: -(-len(points_m) // MOST_POINTS)]
+        along_m = self._points_m[:, 2]
+        self._ends_m = along_m.min(), along_m.max()
+        self._radius_m = float(np.linalg.norm(self._points_m[:, :2], axis=1).max())
         # The outermost voxels do not count, because a voxel needs its neighbours on both sides.
-        self._low_m = volume.origin_m + volume.spacing_m
-        self._high_m = volume.origin_m + volume.spacing_m * (np.array(volume.shape) - 1.0)
+        low_m = volume.origin_m + volume.spacing_m
+        high_m = volume.origin_m + volume.spacing_m * (np.array(volume.shape) - 1.0)
+        # Most faces of the region lie outside the tissue. The tool may cross these faces.
+        if tissue is None:
+            at_low, at_high = (
+                np.array([volume.fraction.take(end, axis).max() > FULL // 2 for axis in range(3)])
+                for end in (0, -1)
+            )
+        else:
+            at_low = np.array(tissue.lower_m) < low_m
+            at_high = np.array(tissue.upper_m) > high_m
+        self._low_m = np.where(at_low, low_m, -np.inf)
+        self._high_m = np.where(at_high, high_m, np.inf)
 
     def check(self, tick: int, motion: ToolMotion) -> str:
         """Return an event in the tick in which the tool leaves the region, and "" otherwise."""
@@ -73,10 +93,17 @@ class RegionEnd:
 
     def _has_left(self, tip_m: Array, rotation: Array) -> bool:
         """Return whether a part of the cutting surface lies in tissue beyond the region."""
-        inside = (tip_m - self._reach_m >= self._low_m) & (tip_m + self._reach_m <= self._high_m)
-        if inside.all():
+        # A cylinder around the tool is in the region at nearly every tick. This test takes
+        # about 20 us, and the test of all points 0.1 to 2 ms.
+        axis = rotation[:, 2]
+        radius_m = self._radius_m * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
+        first, last = (tip_m + end * axis for end in self._ends_m)
+        low = np.minimum(first, last) - radius_m
+        high = np.maximum(first, last) + radius_m
+        if (low >= self._low_m).all() and (high <= self._high_m).all():
             return False
-        points = tip_m + self._points_m @ rotation.T
+        # Not a matrix product: BLAS would start threads in a tick.
+        points = tip_m + np.einsum("nj,ij->ni", self._points_m, rotation)
         beyond = points[((points < self._low_m) | (points > self._high_m)).any(axis=1)]
         return bool(self._in_tissue(beyond).any())
 
