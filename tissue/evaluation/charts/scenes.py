@@ -198,8 +198,10 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
         _log_axes(axes, title=both[0].scene.name, xlabel="tick / µs", ylabel="force error / %")
     lines = {str(line.get_label()): line for axes in panels for line in axes.lines}
     named = {label: line for label, line in lines.items() if not label.startswith("_")}
+    # the width of one panel holds two entries
+    entries = min(len(named), 2 * columns)
     chart.legend(
-        named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
+        named.values(), named.keys(), loc="outside upper center", ncols=entries, frameon=False
     )
     save(chart, path)
 
