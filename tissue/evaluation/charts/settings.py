@@ -365,6 +365,10 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     for kind in PREDICTORS.names[1:]:
         if kind not in missing and (not quick or kind in ("kalman", "koopman-look-ahead")):
             yield Setting(kind, "loop", plain | {"prediction": kind})
+    # a tool that cuts needs a response in every tick: at 100 Hz its error in milling is 34 to 51 %,
+    # and its motion can grow without bound
+    if isinstance(scene.tool, Tool):
+        return
     for kind in PREDICTORS:
         if kind not in missing and (not quick or kind in ("hold", "koopman-look-ahead")):
             yield Setting(
