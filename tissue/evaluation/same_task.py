@@ -2,12 +2,13 @@
 
 import filecmp
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import shown
+from tissue.scene.messages import entries
 from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
@@ -89,7 +90,8 @@ def _different_constants(
     trainee: AssessedRun, reference: AssessedRun
 ) -> Iterator[tuple[str, str, str]]:
     """Yield each constant of the task whose value differs between two runs, with both values."""
-    first, second = (_task_constants(each) for each in (trainee, reference))
+    first = _task_constants(trainee)
+    second = _task_constants(reference)
     for name in dict.fromkeys((*first, *second)):
         if first.get(name) != second.get(name):
             yield name, shown(first.get(name, "nothing")), shown(second.get(name, "nothing"))
@@ -151,7 +153,8 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
     Keys with default values are included. A key that only one of the scenes has gets the value
     "nothing" for the other scene.
     """
-    first, second = (dict(_flat(tomllib.loads(each.to_toml()))) for each in (one, other))
+    first = dict(entries(tomllib.loads(one.to_toml())))
+    second = dict(entries(tomllib.loads(other.to_toml())))
     for key in dict.fromkeys((*first, *second)):
         if first.get(key) != second.get(key) and not _same_file(
             key, first.get(key), second.get(key)
@@ -173,11 +176,3 @@ def _same_file(key: str, one: object, other: object) -> bool:
     if first.name != second.name:
         return False
     return not (first.is_file() and second.is_file()) or filecmp.cmp(first, second, shallow=False)
-
-
-def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value

@@ -373,7 +373,8 @@ def train(
             run = replace(run, ideal_N=recorder.ideal_force_N(one, run))
         return run
 
-    runs, fine = [], []
+    runs = []
+    fine = []
     for index in range(trials):
         # fit and validation count as two more trials
         progress(f"running trial {index + 1} of {trials}", index / (trials + 2))

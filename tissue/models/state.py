@@ -61,8 +61,8 @@ def fingerprint(*parts: object) -> str:
     """Return a short text that is equal for equal parts, in another process too.
 
     Parts are numbers, texts, arrays, tables of a scene, dataclasses, and collections of these.
-    Numbers are equal whatever their type. An absolute path stands for the content of its file or
-    folder. Only the class of other objects is used.
+    Numbers of different types, such as 1 and 1.0, are equal if their values are. For an absolute
+    path, the content of the file or folder is used. Of other objects, only the class is used.
     """
     digest = blake2b(digest_size=16)
     for known in _plain(parts):

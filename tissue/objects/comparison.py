@@ -18,6 +18,7 @@ from tissue.objects.html import figures_of, figures_of_trace, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
 from tissue.scene.load import full_key, names_file
+from tissue.scene.messages import entries
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.run_folder import PICTURE_FORMATS
@@ -372,8 +373,8 @@ def entries_of(scene: Scene) -> dict[str, object]:
 
     Name and description are left out.
     """
-    entries = dict(_flat(tomllib.loads(scene.to_toml())))
-    return {key: value for key, value in entries.items() if key not in ("name", "description")}
+    values = dict(entries(tomllib.loads(scene.to_toml())))
+    return {key: value for key, value in values.items() if key not in ("name", "description")}
 
 
 def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
@@ -397,9 +398,9 @@ def _number(value: float | None) -> str:
 
 
 def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
-    entries = [entries_of(scene) for scene in scenes]
-    keys = dict.fromkeys(key for each in entries for key in each)
-    found = {key: tuple(each.get(key) for each in entries) for key in keys}
+    scenes_entries = [entries_of(scene) for scene in scenes]
+    keys = dict.fromkeys(key for each in scenes_entries for key in each)
+    found = {key: tuple(each.get(key) for each in scenes_entries) for key in keys}
     return {key: values for key, values in found.items() if values != values[:1] * len(values)}
 
 
@@ -465,14 +466,6 @@ def _names(runs: list[Run]) -> list[str]:
         f"{name} {plain[: at + 1].count(name)}" if count[name] > 1 else name
         for at, name in enumerate(plain)
     ]
-
-
-def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _short(value: object) -> str:

@@ -205,7 +205,8 @@ def test_a_gain_whose_interval_contains_zero_comes_from_too_few_attempts(monkeyp
     monkeypatch.setattr(Scored, "name", "p03", raising=False)
     monkeypatch.setattr(ranking, "_distance_texts", lambda *_: ())
     monkeypatch.setattr(ranking, "_structures", lambda _: [])
-    few, many = ([21.0, 37.0, 22.0], 10.0 + 4.0 * np.arange(6))
+    few = [21.0, 37.0, 22.0]
+    many = 10.0 + 4.0 * np.arange(6)
     words = "too few attempts to show a change"
     for scores, is_few in ((few, True), (many, False)):
         lines = ranking.ranking_lines(ranking.Ranking("cavity", (Scored(scores),)))

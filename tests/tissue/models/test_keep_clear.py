@@ -80,7 +80,8 @@ def test_the_result_table_has_the_smallest_distance_and_the_simulated_volume(run
     least = run.summary["keep_clear"]["canal"]["least_distance_mm"]
     assert rows["smallest distance to canal"] == f"{least:.3g} mm"
     (layer,) = run.summary["start_mm3"]
-    removed, start = run.summary["removed_mm3"][layer], run.summary["start_mm3"][layer]
+    removed = run.summary["removed_mm3"][layer]
+    start = run.summary["start_mm3"][layer]
     assert rows[f"removed {layer}"] == f"{removed:.3g} of the simulated {start:.4g} mm³"
     summary = run.summary | {"start_mm3": {layer: 0.0}}
     assert f"removed {layer}" not in dict(run_rows(summary))

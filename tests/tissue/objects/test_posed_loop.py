@@ -292,7 +292,11 @@ def test_a_snapshot_fits_a_loop_whose_scene_and_constants_lie_elsewhere(tmp_path
         path.write_text(f"[needle.liver.linear_N_mm]\n{stiff}")
         changes = {"materials": str(path), "anatomy.interval_ms": 100.0}
         loops.append(tissue.Loop(tissue.load_scene("needle", changes), reach_mm=0.0))
+    path = along([[0, 0, 5], [0, 0, -5]], 20)
+    moved(loops[0], path)
     loops[1].restore(pickle.loads(pickle.dumps(loops[0].snapshot())))
+    deeper = along([[0, 0, -5], [0, 0, -7]], 20)
+    np.testing.assert_array_equal(moved(loops[1], deeper), moved(loops[0], deeper))
 
 
 def test_a_snapshot_of_another_tool_or_modulus_is_refused():

@@ -180,7 +180,8 @@ def test_a_free_tool_comes_to_the_surface_by_its_gap(stiffness):
 def test_a_young_contact_without_a_slope_is_pressed_further():
     """The surface's weight falls to 0 in the time of the prediction, and the stretch remains."""
     up = np.array([0.0, 0.0, 1.0])
-    step, stretched = np.array([0.0, 0.0, -1e-4]), np.array([0.0, 0.0, 5e-5])
+    step = np.array([0.0, 0.0, -1e-4])
+    stretched = np.array([0.0, 0.0, 5e-5])
     predictor = LookAhead(GivenPath(step, stretched), slopes="none")
     felt = np.array([0.0, 0.0, 0.3])
     contact = Contact(SPRING, felt / SPRING, felt, None, inf, up, SPRING)

@@ -28,7 +28,8 @@ def test_the_residual_is_what_it_missed_a_tick_ahead():
 
     It expects (2, 0.1, 0): of (2, 0.1, 0) it misses nothing, of (-1, 4.1, 0) it misses (3, -4, 0).
     """
-    outside, zero = Outside(Line(), "line"), np.zeros(3)
+    outside = Outside(Line(), "line")
+    zero = np.zeros(3)
     outside.observe(zero, zero, np.array([9.0, 9.0, 9.0]))
     assert outside.residual_N == 0.0  # nothing was expected yet
     outside.observe(zero, zero, np.array([2.0, 0.1, 0.0]))
@@ -91,7 +92,8 @@ def test_an_error_of_a_predictor_names_the_predictor(call, message):
 
 
 def test_a_copy_continues_like_its_original():
-    outside, zero = Outside(Line(), "line"), np.zeros(3)
+    outside = Outside(Line(), "line")
+    zero = np.zeros(3)
     outside.observe(zero, zero, np.ones(3))
     copied = deepcopy(outside)
     for each in (outside, copied):

@@ -154,6 +154,7 @@ def draw_press(run: Run, path: Path) -> str | None:
         return [(each.append_polydata(side) if side.n_cells else each, camera) for each in surfaces]
 
     def annotate(shaded: Shaded) -> None:
+        """Name the inclusion, and draw a colour bar under each panel."""
         foot = HEIGHTS_PX[1] / shaded.size_px[1]
         for axes, each in zip(shaded.panels, shown, strict=True):
             left, _, wide, _ = axes.get_position().bounds
@@ -274,6 +275,7 @@ def draw_held(run: Run, path: Path) -> str | None:
         ]
 
     def annotate(shaded: Shaded) -> None:
+        """Draw a legend of the held, the touchable and the free faces."""
         from matplotlib.patches import Patch
 
         named = {"held": HELD, "may be touched": TOUCHABLE, "free": FREE}
