@@ -22,7 +22,7 @@ def test_the_foam_is_drilled_by_the_pen_under_the_guard():
     assert run.trace["removed_mm3"][-1] > 1.0
     assert (
         run.parts.notes["specific cutting energy"]
-        == "rigid-foam 0.015 (0.005-0.03) J/mm3, confidence L"
+        == "rigid-foam 0.015 (0.005-0.03) J/mm3 at 320 kg/m3, confidence L"
     )
     assert not motion.device.force_N.any()  # whatever ends a run, its last command is zero
 
