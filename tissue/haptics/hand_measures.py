@@ -44,8 +44,8 @@ stiffness to the critical stiffness; raw force of the renderer, before predictio
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
 """Trace columns of a prediction.
 
-The columns are the predicted force, the size of the last one-tick error, and the source of the
-prediction: 1 for the predictor, 0 for its fallback.
+The columns are the predicted force, the magnitude of the last prediction error for one tick ahead,
+and the source of the prediction. The source is 1 for the predictor, and 0 for its fallback.
 """
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
 """Trace columns of a perception model; see `tissue.perception.Perception`."""

@@ -25,11 +25,11 @@ __all__ = ["HandMotion", "Rendering", "Script"]
 
 SMOOTH_S = 0.01
 SMOOTH_SAMPLES = 5
-"""Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.
+"""Smallest time [s] and number of samples for averaging the speed of a tool without inertia.
 
-Speeds are averaged because encoder positions change in steps. One step of a Touch (0.055 mm) is 55
-mm/s over a tick of 1 ms, and 5.5 mm/s over 10 ms. For a device below 500 Hz, the number of samples
-is the limit.
+Speeds are averaged because encoder positions change in steps. One encoder step of a Touch (0.055
+mm) is a speed of 55 mm/s over a tick of 1 ms, and of 5.5 mm/s over 10 ms. For a device below 500
+Hz, the number of samples determines the averaging time.
 """
 
 
@@ -42,9 +42,9 @@ class Rendering:
     law
         Law that renders the force at the device from the positions of device and tool [N].
     loop
-        Loop of device and law. The energy is computed with the delay of the loop, and the filters
-        of the loop for force and velocity are applied. Without a velocity filter, the velocity of
-        the sample is used. The tick of the loop is the time between two samples of the device.
+        Loop of device and law. Its delay is used to compute the energy, and its filters are applied
+        to force and velocity. Without a velocity filter, the velocity of the sample is used. The
+        tick of the loop is the time between two samples of the device.
     margin
         Stability margin: 1 minus the ratio of the stiffness to the critical stiffness.
     turning_law
@@ -58,9 +58,11 @@ class Rendering:
     lead_ticks
         Prediction horizon [ticks].
     prediction_gain
-        Share of the difference between predicted and present force that is played.
+        Share of the difference between predicted and present force that is added to the present
+        force.
     played
-        Last stages of the force; by default only the limits of the device.
+        Last stages before the device, such as perceptual scaling and vibration. By default, only
+        the device's limits are applied.
     """
 
     law: Renderer
@@ -224,7 +226,8 @@ class HandMotion(Motion):
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Set another device only before the first tick, because guard and measures are then replaced.
+        Set another device only before the first tick, because a new device also replaces the sample
+        guard and the measures.
         """
         return self.held.device
 
@@ -396,8 +399,8 @@ class HandMotion(Motion):
         """Convert the contact at the tool to the contact at the device.
 
         Lengths at the device are lengths at the tool divided by the scale m of the motion. Forces
-        at the device are f times the forces at the tool, with f = coupling stiffness / (m · tool
-        stiffness).
+        at the device are f times the forces at the tool. Here f = k / (m k_tool), where k is the
+        stiffness of the coupling at the device, and k_tool the stiffness of the tool's spring.
         """
         tool = self.tool
         scale = self._scale

@@ -26,18 +26,21 @@ __all__ = [
 ]
 
 SPEED_TICKS = 3
-"""Number of ticks over which the speed is averaged.
+"""Number of ticks over which the passivity controller averages the speed.
 
 The value is chosen. `tissue.haptics.rigid_wall.knock` was run on a Touch and on a six-DOF device,
 with latencies up to 8 ms. No other value from 1 to 8 is better in all of these runs.
 """
 RELEASE_M_S = (0.03, 0.1)
 RELEASE_RAD_S = (1.2, 4.0)
-"""Outward speeds at which the removal of a force that would create energy begins and ends.
+"""Outward speeds between which the removable share of a torque rises from 0 to 1 [rad/s].
 
-The units are m/s and rad/s. The values are far above the apparent speed caused by an encoder step,
-and above the speed of a hand that rests on a virtual wall. The rotational values correspond to a
-handle of 25 mm.
+This share may be removed in addition to the damper of `PassivityControl`. `RELEASE_M_S` has the
+corresponding speeds for a force [m/s].
+
+The values are far above the apparent speed caused by an encoder step, and above the speed of a hand
+that rests on a virtual wall. The rotational values correspond to the speeds of `RELEASE_M_S` at a
+radius of 25 mm.
 """
 LEAST_N = 1e-6
 """Force that is treated as zero [N], because the output of a low-pass never reaches zero."""
@@ -50,11 +53,11 @@ class PassivityObserver:
 
     If a force F on the device is constant while the device moves by dx, the force takes the energy
     -F . dx from the device. In every tick, the observer adds this energy for the force of the last
-    tick and the displacement since then. The sum is exact and includes the energy that the hold
-    creates. For example, a device enters a spring K and leaves it at speed v. For each sample of
-    depth, the spring then returns more energy than it took. The difference is K (v T)^2, of which
-    half arises on entry and half on exit. A delayed force acts on a later displacement. If the
-    delay is known, the sum is also exact.
+    tick and the displacement since then. The sum is exact and includes the energy that the
+    zero-order hold creates. For example, a device enters a spring of stiffness K and leaves it,
+    both at speed v. For each tick T of the entry, the spring then returns K (v T)^2 more energy
+    than it took. Half of this energy arises on entry, and half on exit. A delayed force acts during
+    a later displacement. If the delay is known, the sum is exact for delayed forces, too.
 
     Parameters
     ----------
@@ -100,9 +103,9 @@ class PassivityObserver:
         self._forces.extend([np.zeros(3)] * len(self._forces))
 
     def waiting_N(self) -> Array:
-        """Return the pending forces, oldest first, shape (n, 3).
+        """Return the pending forces (sent, but not yet acting), oldest first, shape (n, 3).
 
-        Each force is multiplied by its share of a tick.
+        Each force is multiplied by the share of a tick for which it will act.
         """
         waiting = np.array(self._forces)[1:]
         waiting[0] *= self._delay
@@ -112,18 +115,20 @@ class PassivityObserver:
 class PassivityControl:
     """Controller that dissipates energy that an environment would create or has created.
 
-    A new force acts after the pending forces have acted. Until then, the pending forces push the
-    device. The speed of the device along the force is therefore predicted as v + sum F T / m with
-    the device's own mass m. This speed overestimates the motion of a device that a hand holds. The
-    outward work of the pending forces and the new force at these speeds must not exceed the
-    observed energy E. An excess is subtracted from the new force. If the device moves out fast, the
-    whole force may be removed. A damper -d v is added. The damper also dissipates an energy debt (a
-    negative E) while the device moves in. The sampled damper would be unstable above m / T.
-    Therefore d has an upper bound. Near zero speed no energy can be dissipated, and the debt
-    remains. v is the mean speed over the last ticks, because encoder positions change in steps.
+    A new force acts after the pending forces, which were sent earlier. Until then, the pending
+    forces F push the device. The speed of the device along the force is therefore predicted as v +
+    sum F T / m, with the tick T and the device's own mass m. v is the mean speed over the last
+    ticks, because encoder positions change in steps. The predicted speed overestimates the motion
+    of a device that a hand holds. At the predicted speeds, the outward work of the pending forces
+    and the new force must not exceed the observed energy E. An excess is dissipated by a damper,
+    which adds a force -d v to the new force. The damper also dissipates an energy debt (a negative
+    E) while the device moves in. d has an upper bound, because a sampled damper is unstable above m
+    / T. If the device moves out fast, more may be removed, up to the whole new force. Near zero
+    speed no energy can be dissipated, and the debt remains.
 
-    An environment without force stores no energy, because the energy taken before has been
-    dissipated. This energy is set to zero, so that a later contact cannot use it. A debt remains.
+    If neither the new force nor a pending force acts, the environment stores no energy: the energy
+    that it took from the device has been dissipated. The observed energy is then set to zero, so
+    that a later contact cannot use it. An energy debt is kept.
 
     Parameters
     ----------
@@ -143,8 +148,7 @@ class PassivityControl:
     damping_N_s_m
         Force removed in the last step divided by the predicted speed [N s/m].
     release_speeds
-        Outward speeds between which the largest share of the force that may be removed rises from 0
-        to 1.
+        Outward speeds between which the share of the force that may be removed rises from 0 to 1.
     """
 
     def __init__(
@@ -158,7 +162,7 @@ class PassivityControl:
         self._places: deque[Array] = deque(maxlen=SPEED_TICKS + 1)
 
     def step(self, force_N: Array, position_m: Array, velocity_m_s: Array, step_s: float) -> Array:
-        """Return the force [N] to play instead of ``force_N`` for a step [s]."""
+        """Return the force [N] to play instead of ``force_N``, for a step of ``step_s`` [s]."""
         observer = self.observer
         places = self._places
         energy = observer.observe(position_m)
@@ -195,9 +199,9 @@ class PassivityControl:
     def pause(self) -> None:
         """Reset after missing samples, because the motion up to the next sample is unknown.
 
-        The force then fades and returns slowly, so that the device gives less energy on entry than
-        the observer adds. The energy taken so far is set to zero, so that it cannot be released on
-        exit.
+        While samples are missing, the force fades, and it returns slowly. The device therefore
+        gives less energy on entry into a wall than the observer adds. The energy taken so far is
+        set to zero, so that it cannot be released on exit from the wall.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)
@@ -212,9 +216,9 @@ class Renderer(Protocol):
     ) -> Array:
         """Return the force on the device [N], shape (3,).
 
-        The arguments are positions [m], velocities [m/s] and the step [s]. If device and proxy have
-        the same position, the device is free and the force is zero. For a rotation, the positions
-        are rotation vectors [rad] and the force is a torque [N m].
+        The arguments are positions [m], velocities [m/s] and the time step ``dt`` [s]. If device
+        and proxy have the same position, the device is free and the force is zero. For a rotation,
+        the positions are rotation vectors [rad] and the force is a torque [N m].
         """
 
     def pause(self) -> None:
@@ -222,7 +226,7 @@ class Renderer(Protocol):
 
 
 class SpringDamper:
-    """Stiffness and damping between a device and its proxy, without internal state."""
+    """Base class of force laws with a stiffness and a damping, without internal state."""
 
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
         self.stiffness_N_m = stiffness_N_m
@@ -240,9 +244,10 @@ class SpringDamper:
 class PenaltyRenderer(SpringDamper):
     """Spring and damper between the device and the nearest point of the surface.
 
-    The law is F = k d - b (v . n) n, with the penetration d and n = d / |d|. The damper acts on the
-    velocity of the device along the penetration. It therefore also damps a device that moves
-    together with the surface. The force never pulls into the surface.
+    The law is F = k d - b (v . n) n, with stiffness k, damping b and device velocity v. d is the
+    vector from the device to the surface, and n = d / |d|. The damper acts on the velocity of the
+    device along d. It therefore also damps a device that moves together with the surface. The force
+    never pulls into the surface.
     """
 
     def render(
@@ -261,8 +266,8 @@ class ProxyRenderer(SpringDamper):
     """Spring and damper between device and god-object (Colgate et al. 1995).
 
     The law is F = k (p_proxy - p) + b (v_proxy - v). The damper acts on the relative velocity, so
-    that the damper can only dissipate energy. A published form has only ``+ b v_device`` and
-    creates the power b v^2. The damper is off while the device is free.
+    that the damper can only dissipate energy. A published form of the law has only ``+ b v_device``
+    as damper, which creates the power b v^2. The damper is off while the device is free.
     """
 
     def render(
@@ -307,17 +312,17 @@ class PassivityRenderer:
     def pause(self) -> None:
         """Ignore the energy of the motion up to the next sample.
 
-        Another force was played during this motion.
+        The reason is that another force was played during this motion.
         """
         self.control.pause()
 
 
 class TurningRenderer:
-    """Force laws applied to a rotation.
+    """Force law applied to a rotation.
 
-    The distance is the shortest rotation vector from the device to its proxy. The rotation vectors
-    of the device in each tick are summed, so that a passivity observer in the inner law can compute
-    the work of the torque.
+    The distance is the shortest rotation vector from the device to its proxy. The rotations of the
+    device in all ticks are summed as rotation vectors, so that a passivity observer in the inner
+    law can compute the work of the torque.
     """
 
     def __init__(self, inner: Renderer) -> None:
@@ -353,8 +358,8 @@ class TurningRenderer:
 def passivity(loop: WallLoop) -> PassivityRenderer:
     """Return the penalty law of a loop's wall with a passivity controller.
 
-    The loop provides the mass and the lag (delay, filter and amplifier). The damping limit is half
-    of m / (T + lag).
+    The loop provides the mass m, the tick T and the lag (delay, filter and amplifier). The damping
+    limit is half of m / (T + lag).
     """
     lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
     limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)

@@ -1,8 +1,8 @@
 """Simulated hand that presses a device onto a rigid virtual wall, without a tissue.
 
-The run has its own loop of ticks. The stepper of `tissue.simulation` is in a higher layer, and
-moves a tool through a tissue in ticks of 1 ms. Here there is neither a tool nor a tissue, and a
-tick is one sampling period of the device.
+The run has its own loop of ticks, with neither a tool nor a tissue. A tick is one sampling period
+of the device. The stepper of `tissue.simulation` is not used, because it is in a higher layer and
+moves a tool through a tissue in ticks of 1 ms.
 """
 
 from dataclasses import dataclass, replace
@@ -22,12 +22,15 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["WallRun", "knock", "press_wall"]
 
 DEPTH_M = 5e-3
-"""Start position above the wall, and target of the hand below the wall [m]."""
+"""Height of the start position above the wall, and depth of the hand's target below it [m]."""
 JERK_N = 2.0
-"""Force of the jerk [N]. On a Touch at 400 N/m, it moves a hand by 2 mm to the surface."""
+"""Force of the jerk [N].
+
+On a Touch at 400 N/m, the jerk moves a hand by 2 mm, from inside the wall to its surface.
+"""
 JERK_S = (0.8, 0.82)
 LASTS_S = 1.3
-"""Start and end of the jerk, and end of the run [s].
+"""End of the run [s]; `JERK_S` has the start and the end of the jerk [s].
 
 At 0.7 s, simulated hands of all groups rest on the wall. A stable loop is at rest again 0.2 s after
 the jerk. Motion in the last 0.3 s is therefore caused by the loop.
@@ -47,10 +50,10 @@ class WallRun:
         Position [m] and velocity [m/s] as sampled by the device, shape (n, 3). Without a valid
         sample, the last position is kept and the velocity is zero.
     force_N
-        Force commanded to the device from the tick on [N], shape (n, 3).
+        Force commanded to the device in each tick [N], shape (n, 3).
     taken_J
-        Energy that the loop has taken from the device up to each tick [J], shape (n,), computed
-        from the sampled positions.
+        Energy that the loop has taken from the device up to each tick [J], shape (n,). It is
+        computed from the sampled positions.
     """
 
     time_s: Array
@@ -60,7 +63,7 @@ class WallRun:
     taken_J: Array
 
     def ripple_N(self, last_s: float) -> float:
-        """Return the RMS deviation of the force from its mean in the last seconds [N]."""
+        """Return the RMS deviation [N] of the force from its mean in the last ``last_s``."""
         last = self.time_s > self.time_s[-1] - last_s
         return float(np.linalg.norm(self.force_N[last].std(axis=0)))
 
@@ -73,12 +76,12 @@ def press_wall(
     tick_s: float = TICK_S,
     guard: SampleGuard | None = None,
 ) -> WallRun:
-    """Run device, proxy on the plane, renderer and guard for ``duration_s``.
+    """Run the loop of device, proxy, renderer and guard on a rigid wall for ``duration_s``.
 
     The proxy of a free device is at the device. Inside the wall, the proxy is the projection of the
     device onto the plane, and its velocity is the component of the device's velocity along the
-    plane. Without a guard, every sample is valid, and a missing sample gives zero force. At every
-    kind of end, the last force is zero.
+    plane. Without a guard, every sample is valid, and a missing sample gives zero force. However
+    the run ends, the last force is zero.
     """
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))

@@ -32,37 +32,44 @@ With a larger mass, the prior dominates the data.
 """
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
-"""Base forces, the smaller forces of the pairs [N], and number of steps at each base force.
+"""Number of steps at each base force; `BASES_N` has the base forces [N].
 
-The base forces are below, above and far above the low-force term. The RMS error of the threshold of
-300 simulated observers after 80 trials is 20 %. With one base force instead of three, or with 12 or
-50 steps, it is between 19 and 21 %.
+A base force is the smaller force of a pair. The base forces are below, above and far above the
+low-force term. The RMS error of the threshold of 300 simulated observers after 80 trials is 20 %.
+With one base force instead of three, or with 12 or 50 steps, the error is between 19 and 21 %.
 """
 STEPS = (0.005, 1.5)
 """Smallest and largest step of a pair, divided by the base force plus `LOW_FORCE_N`.
 
-The thresholds of the prior are 0.015 to 0.6 of this sum, and thus lie between the two values.
+The thresholds of the prior are 0.015 to 0.6 of this sum, and thus lie between the smallest and the
+largest step.
 """
 LOW_FORCE_N = 0.2
-"""Low-force term of Weber's law for the steps, and median of its prior [N].
+"""Low-force term of Weber's law that scales the steps, and median of its prior [N].
 
 The range in `tissue/materials/perception.toml` is 0.1 to 0.3 N (low confidence).
 """
 LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
-"""Largest lapse rate of the grid, exponent of the cell width, and Beta parameters of the prior.
+"""Parameters of the Beta prior of the lapse rate.
+
+The grid of lapse rates ends at `LARGEST_LAPSE`. The edges of its cells are at equal steps, raised
+to the power `LAPSE_POWER`.
 
 With cells of equal width (exponent 1) the bias of the threshold is -4 %. With exponents of 2.5 and
-4, and largest lapse rates of 0.1 and 0.4, the bias is 1.4 % or less (300 simulated observers, 80
-trials).
+4, and with largest lapse rates of 0.1 and 0.4, the bias is 1.4 % or less (300 simulated observers,
+80 trials).
 """
 
 
 MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
 """Forces that the observer rates with numbers [N], in equal ratios."""
 PRIOR_MEAN = (0.0, 1.4)
-"""Prior means of ln alpha and beta; beta is between palm pressure (1.1) and muscle force (1.7)."""
+"""Prior means of ln alpha and beta.
+
+The mean of beta is between the exponents for palm pressure (1.1) and muscle force (1.7).
+"""
 PRIOR_WEIGHT = 1.0 / 16.0
 """Prior precision of ln alpha and beta, relative to the precision of one reported number.
 
@@ -70,7 +77,7 @@ For a scatter of 0.25 the prior standard deviation is 1.
 """
 PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
-"""Parameters of the inverse-gamma prior of sigma^2.
+"""Scale of the inverse-gamma prior of sigma^2; its shape is `PRIOR_SHAPE`.
 
 The prior mean of sigma^2 is 0.12, which corresponds to a scatter of about 0.3.
 """
@@ -81,17 +88,17 @@ class ThresholdPrior:
     """Prior of Weber fraction, low-force term and lapse rate before the first trial, on a grid.
 
     The Weber fraction has a log-normal prior between two bounds. The low-force term has a
-    log-normal prior around 0.2 N (factor 1.65) within 0.05 to 0.8 N. The prior of the lapse rate is
-    Beta(0.5, 5) up to 0.2. This prior has the same mean as the prior Beta(1, 10) of Schuett et al.
-    (2016), and half of its weight. Cells of the Weber fraction have equal width in its logarithm.
-    Cells of the lapse rate are narrow at small rates. Otherwise the thresholds of observers with
-    few lapses would be estimated 12 % too low.
+    log-normal prior with median 0.2 N within 0.05 to 0.8 N. One standard deviation is a factor of
+    1.65. The prior of the lapse rate is Beta(0.5, 5) up to 0.2. This prior has the same mean as the
+    prior Beta(1, 10) of Schuett et al. (2016), and half of its weight. Cells of the Weber fraction
+    have equal width in its logarithm. Cells of the lapse rate are narrow at small rates. Otherwise
+    the thresholds of observers with few lapses would be estimated 12 % too low.
 
     Attributes
     ----------
     weber
-        Median of the Weber fraction. The default of 7 % is from Pang, Tan and Durlach (1991). At
-        low forces the fraction is up to four times larger.
+        Median of the Weber fraction. Pang, Tan and Durlach (1991) found 7 %. At low forces the
+        fraction is up to four times larger.
     weber_log_spread
         Standard deviation of the logarithm of the Weber fraction.
     lowest, highest
@@ -134,7 +141,7 @@ class ThresholdPrior:
     def parameters(self) -> tuple[Array, Array, Array, Array]:
         """Return Weber fractions, low-force terms [N], lapse rates and prior masses of the grid.
 
-        Each array has shape (n,).
+        Each array has shape (n,), for the n points of the grid.
         """
         offsets = (
             # From LOW_FORCE_N / 4 to 4 LOW_FORCE_N, nearly three standard deviations of the prior.
@@ -161,7 +168,7 @@ def comparisons(
 ) -> tuple[Array, Array]:
     """Return base forces and steps [N] of the possible pairs, each of shape (n,).
 
-    The steps have equal ratios at every base force.
+    At each base force, successive steps have equal ratios.
 
     Parameters
     ----------
@@ -181,11 +188,11 @@ class AdaptiveThreshold:
     """Posterior of observers' thresholds, and choice of the most informative comparisons.
 
     The chosen comparison has the smallest expected entropy of the posterior. This comparison also
-    has the largest mutual information between answer and parameters. The mutual information is
-    H(answer) minus the mean entropy of the answer for known parameters. The likelihoods of the
-    comparisons at the points of the grid, and their entropies, are computed in advance as matrices.
-    A trial then takes two matrix-vector products. The rule is from QUEST+ (Watson, 2017). The
-    computation with matrices is specific to this project.
+    has the largest mutual information between answer and parameters. The mutual information is the
+    entropy of the answer minus the mean entropy of the answer for known parameters. The likelihoods
+    of the comparisons at the points of the grid, and their entropies, are computed in advance as
+    matrices. A trial then takes two matrix-vector products. The rule is from QUEST+ (Watson, 2017).
+    The computation with matrices is specific to this project.
 
     Parameters
     ----------
@@ -222,7 +229,7 @@ class AdaptiveThreshold:
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
 
     def propose(self) -> NDArray[np.intp]:
-        """Return the index of the most informative comparison, shape (observers,).
+        """Return the index of the most informative comparison of each observer, shape (observers,).
 
         This comparison has the smallest expected entropy of the posterior.
         """
@@ -232,7 +239,7 @@ class AdaptiveThreshold:
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
     def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
-        """Update with one answer of each observer, right or wrong, to the asked comparison."""
+        """Update with the answer of each observer, right or wrong, to the comparison asked."""
         likelihood = self._right[asked].T
         self.posterior *= np.where(correct, likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)
@@ -267,9 +274,10 @@ class AdaptiveThreshold:
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
-        """Return quantiles of the Weber fraction, shape (shares, observers).
+        """Return quantiles of the Weber fraction, shape (n, observers), at n probabilities.
 
-        Within a cell the quantiles are interpolated linearly in the logarithm.
+        ``shares`` has the probabilities. Within a cell, the quantiles are interpolated linearly in
+        the logarithm.
         """
         edges = np.log(self.prior.weber_edges)
         below = np.vstack(
@@ -290,7 +298,7 @@ class AdaptiveThreshold:
 
 @dataclass(frozen=True)
 class MagnitudePosterior:
-    """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e.
+    """Normal-inverse-gamma posterior of the parameters in ln S = ln alpha + beta ln F + sigma e.
 
     S is the reported number, F the force, and e a random number with a standard normal
     distribution. Source: Gelman et al., 2013, section 14.2.
@@ -323,7 +331,7 @@ class MagnitudePosterior:
         )
 
     def exponent_at(self, shares: ArrayLike) -> Array:
-        """Return the quantiles of the exponent beta."""
+        """Return the quantiles of the exponent beta at the probabilities ``shares``."""
         width = np.sqrt(self.scale / self.shape * np.linalg.inv(self.precision)[1, 1])
         return self.mean[1] + width * t.ppf(shares, 2.0 * self.shape)
 

@@ -33,20 +33,23 @@ HYPER = (
     "log_offset",
     "log_offset_spread",
 )
-"""Parameters of the population.
+"""Names of the parameters of the population.
 
 The parameters are the means and the standard deviations over people, and the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma distribution of sigma squared over people.
 
-The standard deviation over people is a third of sigma squared (assumed, see perception.toml).
+The standard deviation over people is about a third of the mean (assumed, see perception.toml).
 """
 CHAINS = 2
 """Number of chains of a fit; the convergence check needs at least two chains."""
 R_HAT = 1.01
 ESS = 400.0
-"""Largest R-hat and smallest effective sample size of a converged fit (Vehtari et al., 2021)."""
+"""Smallest effective sample size of a converged fit; `R_HAT` is the largest R-hat.
+
+Source: Vehtari et al., 2021.
+"""
 
 
 @dataclass(frozen=True)
@@ -74,9 +77,10 @@ class PopulationTrials:
     number: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
-        """Return a summary of the comparisons.
+        """Return the numbers of trials and of right answers for each distinct comparison.
 
-        The arrays are observer, base force and step [N], number of trials, and number of right
+        The arrays have one entry for each combination of observer, base force and step. They are
+        the observer, the base force [N], the step [N], the number of trials and the number of right
         answers.
         """
         rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
@@ -146,14 +150,14 @@ def fit_hierarchy(
 ) -> PopulationFit:
     """Sample the posterior of the population and of each observer with NUTS in NumPyro.
 
-    Source: Hoffman and Gelman, 2014.
+    NUTS is the No-U-Turn sampler of Hoffman and Gelman (2014).
 
     Over observers, ln alpha, beta, ln kappa and ln offset have normal distributions, sigma squared
     has an inverse-gamma distribution, and lapse rates have the distribution Beta(1, 10). The means
     have wide priors around published values, and the standard deviations have half-normal priors.
     Thresholds are parametrised as offsets from the mean (non-centred), because the trials of one
-    observer contain little information about them. Factor and exponent are parametrised directly
-    (centred), because the trials of every observer contain enough information.
+    observer contain little information about the thresholds. Factor and exponent are parametrised
+    directly (centred), because the trials of every observer contain enough information.
 
     Parameters
     ----------

@@ -99,9 +99,9 @@ class Intensity:
     Here the scatter is relative and Gaussian. In a fit of reported numbers the scatter is in ln S.
     The two forms of scatter are equal to first order. A log-normal scatter is not used here,
     because its mean does not exist if sigma squared has an inverse-gamma distribution over people.
-    The scatter would multiply E[S] by exp(sigma^2 / 2). This factor is equal for all forces, so it
-    would not change ratios of intensities. The unit of intensity is the reference observer's
-    intensity at 1 N.
+    For a known sigma, it would multiply E[S] by exp(sigma^2 / 2). This factor is equal for all
+    forces, so it would not change ratios of intensities. The unit of intensity is the reference
+    observer's intensity at 1 N.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Return the force [N] with a given expected intensity, for any shape.
+        """Return the forces [N] with given expected intensities of any shape.
 
         ln E[S] is a quadratic function of ln F with the curvature Var[beta] >= 0. The branch that
         increases with the force is used. The force is 0 for zero intensity.
@@ -142,7 +142,7 @@ class Intensity:
         Raises
         ------
         InputError
-            If an intensity is below the smallest expected intensity of any force.
+            If an intensity is below the smallest expected intensity of all forces.
         """
         wanted = np.asarray(intensity, dtype=float)
         a = self.log_alpha + 0.5 * self.variances[0]
@@ -190,11 +190,12 @@ def _logarithm(force_N: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Weber:
-    """Threshold kappa (level + offset), with 75 % right answers in two-interval trials.
+    """Weber's law with an offset: threshold = kappa (level + offset).
 
-    Weber's law alone, kappa level, has a threshold of zero at a level of zero, so that every change
-    would be felt there. The offset is the level at which the ratio of threshold to level is twice
-    kappa. kappa and offset are positive, so that every threshold is positive.
+    At the threshold, 75 % of answers in two-interval trials are right. Without the offset, the
+    threshold at a level of zero would be zero, so that every change would be felt there. The offset
+    is the level at which the ratio of threshold to level is twice kappa. kappa and offset are
+    positive, so that every threshold is positive.
 
     Attributes
     ----------
@@ -222,8 +223,9 @@ class Weber:
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
     """Return an observer's force threshold, at a quantile of the Weber fraction's posterior.
 
-    With a quantile below one half, the threshold is more probably too small than too large. At 0.1,
-    the true threshold of the person is larger with a probability of 90 %. The unit is N.
+    With a quantile below one half, the returned threshold is more probably too small than too
+    large. At 0.1, the true threshold of the person is larger than the returned threshold with a
+    probability of 90 %. The unit is N.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(
@@ -243,7 +245,7 @@ class LogTable:
     """Table of a positive function of force; its logarithm is interpolated linearly in ln F.
 
     The interpolation is exact for a power law. Below the first node the function decreases linearly
-    to zero. Above the last node it continues linearly.
+    to zero. Above the last node the function is proportional to the force.
 
     Parameters
     ----------
@@ -275,16 +277,19 @@ class LogTable:
 
 
 class ForceMap:
-    """Map to the force whose expected intensity for this observer matches the reference.
+    """Map from a force to the command that has the reference intensity for an observer.
 
-    The reference is the intensity that the reference observer has at gain x force.
+    The reference intensity is the intensity that the reference observer feels at ``gain`` times the
+    force. The command is the force whose expected intensity for the observer equals the reference
+    intensity.
 
     Stevens' law is homogeneous: a common factor of all forces does not change any ratio of
     intensities. Every other function of the force changes these ratios. Therefore ``gain``, a
     common factor, fits the forces into the range of the device. ``knee_N`` is the strongest force
-    that the device plays uncompressed. The factor is 1 if the observer needs no more force than the
-    reference observer at ``knee_N``. If the observer needs more force, the factor is below 1. It is
-    chosen so that the command at ``knee_N`` is exactly ``knee_N``. Up to the knee::
+    that the device plays uncompressed. ``gain`` is 1 if the observer needs at most ``knee_N`` to
+    feel what the reference observer feels at ``knee_N``. If the observer needs more force, ``gain``
+    is below 1. It is then chosen so that the command for the force ``knee_N`` is exactly
+    ``knee_N``. Up to the knee::
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
@@ -297,7 +302,7 @@ class ForceMap:
     Parameters
     ----------
     reference, observer
-        Observer that defines the reference intensity, and observer that feels the command.
+        Intensity laws of the reference observer, and of the observer that feels the command.
     lowest_N, knee_N
         Upper end of the straight line [N], above 0, and the strongest force that the device plays
         uncompressed [N], above ``lowest_N``.
@@ -310,8 +315,8 @@ class ForceMap:
         Tables: command [N] as a function of force, and mean and standard deviation of the intensity
         as functions of the command.
     steepest
-        Largest slope of the map. The map increases the stiffness of a contact in the loop at most
-        by this factor.
+        Largest slope of the map. In the haptic loop, the map increases the stiffness of a contact
+        by at most this factor.
 
     Raises
     ------

@@ -32,9 +32,9 @@ __all__ = [
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Names of an observer's parameters.
 
-They are Stevens' factor and exponent, Weber's fraction and low-force term [N], lapse rate, and
-relative scatter of a reported intensity. The intensity is S = alpha (F / 1 N)^beta (1 + sigma e),
-with a random e of unit variance. For a change of kappa (F + offset), 75 % of answers in
+The parameters are Stevens' factor and exponent, Weber's fraction and low-force term [N], lapse
+rate, and relative scatter of a reported intensity. The intensity is S = alpha (F / 1 N)^beta (1 +
+sigma e), with a random e of unit variance. For a change of kappa (F + offset), 75 % of answers in
 two-interval trials are right, without lapses.
 """
 BOUNDS = {
@@ -63,7 +63,7 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """Observer: normal posterior of one person's parameters.
+    """Observer, described by a normal posterior of one person's parameters.
 
     The coordinates are (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma). In these
     coordinates every draw is a possible person: factor, thresholds and scatter are positive, and
@@ -296,7 +296,7 @@ def _number(value: object) -> float:
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:
-    """Return the value of a parameter at a coordinate."""
+    """Convert a coordinate of an observer to the value of its parameter."""
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
     return np.asarray(
@@ -308,11 +308,11 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Population: distribution of the parameters over people.
+    """Distribution of the parameters of observers over people.
 
     alpha has a log-normal distribution with mean 1, beta has a normal distribution, and sigma
     squared has an inverse-gamma distribution. The mean of alpha is 1, because the unit of intensity
-    is chosen as the average intensity at 1 N. Weber's fraction and low-force term have log-normal
+    is the average intensity at 1 N. Weber's fraction and low-force term have log-normal
     distributions, so that thresholds are positive. The lapse rate has a logit-normal distribution.
 
     Attributes
@@ -391,9 +391,10 @@ def population_observer() -> Observer:
 
 
 def reference_observer() -> Observer:
-    """Return the reference observer: exactly the medians of the population, with alpha 1.
+    """Return the reference observer, with the medians of the population and alpha = 1.
 
-    The intensities of other observers are matched to the reference observer.
+    Its parameters are known exactly. The intensities of other observers are matched to the
+    reference observer.
     """
     people = population()
     given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}

@@ -13,7 +13,7 @@ __all__ = ["Deadband", "PerceivedForce", "Perception", "PerceptionMaker", "Sense
 
 
 class Perception(Protocol):
-    """Perception model: it computes the force to command for one observer.
+    """Perception model that computes the force to play on the device for one observer.
 
     The direction of the force is kept. `step` is called once a tick and takes microseconds.
     """
@@ -25,7 +25,7 @@ class Perception(Protocol):
     perceived_spread: float
     """Standard deviation of the intensity of the commanded force."""
     steepest: float
-    """Largest slope of the command as a function of force; it multiplies the wall stiffness."""
+    """Largest slope of the command over the force; the stability check includes this factor."""
     sentence: str
     """Description of the observer and of the scaling, reported before a run."""
     above: bool
@@ -36,7 +36,7 @@ class Perception(Protocol):
         ...
 
     def pause(self) -> None:
-        """Reset after a missing sample: command no force, and play the next force as a change."""
+        """Reset after a missing sample: play the next force, even if it is below the threshold."""
         ...
 
 
@@ -69,7 +69,7 @@ class PerceptionMaker(Protocol):
 
 
 REST_SHARE = 0.5
-"""Ratio of the force to the threshold at zero below which zero force is played.
+"""Ratio of a force to the threshold at zero force, below which zero force is played.
 
 The played force becomes zero below half of the threshold. It becomes non-zero again above the whole
 threshold. Noise around one of the two values therefore does not switch the force on and off.
@@ -83,18 +83,18 @@ one tick.
 
 
 class Deadband:
-    """Deadband: the played vector changes only if the wanted vector is farther than a threshold.
+    """Deadband that changes the played vector only if the wanted vector is far enough from it.
 
-    The threshold is evaluated at the magnitude of the played vector. If the distance between the
-    two vectors exceeds the threshold, the wanted vector is played.
+    If the distance between the two vectors exceeds a threshold, the wanted vector is played. The
+    threshold is evaluated at the magnitude of the played vector.
 
     The distance is a distance of vectors, so that it includes changes of direction and of
     magnitude. At a change the wanted vector itself is played, and not a sum of steps. Errors
     therefore cannot accumulate: in every tick the error is below the threshold. Noise within the
     threshold is not played.
 
-    A vector below half of the threshold at zero is played as zero, so that there is no force in
-    free space.
+    A vector shorter than half of the threshold at zero is played as zero, so that there is no force
+    in free space.
 
     If the played force is constant while the wanted force decreases, the device receives energy. In
     a cycle, this energy equals the energy that a Coulomb friction of half the threshold would
@@ -155,7 +155,7 @@ class Deadband:
 def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
     """Apply a deadband to recorded vectors, shape (n, 3).
 
-    Return the played vectors and a mask of the changes, shape (n,).
+    Return the played vectors, shape (n, 3), and a mask of the changes, shape (n,).
     """
     deadband = Deadband(law)
     played = np.empty_like(wanted, dtype=float)
@@ -169,12 +169,12 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 class Sense:
     """Estimate of a force by a person: noisy observations, averaged by a filter with constant gain.
 
-    The person observes the force once a tick. The gain is G = 1 - exp(-T / tau), where tau is the
-    time over which the person averages force. The noise of an observation is chosen so that the
-    scatter s of the estimate of a constant force corresponds to the threshold: for a change of one
-    threshold, d' is 0.954. With this gain and scatter, an observation has the variance r = s^2 (2 -
-    G) / G. The filter assumes a random walk of the force with the variance q = G^2 r / (1 - G) per
-    tick.
+    The person observes the force once a tick. The gain is G = 1 - exp(-T / tau), where T is the
+    tick, and tau is the time over which the person averages force. The noise of an observation is
+    chosen so that the scatter s of the estimate of a constant force corresponds to the threshold:
+    for a change of one threshold, d' is 0.954. With this gain and scatter, an observation has the
+    variance r = s^2 (2 - G) / G. The filter assumes a random walk of the force with the variance q
+    = G^2 r / (1 - G) per tick.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class PerceivedForce:
         Raises
         ------
         InputError
-            If the force is not finite. The state is not changed then.
+            If the force is not finite. In this case, the state is not changed.
         """
         x, y, z = force_N.tolist()
         size = sqrt(x * x + y * y + z * z)
@@ -262,6 +262,6 @@ class PerceivedForce:
         return deadband.held
 
     def pause(self) -> None:
-        """Reset after a missing sample: command no force, and play the next force as a change."""
+        """Reset after a missing sample: play the next force, even if it is below the threshold."""
         self.deadband.forget()
         self.above = False

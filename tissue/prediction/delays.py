@@ -32,23 +32,23 @@ __all__ = [
 DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 22, 32, 46, 64, 80)
 """Delays of the coordinates [ticks].
 
-These delays replace all 81 delays from 0 to 80. For a direct regression of the stretch, the excess
-error 4 ms ahead was compared with the excess error of the zero-order hold, for simulated hands that
-were not in the training data. With these delays, the ratios are 0.32 in molar, 0.40 in pedicle and
-0.49 in incision. With all delays they are 0.32, 0.41 and 0.48, and with `PATH_DELAYS` 0.52, 0.47
-and 0.52.
+These delays replace all 81 delays from 0 to 80. The stretch was predicted 4 ms ahead by direct
+regression, for simulated hands that were not in the training data. The excess error was divided by
+the excess error of the zero-order hold. With these delays, the ratios are 0.32 in molar, 0.40 in
+pedicle and 0.49 in incision. With all 81 delays, the ratios are 0.32, 0.41 and 0.48, and with
+`PATH_DELAYS` 0.52, 0.47 and 0.52.
 """
 PATH_DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
 """Delays from which the displacement is predicted [ticks].
 
-At shorter delays, the displacement is smaller than an encoder step. The excess error of look-ahead
-4 ms ahead in palpation, divided by the excess error of the zero-order hold, is 0.31 with these
-delays and 0.33 with all of `DELAYS`.
+At shorter delays, the displacement is smaller than an encoder step. The excess error of `LookAhead`
+4 ms ahead in palpation was divided by the excess error of the zero-order hold. This ratio is 0.31
+with these delays and 0.33 with all of `DELAYS`.
 """
 COORDINATES = 2 * len(DELAYS) - 1
 """Number of coordinates of an axis: displacements between delays, and stretches at delays."""
 HORIZON = 20
-"""Largest number of ticks ahead.
+"""Largest number of ticks by which displacement and stretch are predicted ahead.
 
 This number is enough for 16 ms of latency and the path to the motor, in total 18.1 ticks.
 
@@ -64,7 +64,8 @@ to the excess error of the zero-order hold was larger by 0.02.
 STRETCH_RIDGE = 1e-10
 """Ridge penalty for the stretch, relative to the mean square of each coordinate.
 
-With a penalty of 1e-6, the ratio of the excess errors of `DELAYS` rises from 0.34 to 0.42 in molar.
+With a penalty of 1e-6, the ratio of excess errors that is defined at `DELAYS` rises from 0.34 to
+0.42 in molar.
 """
 KEPT_LEADS = 16
 """Number of prediction horizons whose maps are kept; a loop uses its horizon and one tick."""
@@ -77,11 +78,11 @@ class Moments:
     Attributes
     ----------
     coordinates
-        Mean of z zᵀ over all axes and ticks, with the coordinates z, shape (COORDINATES,
-        COORDINATES) [m2].
+        Mean of z zᵀ over all axes and ticks [m2], shape (COORDINATES, COORDINATES). z is the vector
+        of the coordinates of an axis in a tick.
     targets
-        Mean of z yᵀ, shape (COORDINATES, 2 HORIZON). The targets y are the displacements after 1 to
-        `HORIZON` ticks, followed by the changes of the stretch after the same ticks.
+        Mean of z yᵀ [m2], shape (COORDINATES, 2 HORIZON). The targets y are the displacements after
+        1 to `HORIZON` ticks, followed by the changes of the stretch after the same ticks.
     """
 
     coordinates: Array
@@ -89,9 +90,9 @@ class Moments:
 
     @classmethod
     def pooled(cls, parts: Iterable["Moments"]) -> "Moments":
-        """Return the mean of several moments, scaled to the same power of the displacements.
+        """Return the mean of several moments, after scaling them to the same power.
 
-        The power is the geometric mean of all powers.
+        The common power is the geometric mean of the values of `power_m2`.
         """
         ready = list(parts)
         powers = np.array([each.power_m2 for each in ready])
@@ -171,8 +172,8 @@ class DelayOperator:
     moments
         Moments of the training data.
     growth
-        Mean square of the scaled coordinates of all axes above which a motion is outside the
-        training range.
+        Limit of the training range. Each coordinate is divided by its RMS in the training data. The
+        mean of the squares over the coordinates, summed over the axes, must not exceed the limit.
     """
 
     moments: Moments
@@ -180,9 +181,9 @@ class DelayOperator:
 
 
 def coordinates(position_m: Array, stretch_m: Array) -> Array:
-    """Return the coordinates from positions and stretches at `DELAYS`, (COORDINATES, ...).
+    """Return the coordinates, shape (COORDINATES, ...), from the values at `DELAYS`.
 
-    Both arguments have shape (delays, ...), with the newest value first.
+    Positions and stretches have shape (delays, ...), with the newest value first.
     """
     return np.concatenate((position_m[:-1] - position_m[1:], stretch_m))
 
@@ -193,7 +194,7 @@ class DelayPath:
     Parameters
     ----------
     operator
-        The operator.
+        Operator that predicts displacement and stretch of an axis.
     """
 
     def __init__(self, operator: DelayOperator) -> None:
@@ -218,12 +219,13 @@ class DelayPath:
         return float(scaled.dot(scaled)) <= self._growth
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update with device position and coupling stretch in a tick, shape (3,).
+        """Update with the device position and the coupling stretch in a tick, each of shape (3,).
 
-        The first state fills all delays, as if the device had been at rest. At the start of a run
-        this is true. After a pause, the path is not trusted until all delays are measured.
-        `filtered_m` is the position that the coupling uses, if it is not the measured position. A
-        trained operator includes the difference between these positions.
+        The first state fills all delays, as if the device had been at rest. This assumption is true
+        at the start of a run. After a pause, the path is not trusted until all delays are measured.
+        `filtered_m` is the position that the coupling uses, if it is not the measured position. It
+        is not used here, because a trained operator includes the difference between these
+        positions.
         """
         recent = self._recent
         self._missing = max(self._missing - 1, 0)
@@ -237,7 +239,7 @@ class DelayPath:
         self._coordinates = coordinates(seen[:, 0], seen[:, 1])
 
     def displacement_m(self, ticks: float) -> Array:
-        """Predict the displacement from the last observed position, shape (3,)."""
+        """Predict the displacement of the device from its last observed position, shape (3,)."""
         displacement: Array = self._map(ticks)[0].dot(self._coordinates)
         return displacement
 

@@ -23,7 +23,10 @@ BLEND = 10
 ABSURD = 1e6
 """Largest plausible component of a device's position, velocity or force [m, m/s, N]."""
 MEMORY = 0.98
-"""Factor per tick of past prediction errors: about 50 ticks, the length of a first contact."""
+"""Factor by which past prediction errors decay in a tick.
+
+The memory is about 50 ticks, the length of a first contact.
+"""
 WORSE = 1.5
 """Largest ratio of a trusted predictor's error to the error of the fallback.
 
@@ -35,9 +38,10 @@ LEAST_N = 3e-3
 This error is below a tenth of the lowest device friction, which is 0.04 N.
 """
 LONG_MEMORY = 0.999
-"""Factor per tick of past errors in the comparison with the zero-order hold: about 1 s.
+"""Factor by which past errors in the comparison with the zero-order hold decay in a tick.
 
-The comparison sums the squared errors of the predictor, minus the squared errors of the hold.
+The memory is about 1 s. The comparison sums the squared errors of the predictor, minus the squared
+errors of the zero-order hold.
 """
 MOST_DEBT = 20.0
 """Largest sum in the comparison with the zero-order hold, in units of `LEAST_N`^2.
@@ -45,7 +49,7 @@ MOST_DEBT = 20.0
 Three seconds with equal errors reduce this sum to an accepted value.
 """
 PROBATION = 50
-"""Ticks for which a predictor must be trusted before it is used again; see `MEMORY`."""
+"""Number of ticks for which a predictor must be trusted before it is used again, see `MEMORY`."""
 
 
 class Judged(Predictor, Protocol):
@@ -58,25 +62,26 @@ class Judged(Predictor, Protocol):
 
 
 class Guarded:
-    """Predictor with a fallback; the force fades between the two without a jump.
+    """Predictor with a fallback; the force fades from one to the other without a jump.
 
-    The force is the force of the fallback plus a share of the difference between the two forces.
-    The predictor loses trust in three cases. First, it reports that it is not trusted. Second, the
-    recent errors of its predictions are larger than the errors of the fallback. Third, over a
-    longer time its errors are larger than the errors of a zero-order hold. Predicted contacts that
-    did not happen count as such errors. In each case the share falls from 1 to 0 in `BLEND` ticks.
-    It increases at the same rate after a period of trust. The difference is limited. If it is not
-    finite, the last difference is used. A change between the predictors therefore changes the force
-    by at most this limit.
+    The played force is the fallback's force plus a share of the difference: the predictor's force
+    minus the fallback's force. The predictor loses trust in three cases. First, it reports that it
+    is not trusted. Second, the recent errors of its predictions are larger than the errors of the
+    fallback. Third, over a longer time its errors are larger than the errors of a zero-order hold.
+    Predicted contacts that did not happen count as errors in this third case. In each case the
+    share falls from 1 to 0 in `BLEND` ticks. After `PROBATION` ticks of trust, the share increases
+    at the same rate. The difference is limited to ``reach_N``. If it is not finite, the last
+    difference is used. A change between the predictors therefore changes the force by at most this
+    limit.
 
     Parameters
     ----------
     inner
-        The predictor to guard.
+        Predictor to guard.
     instead
         Fallback predictor, used while the inner predictor is not trusted.
     reach_N
-        Largest difference between the two forces [N].
+        Largest difference between the forces of predictor and fallback [N].
     """
 
     residual_N = 0.0
@@ -99,12 +104,12 @@ class Guarded:
         self._over_held = 0.0
 
     def meet(self, contact: Contact) -> None:
-        """Pass the contact to each of the two predictors that uses it."""
+        """Pass the contact to the predictor and to the fallback, if they use contacts."""
         for each in self._shown:
             each.meet(contact)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Pass the sample to the two predictors, and update the trust.
+        """Pass the sample to predictor and fallback, and update the trust in the predictor.
 
         A sample that is not finite or not plausible is treated as missing.
         """
@@ -133,7 +138,7 @@ class Guarded:
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
-        """Return the force of the fallback plus the share of the difference."""
+        """Return the fallback's force plus a share of the difference to the predictor's force."""
         # Three scalars are faster than arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
@@ -157,7 +162,7 @@ class Guarded:
         return np.array((x + share * u, y + share * v, z + share * w))
 
     def _compare(self, force_N: Array) -> None:
-        """Add the errors of the predictions for the time since the last tick with a force."""
+        """Add the errors of earlier predictions, now that the force at their time is known."""
         fx, fy, fz = force_N.tolist()
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
@@ -184,7 +189,7 @@ class Guarded:
         self._age = 0
 
     def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
-        """Store the two predictions until the predicted force is observed."""
+        """Store the forces of predictor and fallback until the predicted force is observed."""
         self._asked = True
         if ticks != self._lead:
             self._lead = ticks
@@ -192,7 +197,7 @@ class Guarded:
         self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:
-        """Pause the two predictors, and discard predictions that are not compared yet."""
+        """Pause predictor and fallback, and discard predictions that are not compared yet."""
         self._kept.clear()
         self.inner.pause()
         self.instead.pause()
@@ -228,14 +233,14 @@ class Observes(Protocol):
 
 
 class Outside:
-    """Complete predictor that wraps a predictor with only `observe` and `predict`.
+    """Wrapper that completes an external predictor, which needs only `observe` and `predict`.
 
-    Its last error is the force that it predicted one tick ahead minus the observed force.
+    ``residual_N`` is the magnitude of the force predicted one tick ahead minus the observed force.
 
     Parameters
     ----------
     inner
-        The predictor.
+        External predictor.
     name
         Name of the predictor in messages.
 
@@ -337,7 +342,7 @@ def _failed(name: str, method: str, error: Exception) -> InputError:
 
 
 class GuardedMaker:
-    """Factory of an external predictor with a guard.
+    """Factory that makes an external predictor and adds a guard.
 
     The fallback of the guard is the zero-order hold.
 

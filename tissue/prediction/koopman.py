@@ -11,9 +11,10 @@ from tissue.prediction.predictor import Contact
 __all__ = ["Koopman"]
 
 LEAST_DEPTH_M = 2e-4
-"""Smallest depth at which the stiffness of a contact is estimated [m]: four encoder steps.
+"""Smallest depth at which the stiffness of a contact is estimated [m].
 
-A surface that moves by more than this depth is treated as a new surface.
+The value is about four encoder steps of a Touch. If the depths at the start and at the end of a
+contact differ by this value or more, the surface is treated as unknown.
 """
 
 RELEASED = 20
@@ -22,9 +23,9 @@ RELEASED = 20
 A shorter time without force is caused by chatter of a cutting tool, and does not define a surface.
 """
 REMEMBERED = 0.95
-"""Factor per tick of past forces in the estimate of the force's direction.
+"""Factor by which past forces decay in a tick, in the estimate of the force's direction.
 
-Past forces are needed, because a force that has decayed has no direction.
+Past forces are needed, because a force close to zero has no reliable direction.
 """
 
 
@@ -36,8 +37,8 @@ class Koopman:
 
     If a device has been free for some ticks, the predicted force is zero until the predicted path
     reaches the surface of the last contact. This surface is the plane through the end of that
-    contact, normal to the contact force. The plane is used only if the contact also began there.
-    Behind the plane, the tissue has the stiffness of the last contact.
+    contact, normal to the contact force. The plane is used only if the contact also began at this
+    plane. Behind the plane, the tissue has the stiffness of the last contact.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ class Koopman:
         self.path.observe(position_m, self._force / self._spring)
 
     def predict(self, ticks: float) -> Array:
-        """Return the predicted stretch times the coupling's stiffness."""
+        """Return the predicted force, see `Koopman`."""
         if ticks == 0.0 or self._spring == 0.0:
             return self._force.copy()
         if any(self._force.tolist()):

@@ -22,12 +22,13 @@ The causes of this deviation are curvature and friction.
 DRIFT_PER_M = 50.0
 """Increase of a slope's variance per metre of motion.
 
-A slope of 1 is unknown again after 20 mm, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500
-were compared in palpation. The excess error was divided by the excess error of the zero-order hold.
-With values from 50 on, the ratios are similar: 0.40 to 0.68. With a value of 0.5 the ratio is 0.72.
+A slope is unknown again when its variance reaches the square of the slope. A slope of 1 is unknown
+after 20 mm, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500 were compared in palpation. The
+excess error was divided by the excess error of the zero-order hold. With values from 50 on, the
+ratios are similar: 0.40 to 0.68. With a value of 0.5 the ratio is 0.72.
 """
 JUMP_M = 5e-4
-"""Change of a force in a tick, divided by the coupling's stiffness, that is a jump [m].
+"""Change of a force in a tick above which it is a jump, divided by the coupling stiffness [m].
 
 The value corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand moves so fast.
 """
@@ -99,8 +100,8 @@ class LookAhead:
     estimated (`ContactSlope`).
 
     For a tool that cuts, the predicted force is the stretch that the path predicts, multiplied by
-    the coupling's stiffness. The law of the cutting force does not improve it; see
-    ``docs/decisions.md``.
+    the coupling's stiffness. Using the law of the cutting force does not improve this prediction;
+    see ``docs/decisions.md``.
 
     The coupling's damper force is assumed constant up to the end of the path.
 
@@ -113,8 +114,9 @@ class LookAhead:
         slopes that the tissue provides. ``learnt`` also estimates slopes that the tissue does not
         provide. In contact without a slope, the stretch that the path predicts is used. Friction
         and rupture under a needle or a blade have no constant slope. At the start of such a
-        contact, no stretch is known. The surface below the tool then gives the force, and its
-        weight falls from 1 to 0 during the time of the prediction.
+        contact, no past stretch is known. The force is then computed from the stiffness of the
+        surface below the tool. The weight of this force falls from 1 to 0 within the time of the
+        prediction.
     """
 
     residual_N = 0.0
@@ -165,7 +167,7 @@ class LookAhead:
             self._stiffness = contact.stiffness_N_m / spring
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device, and with the force in ticks with a tissue response."""
+        """Update with the device position, and with the force in ticks with a tissue response."""
         contact = self._contact
         if contact is None:
             if force_N is not None:
@@ -202,7 +204,7 @@ class LookAhead:
         return contact.spring_N_m * self.path.stretch_m(1.0)
 
     def predict(self, ticks: float) -> Array:
-        """Return the force of the contact law at the end of the path."""
+        """Return the force of the contact law at the predicted device position."""
         if ticks == 0.0 or self._contact is None:
             return self._force.copy()
         if self._contact.cuts:
@@ -220,18 +222,18 @@ class LookAhead:
         return self._at(self._position + self.path.displacement_m(ticks))
 
     def _pressed(self, contact: Contact, ticks: float) -> Array:
-        """Return the force if the surface is pressed further along its normal [N]."""
+        """Return the force [N] after a predicted motion into the surface, along its normal."""
         depth = -contact.normal.dot(self.path.displacement_m(ticks))
         stiffness = _in_series(contact.spring_N_m, contact.surface_N_m)
         return self._force + stiffness * depth * contact.normal
 
     def pause(self) -> None:
-        """Reset the path and the contact."""
+        """Reset the path, and keep the estimated slope as a first guess for the next contact."""
         self.path.pause()
         self._slope.pause()
 
     def _at(self, device_m: Array) -> Array:
-        """Return the force on a device at a position [N]."""
+        """Return the force [N] on the device at the position ``device_m``."""
         contact = self._contact
         assert contact is not None
         force = contact.force_N

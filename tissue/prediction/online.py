@@ -11,9 +11,12 @@ __all__ = ["AdaptivePath"]
 MEMORY = 1000.0
 """Number of ticks after which the weight of a tick in the fit is 1/e."""
 PRIOR = 0.3
-"""Weight of the initial operator in the fit, relative to a run with the power of the training data.
+"""Weight of the initial operator in the fit, relative to the data of the run.
 
-This weight makes the fit solvable at rest. The fit then returns to the initial operator.
+The ratio holds for a run with the power of the training data.
+
+The weight of the initial operator makes the fit solvable at rest. The fit then returns to the
+initial operator.
 """
 SMOOTHED = 8
 """Number of ticks on each side over which a parabola smooths the target position.
@@ -21,7 +24,7 @@ SMOOTHED = 8
 The smoothing removes most of the effect of encoder steps on the target.
 """
 INTERVAL = 32
-"""Number of ticks between two solves of the fit. A solve takes 60 us in its tick."""
+"""Number of ticks between two solutions of the fit. A solution takes 60 us of its tick."""
 
 
 class AdaptivePath(DelayPath):
@@ -55,9 +58,10 @@ class AdaptivePath(DelayPath):
         self._good = 0
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update the window, and add its oldest tick to the fit, because its targets are now known.
+        """Update the window, and add its oldest tick, whose targets are now known, to the fit.
 
-        The targets are displacements to later positions that the coupling uses.
+        The targets are the displacements to later positions as used by the coupling, and the
+        changes of the stretch.
         """
         super().observe(position_m, stretch_m)
         past = self._past

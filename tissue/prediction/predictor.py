@@ -26,8 +26,8 @@ class Predictor(Protocol):
     """Predictor of the force on a device some ticks after the last observation.
 
     Once a tick, `observe` receives the device position and velocity. In ticks with a tissue
-    response, it also receives the force. Then `predict` returns the predicted force. The time of
-    each call is constant.
+    response, it also receives the force. Then `predict` returns the predicted force. Each call
+    takes a constant time.
     """
 
     residual_N: float
@@ -45,14 +45,14 @@ class Predictor(Protocol):
     def predict(self, ticks: float) -> Array:
         """Return the predicted force some ticks after the last observation [N], shape (3,).
 
-        For zero ticks it is the present force. The number of ticks need not be a whole number,
-        because the delay of a force on its path to the motor is not a whole number of ticks, see
-        `tissue.haptics.loop.sampled_loop`.
+        For zero ticks, the result is the present force. The number of ticks need not be a whole
+        number, because the delay of a force on its path to the motor is not a whole number of
+        ticks, see `tissue.haptics.loop.sampled_loop`.
         """
         ...
 
     def pause(self) -> None:
-        """Reset after missing samples, because the next sample does not follow the last."""
+        """Reset after missing samples, because the next sample does not follow the last one."""
         ...
 
 
@@ -91,7 +91,7 @@ class Contact:
     spring_N_m
         Stiffness of the coupling.
     tip_m
-        Position of the tool [m], shape (3,). If no force acts on the tool, it is at the device.
+        Position of the tool [m], shape (3,). A tool without force is at the device.
     force_N
         Force of the tissue on the tool at this position, shape (3,).
     stiffness_N_m
@@ -99,7 +99,7 @@ class Contact:
         provide it.
     gap_m, normal
         Distance of a free tool from the tissue's surface [m], infinite if the tissue does not
-        provide it. Unit normal out of the surface, shape (3,).
+        provide this distance. Unit normal out of the surface, shape (3,).
     surface_N_m
         Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
         known.
@@ -136,7 +136,7 @@ looks like a slope.
 LONGEST_WINDOW = 1000
 """Longest window of a slope [ticks]: 1 s. The slope of a contact is not constant for so long."""
 JERKINESS = 1e-3
-"""Variance of the force's third difference divided by the variance of its noise.
+"""Variance of the third difference of the force, divided by the variance of the force's noise.
 
 In recordings of `wall`, this value gave the smallest error of the values from 1e-8 to 1e-2.
 """
@@ -233,7 +233,7 @@ class Kalman:
     def predict(self, ticks: float) -> Array:
         """Return the force on the parabola of force, first and second derivative.
 
-        For 0 ticks after an observed force, it is that force.
+        For 0 ticks after an observed force, the result is the observed force.
         """
         if ticks == 0 and self._since == 0:
             return self._force

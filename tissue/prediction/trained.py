@@ -1,4 +1,4 @@
-"""Trained predictors of a scene, and their file of arrays and one line of JSON."""
+"""Trained predictors of a scene, and their file with arrays and one line of JSON."""
 
 import json
 from dataclasses import dataclass, field, replace
@@ -36,16 +36,16 @@ The value is the horizon for 4 ms of latency. On a Touch, this horizon is 6.11 t
 path to the motor, see `tissue.simulation.builders.loop.lead_ticks`.
 """
 FINE_STEP_M = 1e-5
-"""Encoder step of the second operator [m].
+"""Encoder step of the second operator, `Trained.fine` [m].
 
-It is the step of the finest devices whose errors of prediction were measured. For smaller steps,
-the second operator is used.
+The value is the step of the finest devices for which prediction errors were measured. For smaller
+steps, the second operator is used.
 """
 FORMAT = "tissue predictor"
 VERSION = 5
-"""Version of the file."""
+"""Version of the file format."""
 SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 * HORIZON)}
-"""Shapes of the arrays of a file, the moments in `tissue.prediction.delays.Moments`."""
+"""Shapes of the arrays in a file; they are attributes of `tissue.prediction.delays.Moments`."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class Trained:
     step_m
         Encoder step of the operator [m].
     fine
-        Operator of the same trials with encoder steps of `FINE_STEP_M`. None if `step_m` is not
-        larger.
+        Operator trained on the same trials with encoder steps of `FINE_STEP_M`. None if `step_m` is
+        not larger than `FINE_STEP_M`.
     fallback
         Name of the predictor that is used outside the training range. It is the best predictor
         without an operator.
@@ -80,9 +80,9 @@ class Trained:
     def at_step(self, step_m: float) -> "Trained":
         """Return the predictors for a device with other encoder steps [m].
 
-        The moments are interpolated linearly over the step q. A displacement d that is shorter than
-        a step is read as q with a probability of d / q, so that its mean square is d q. Outside the
-        steps in training, the nearest operator is used.
+        The moments are interpolated linearly over the step q. The reason is that a displacement d
+        shorter than q is read as q with a probability of d / q. Its mean square d q is therefore
+        linear in q. Outside the steps in training, the nearest operator is used.
         """
         fine = self.fine
         if fine is None or step_m >= self.step_m:

@@ -48,17 +48,17 @@ class DeviceError(InputError):
 class Device(Protocol):
     """Haptic device: position in, force out.
 
-    A loop needs only these two methods. It uses a device through
-    `tissue.haptics.device.safe_device.SafeDevice`. A device may be a context manager. It is then
-    entered before its first read, and left after its last command, which is zero. Pass such a
-    device to a run without a ``with`` statement of your own, which would open the device twice, or
-    use ``with SafeDevice(device) as held``. A device may have a method ``close()`` that removes all
-    force by other means than ``command``. This method is called if ``command`` fails, and may be
-    called from another thread.
+    A haptic loop needs only the methods `read` and `command`. It calls them through
+    `tissue.haptics.device.safe_device.SafeDevice`. If the device is a context manager, the loop
+    enters it before the first read, and leaves it after the last command, which is zero. Do not
+    enter such a device in a ``with`` statement of your own before a run, because it would be opened
+    twice. Use ``with SafeDevice(device) as held`` instead. A device may have a method ``close()``
+    that removes all force without calling ``command``. The loop calls ``close()`` if ``command``
+    fails, possibly from another thread.
     """
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the newest sample at a time; None without a sample."""
+        """Return the newest sample at the time ``time_s``, or None if there is no sample."""
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
         """Play a force and a torque on the hand, in the world frame, until the next command."""
@@ -100,13 +100,13 @@ class StatesPlayed(Protocol):
 
 
 class ComputedDevice:
-    """Base class of computed devices.
+    """Base class of devices that only compute, such as simulated and recorded devices.
 
-    A computed device answers at once, and its last force is zero.
+    The calls of such a device return at once. Leaving its ``with`` block commands zero force.
     """
 
     in_process = True
-    """True if read and command only compute, so that they cannot block."""
+    """True if `read` and `command` only compute, so that they cannot block."""
 
     def __enter__(self) -> Self:
         return self
@@ -128,15 +128,15 @@ class DeviceParameters:
     mass_kg, damping_N_s_m, friction_N
         Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Position resolution of the encoders [m]; 0 for exact positions. It chooses the operator of a
-        trained predictor.
+        Position resolution of the encoders [m]; 0 for exact positions. A trained predictor uses the
+        operator for this step.
     force_limit_N
         Largest force [N].
     force_slew_N_ms
         Largest change of the commanded force [N/ms].
     rate_Hz
-        Samples and force updates per second. The loop reads a faster device once a tick. With a
-        slower device, each force is held until the next sample of the device.
+        Samples and force updates per second. A device with a higher rate than the ticks is read
+        once a tick. With a lower rate, each force is held until the next sample of the device.
     transport_delay_s
         Time from a sample to the force computed from it, in addition to the zero-order hold [s].
     amplifier_Hz
@@ -151,7 +151,7 @@ class DeviceParameters:
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
         Limits in the vendor's software. They are reported and not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m
-        Box in which the tip can be moved [m].
+        Edge lengths of the box in which the tip can be moved [m].
     """
 
     mass_kg: float
@@ -201,7 +201,7 @@ class DeviceParameters:
     ) -> WallLoop:
         """Return the loop used to check the stability of a virtual wall on this device.
 
-        The loop contains no friction, no encoders and no hand.
+        The loop contains no Coulomb friction, no encoder steps and no hand.
         """
         return WallLoop(
             mass_kg=self.mass_kg,
@@ -227,7 +227,10 @@ class DeviceParameters:
         filter_s: float = 0.0,
         model_ticks: int = 1,
     ) -> WallLoop:
-        """Return the loop used to check the stability of a rotation, in rotational units."""
+        """Return the loop used to check the stability of a rotational spring on this device.
+
+        The loop has rotational units.
+        """
         loop = self.loop(stiffness_Nm_rad, filter_s=filter_s, model_ticks=model_ticks)
         return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
 
@@ -235,7 +238,7 @@ class DeviceParameters:
 def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
     """Return the parameters of a device by its name in `DEVICES`.
 
-    Constants of the scene replace the constants of the built-in sources.
+    Constants that a scene defines replace the built-in constants.
 
     Raises
     ------
@@ -249,7 +252,8 @@ FURTHER = 3.0
 """Ratio of an arm's reach to the diagonal of its published workspace.
 
 The Touch has a published workspace of 160 x 120 x 70 mm, but its arm moves in 431 x 348 x 165 mm.
-Positions that are wrongly given in millimetres exceed this reach after a motion of 0.6 mm.
+Positions of a Touch that are wrongly given in millimetres exceed the computed reach after a motion
+of 0.6 mm.
 """
 UNSTATED_M = 3.0
 """Reach of a device without a published workspace [m]: more than the length of an arm."""

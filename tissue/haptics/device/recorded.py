@@ -74,19 +74,20 @@ class RecordedDevice(ComputedDevice):
 
 
 RESPONSE_S = 0.03
-"""Time constant of the response of a mouse to a push [s].
+"""Time constant with which the pose of a `MouseDevice` follows the pointer [s].
 
 The value is about the time between two frames of a window (1/30 s). With a shorter time constant,
-each push would be visible as a jerk.
+each new pointer position would be visible as a jerk.
 """
 
 
 class MouseDevice(ComputedDevice):
     """Device driven by positions from a window, smoothed to a continuous motion.
 
-    The window pushes positions at its own rate. Between two pushes, the pose follows the last push
-    as a critically damped second-order system. The step is exact for a constant target. Position,
-    orientation and velocities are therefore continuous at any rate of the window.
+    The window sends pointer positions at its own rate. Between two of these positions, the pose
+    follows the last position as a critically damped second-order system. The solution is exact for
+    a constant target. Position, orientation and velocities are therefore continuous at any rate of
+    the window.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ class MouseDevice(ComputedDevice):
     """
 
     bounds_itself = True
-    """True, so no reach is checked: the pointer of a mouse is not bounded by an arm."""
+    """True: the reach is not checked, because no arm bounds the pointer of a mouse."""
 
     def __init__(self, position_m: Triple = NOTHING) -> None:
         self._target = position_m
@@ -111,7 +112,7 @@ class MouseDevice(ComputedDevice):
         self._turned = quaternion
 
     def read(self, time_s: float) -> Sample | None:
-        """Follow the last push up to a time, and return the sample."""
+        """Follow the last pointer position until ``time_s``, and return the sample."""
         last = self._sample
         target = self._target
         turned = self._turned
@@ -132,7 +133,7 @@ class MouseDevice(ComputedDevice):
 
 
 def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Triple, Triple]:
-    """Return motion and speed after one step towards a target at an offset."""
+    """Return the motion in a step towards a target at ``offset``, and the speed after the step."""
     fade = exp(-step_s / RESPONSE_S)
     rate = 1.0 / RESPONSE_S
     slope = [v - rate * away for away, v in zip(offset, speed, strict=True)]
@@ -151,7 +152,7 @@ LATE_READS = 5
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault of the samples between two times [s]."""
+    """Kind of fault of the samples between two times [s]."""
 
     kind: FaultKind
     start_s: float
@@ -159,9 +160,9 @@ class Fault:
 
 
 class FaultyDevice:
-    """Device with faulty samples at given times.
+    """Wrapper that makes the samples of a device faulty at given times.
 
-    Samples are dropped, late, repeated, non-finite or wild (1e9 m).
+    At these times, samples are dropped, late, repeated, non-finite or wild (1e9 m).
     """
 
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:

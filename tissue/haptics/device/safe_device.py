@@ -37,7 +37,8 @@ force is always removed within 50 ms, however the loop ends.
 STALL_S = 0.05
 """Longest time without a command before the force is removed [s].
 
-In the network protocol, a device removes its force by itself after the same time.
+In the network protocol of this package, a device that receives nothing removes its force after the
+same time.
 """
 GIVE_UP_S = 1.0
 """Longest duration of a read or a command before the device is treated as lost [s].
@@ -51,13 +52,14 @@ OPENING_S = 10.0
 The slowest built-in adapter waits for 5 s.
 """
 ANSWER_S = 0.2
-"""Longest duration of a zero command from a second thread, or of a close [s].
+"""Longest duration of a zero command that a second thread sends, or of closing the device [s].
 
-The waits for the lock, the command and the close take 0.6 s together, less than `GIVE_UP_S`.
+The second thread waits for a lock, for the command and for the close, at most this time for each of
+them. The sum of 0.6 s is less than `GIVE_UP_S`.
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""Value of the running call if no call is running."""
+"""Name and start time of the running call, as stored while no call is running."""
 
 
 class SafeDevice:
@@ -68,9 +70,9 @@ class SafeDevice:
     zero at once. If zero cannot be sent and the device has the method ``close``, the device is
     closed. An exception of the device becomes a `DeviceError`.
 
-    A loop can receive ``held`` in place of the device. The device is then already entered, and the
-    loop leaves it entered and without force. One ``with`` block can therefore hold a device for
-    many runs.
+    A loop can receive ``held`` in place of the device. The device is then already entered. The loop
+    does not leave the device, but ends with zero force. One ``with`` block can therefore hold a
+    device for many runs.
 
     A device that is not ``in_process`` may block. Another thread must then call `stop_if_stuck`
     frequently. This method sends zero if no command was given for `STALL_S`. It gives up the device
@@ -92,7 +94,8 @@ class SafeDevice:
     released
         True if another thread has sent zero since the last timely read.
     slow_reads, slowest_read_s
-        Number of reads that took longer than a tick, and the longest of them [s].
+        Number of reads that took longer than a tick, and duration of the longest of these reads
+        [s].
     """
 
     def __init__(
@@ -125,7 +128,7 @@ class SafeDevice:
         self._closed = False
 
     def happened(self) -> list[tuple[float, str]]:
-        """Return slow reads, limited changes and events of the device.
+        """Return slow reads, slew-limited commands, and events of the device.
 
         Each entry is a time [s] and a sentence.
         """
@@ -185,7 +188,7 @@ class SafeDevice:
         Raises
         ------
         DeviceError
-            If the device raised, or was given up.
+            If the device raised an exception or was given up.
         BaseException
             The exception passed to `stop`.
         """
@@ -212,7 +215,7 @@ class SafeDevice:
         Raises
         ------
         DeviceError
-            If the device raised, or was given up.
+            If the device raised an exception or was given up.
         """
         force = self._force.step(force_N)
         torque = self._torque.step(torque_Nm)
@@ -286,7 +289,7 @@ class SafeDevice:
 
     @contextmanager
     def _calling(self, name: str) -> Iterator[None]:
-        """Measure the time of a call, and convert its exception into a sentence."""
+        """Record the start of a call, and convert its exception into a `DeviceError`."""
         self._call = (name, perf_counter())
         try:
             yield
@@ -298,7 +301,7 @@ class SafeDevice:
     def _ramp(self) -> None:
         """Ramp the last force linearly to zero.
 
-        A device in this process does not wait in real time.
+        For a device that is ``in_process``, the ramp does not wait in real time.
         """
         force = self._force.value
         torque = self._torque.value
@@ -374,17 +377,17 @@ def run_held(work: Callable[[], None], held: SafeDevice) -> None:
     """Run ``work``, the loop of a device, and ensure that no force remains at the end.
 
     A device that may block runs in a second thread, because a blocked call cannot be interrupted.
-    The calling thread sends zero if the loop stops. It gives up a device that does not answer, and
-    does not wait for ``work`` any longer. Ctrl-C and signals that ask the process to end, such as
-    SIGTERM and the SIGHUP of a closed terminal, end the loop after its tick. The signal handlers
-    are restored before this function returns.
+    The calling thread sends zero if the loop hangs. It gives up a device that does not answer, and
+    then no longer waits for ``work``. Ctrl-C ends the loop after the present tick. The same holds
+    for signals that ask the process to end, such as SIGTERM and the SIGHUP of a closed terminal.
+    The signal handlers are restored before this function returns.
 
     Raises
     ------
     DeviceError
         If the device was given up.
     KeyboardInterrupt
-        After Ctrl-C. After a signal that asks the process to end, its subclass `Terminated` is
+        After Ctrl-C. After a signal that asks the process to end, the subclass `Terminated` is
         raised.
     """
 

@@ -29,7 +29,7 @@ from tissue.motion.quaternion import (
 __all__ = ["NewSamples", "Roughness", "SampleGuard", "guard_of"]
 
 MEMORY = 8.0
-"""Number of new samples over which the share of rough samples is averaged.
+"""Number of new samples over which the share of rough samples is averaged, see `Roughness`.
 
 Two rough samples in a row, caused by a jump or a blow, give a share of 0.23. Six rough samples give
 a share above `ROUGH`.
@@ -38,14 +38,17 @@ STALE = 0.25
 """Weight of a sample that only repeats the last sample.
 
 With weight 0, a device at rest would never become valid again. A device at 250 Hz repeats each
-sample three times. With weight 1, its noise would give a share of 0.25 and would not be detected.
-With weight 0.25 the share is 0.57.
+sample three times. With weight 1, noise of this device would give a share of rough samples of 0.25,
+and would not be detected. With weight 0.25 the share is 0.57.
 """
 ROUGH = 0.5
 SMOOTH = 0.05
-"""Shares of rough samples above which a signal is noise, and below which it is valid again."""
+"""Share of rough samples below which a signal is valid again; above `ROUGH`, it is noise."""
 SHORTEST_S = 2e-3
-"""Shortest span of three samples [s]; encoder steps and clock jitter disturb shorter spans."""
+"""Lower bound of the time span of three samples in `Roughness` [s].
+
+In a shorter span, encoder steps and clock jitter would look like noise.
+"""
 
 Place = tuple[float, float, float, float, float]
 """Time [s] and up to four coordinates."""
@@ -56,11 +59,11 @@ class Roughness:
 
     The detector measures the deviation of a sample from the straight line between the previous and
     the next sample. For time steps T and an acceleration a, the deviation is at most a T^2 / 2. A
-    sample is rough if its deviation is larger than the limit allows. The signal becomes noise when
-    more than half of its last samples (exponential mean over 8 samples) are rough. It is valid
-    again when fewer than a twentieth are rough. A jump, a lost sample, an encoder step or a blow
-    makes at most two samples rough. White noise is detected if its standard deviation per axis is
-    larger than about a quarter of the limit times (1 ms)^2.
+    sample is rough if its deviation is larger than this value for the acceleration ``limit``. The
+    signal is treated as noise when more than half of its last samples (exponential mean over 8
+    samples) are rough. The signal is valid again when fewer than a twentieth are rough. A jump, a
+    lost sample, an encoder step or a blow makes at most two samples rough. White noise is detected
+    if its standard deviation per axis is larger than about a quarter of the limit times (1 ms)^2.
 
     Parameters
     ----------
@@ -72,7 +75,7 @@ class Roughness:
     noisy
         True if the signal is noise.
     share
-        Share of rough samples among the last ones.
+        Share of rough samples among the last samples (exponential mean).
     """
 
     def __init__(self, limit: float) -> None:
@@ -133,21 +136,26 @@ class Roughness:
 MOST_EVENTS = 200
 """Largest number of listed changes between valid and invalid samples.
 
-A device that changes in every tick would otherwise fill memory and report.
+Without this limit, a device that changes between valid and invalid in every tick would fill the
+memory and the report.
 """
 NO_TORQUE = np.zeros(3)
 SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
-"""Shapes of the parts of a sample."""
+"""Shapes of the entries of a `Sample`: time, position, velocity, quaternion and spin."""
 PLAIN = {float, int, np.float64}
 """Types of numbers that are accepted unchanged; bool is excluded."""
 HALF_TURN = 1e-3
-"""Distance to 1 within which a quaternion component means a half-turn about its axis.
+"""Difference between 1 and the x component of a quaternion that means a half-turn about x.
 
-The tolerance allows for a rotation of 5 degrees, because a device may start near its zero
-orientation.
+A first orientation with a smaller difference is reported, because a device that gives w first
+starts with it. The tolerance allows for a rotation of 5 degrees, because a device may start near
+its zero orientation.
 """
 UNIT = " (positions must be in metres)"
-"""Hint for a device that reports millimetres; its speed then seems too high for a hand."""
+"""Hint in messages about a motion that is too fast or too far for a hand.
+
+The cause may be a device that reports millimetres.
+"""
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a "
     "device that gives w first starts with this orientation"
@@ -156,16 +164,21 @@ W_FIRST = (
 
 FASTEST_M_S = 5.0
 FASTEST_RAD_S = 60.0
-"""Largest speeds of a hand [m/s], [rad/s].
+"""Largest speeds of a hand: `FASTEST_M_S` [m/s] and `FASTEST_RAD_S` [rad/s].
 
 A sample is rejected if its speed is larger, or if its distance from the last valid sample requires
 a larger speed.
 """
 OLDEST_S = 2.5e-3
-"""Default age above which a sample is treated as missing [s], for a sample in every tick."""
+"""Default age above which a sample is treated as missing [s].
+
+The value is for a device that has a new sample in every tick.
+"""
 ROUGHEST_M_S2 = 2e3
 ROUGHEST_RAD_S2 = 4e4
-"""Largest accelerations of a handheld object [m/s^2], [rad/s^2].
+"""Largest accelerations of a handheld object: `ROUGHEST_M_S2` and `ROUGHEST_RAD_S2`.
+
+The units are m/s^2 and rad/s^2.
 
 Samples that repeatedly require a larger acceleration are noise. A hand, a contact and a device's
 motors cause about 200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
@@ -175,7 +188,7 @@ FADE_S = 0.02
 
 
 class SampleGuard:
-    """Validation of every sample, and limits for the force that is computed from it.
+    """Guard that validates every sample, and limits the force that is computed from a sample.
 
     Call `validate_sample` with the device's sample. Then call `limit_force` with the force for a
     valid sample, or with None after an invalid one. After an invalid sample, the last valid force
@@ -234,7 +247,7 @@ class SampleGuard:
         self._turned: Quaternion = UPRIGHT
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
-        """Return the sample, with a unit quaternion, if it is valid; else None.
+        """Return a valid sample with a normalised quaternion; return None for an invalid sample.
 
         Raises
         ------
@@ -270,7 +283,8 @@ class SampleGuard:
     ) -> tuple[Array, Array]:
         """Return the force and torque to play now.
 
-        None or a non-finite wrench is treated as a fault of this tick.
+        If the force is None, or if force or torque is not finite, the last force fades in this
+        tick.
         """
         change = self._step / FADE_S
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
@@ -343,7 +357,7 @@ class SampleGuard:
 def _total(sample: Sample) -> float | None:
     """Return the sum of all numbers of a sample, which is finite only if all numbers are finite.
 
-    None means that the sample does not consist of the right numbers.
+    The result is None if an entry of the sample has a wrong type or a wrong number of entries.
     """
     if not isinstance(sample, Sample):
         raise DeviceError(
@@ -362,7 +376,7 @@ def _total(sample: Sample) -> float | None:
 
 
 def _repaired(sample: Sample) -> Sample:
-    """Return the sample with every vector as a tuple of floats, for example from an array.
+    """Return the sample with its vectors, which may be arrays, converted to tuples of floats.
 
     Text or bool, such as "1" or True, raises an error.
     """
@@ -406,9 +420,9 @@ The value allows for up to two missing samples and half a period of jitter.
 class NewSamples:
     """Detector for the ticks in which a device has a new sample.
 
-    A device with its own clock dates its samples. Other devices repeat the last pose with the time
-    of the tick. For these devices, a pose is new if it has changed, or if it was unchanged for the
-    time between two samples.
+    A device with its own clock returns a new sample with a new time. Any other device repeats its
+    last pose with the time of the present tick. A pose of such a device is new if it has changed,
+    or if it was unchanged for the time between two samples.
 
     Parameters
     ----------
@@ -443,7 +457,7 @@ class NewSamples:
 
 
 def guard_of(device: Device, limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
-    """Return the guard of a device with ``sample_s`` between two samples [s]."""
+    """Return the guard of a device that has a new sample every ``sample_s`` [s]."""
     guard = SampleGuard(
         force_limit_N=limits.force_limit_N,
         torque_limit_Nm=limits.torque_limit_Nm,

@@ -1,4 +1,4 @@
-"""Simulated device with the simulated hand that holds it, integrated between the ticks."""
+"""Simulated device and the simulated hand that holds it, integrated between the ticks."""
 
 from collections import deque
 from math import ceil, inf, isfinite, sqrt
@@ -24,14 +24,14 @@ __all__ = ["Plant", "SimulatedDevice"]
 
 
 class Plant:
-    """Mass with viscous and Coulomb friction behind an amplifier, with a spring and a damper.
+    """Moving mass of a device: friction, amplifier, and the spring and damper of a hand.
 
-    The axes x, y and z have equal parameters. Between changes of its inputs, the linear part is
-    stepped with the matrix exponential. Coulomb friction is one force of at most ``friction_N``
-    against the velocity vector. The friction is computed implicitly in every substep. It either
-    stops the mass, or acts with its full magnitude. Its direction is opposite to the velocity that
-    the mass would have without friction. A mass at rest stays exactly at its position until the
-    other forces exceed the friction.
+    The axes x, y and z have equal parameters. While the inputs are constant, the linear part is
+    integrated exactly, with the matrix exponential. Coulomb friction is a single force of at most
+    ``friction_N``, opposite to the velocity vector. It is computed implicitly in every substep.
+    Friction either stops the mass, or acts with its full magnitude. Its direction is opposite to
+    the velocity that the mass would have without friction. A mass at rest stays exactly at its
+    position until the other forces exceed the friction.
 
     For a rotation, the units are rad (rotation vector), kg m2, N m s/rad and N m. The code uses
     Python floats, which are several times faster than arrays for three axes.
@@ -70,7 +70,8 @@ class Plant:
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
         """Attach the plant to a linear hand; if all values are zero, release the plant.
 
-        The pull of the spring towards the hand's target position is an external force.
+        The spring is attached at position zero. Its pull towards the hand's target position is part
+        of the external force that `advance` receives.
         """
         self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
 
@@ -140,7 +141,7 @@ class Plant:
 
 
 class SimulatedDevice(ComputedDevice):
-    """Device with known physics in a simulated hand.
+    """Simulated device, held by a simulated hand.
 
     The device has its own ticks. At each tick, its encoders sample the position. The velocity is
     computed from the difference to the previous sample. The last command is held, and reaches the
@@ -166,7 +167,8 @@ class SimulatedDevice(ComputedDevice):
     Attributes
     ----------
     translation, rotation
-        Moving parts. They have the true state, before the quantisation by the encoders.
+        Moving masses in translation and rotation, with the true state before the quantisation by
+        the encoders.
     orientation
         True orientation.
     hand_force_N
@@ -323,8 +325,8 @@ class SimulatedDevice(ComputedDevice):
     ) -> None:
         """Compute the force on the hand in this tick.
 
-        The force is computed from the momentum of the mass that moves with the hand, and from the
-        spring and the damper of the grip.
+        The force accelerates the mass of the hand, and acts on the spring and the damper of the
+        grip. All terms are means over the tick.
         """
         grip = self._grip
         moves = self.translation
@@ -378,7 +380,7 @@ def _times(factor: float, vector: Triple) -> Triple:
 
 
 def _stepped(vector: Triple, step: float) -> Triple:
-    """Return the nearest point of a grid."""
+    """Round each component of a vector to a multiple of ``step``; 0 means no rounding."""
     if step == 0.0:
         return vector
     return (

@@ -73,13 +73,13 @@ class Aiming(Protocol):
 class Aim:
     """Movement of the aim (the hand's target position) along a path that is known in advance.
 
-    A submovement that lasts ``submovement_s`` begins every ``correction_s``. The target of the
-    submovement is the position of the path at a time half a correction interval before the
+    Every ``correction_s``, a submovement of the duration ``submovement_s`` begins. The target of
+    the submovement is the position of the path at a time half a correction interval before the
     submovement ends. With this target, a steady movement neither leads nor lags the path.
     Overlapping submovements are added (Flash and Henis, 1991), so that the acceleration of the aim
     is continuous. The muscles miss the target by a random error that is proportional to the
-    distance (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected
-    after a reaction time. The first submovement begins a reaction time after the start.
+    distance (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected one
+    reaction time later. The first submovement begins one reaction time after the start.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class Grip(NamedTuple):
 
 
 class HandAction(NamedTuple):
-    """Action of a simulated hand in a tick: target of the grip, and additional push."""
+    """Action of a simulated hand in a tick: target of the grip (aim), push, and grip."""
 
     aim_m: Triple = NOTHING
     aim_velocity_m_s: Triple = NOTHING
@@ -197,7 +197,7 @@ class HandParameters:
     turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
         Stiffness, damping and inertia of the grip in rotation.
     reflex_share, reflex_s
-        Share of the grip stiffness that acts with the delay of the reflex, and this delay [s].
+        Stiffness of the reflex divided by the stiffness of the grip, and delay of the reflex [s].
     """
 
     reaction_s: float
@@ -229,10 +229,11 @@ class HandParameters:
 
     @property
     def linear_hands(self) -> tuple[LinearHand, ...]:
-        """Linear parts of the hand in translation, without and with the reflex.
+        """Linear models of the hand in translation: one without the reflex, one with the reflex.
 
-        The reflex may stabilise a loop or make the loop unstable, depending on the frequency of its
-        oscillation. The stability of a loop is therefore checked with each of the two parts.
+        The reflex may stabilise a loop or make the loop unstable, depending on the frequency at
+        which the loop oscillates. The stability of a loop is therefore checked with each of the two
+        models.
         """
         still = LinearHand(*self.grip[:3])
         if self.reflex_share == 0.0:
@@ -256,7 +257,7 @@ class HandParameters:
 def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
     """Return the parameters of a simulated hand by its name in `HANDS`.
 
-    Constants of the scene replace the constants of the built-in sources.
+    Constants that a scene defines replace the built-in constants.
 
     Raises
     ------
@@ -270,10 +271,10 @@ class Hand:
     """Simulated hand that follows a path.
 
     The result is reproducible for the same state of the random generator. The grip is a spring, a
-    damper and a mass between the aim (the hand's target position) and the device. It is integrated
-    together with the device. Four further contributions are added:
+    damper and a mass between the aim (the hand's target position) and the device. The device
+    integrates the grip together with its own mass. Four further contributions are added:
 
-    - A reflex in proportion to the deviation one reflex time earlier.
+    - A reflex force in proportion to the distance between aim and device one reflex time earlier.
     - An intended push.
     - Noise in proportion to the force that the hand exerts.
     - A tremor of the aim: a narrow band of Gaussian noise around its frequency.
@@ -287,7 +288,7 @@ class Hand:
     rng
         Random generator of this hand.
     step_s
-        Time between two calls [s].
+        Time between two calls of `act` [s].
     push
         Intended force as a function of time [N], shape (3,). A jerk is a short and strong force.
     turn

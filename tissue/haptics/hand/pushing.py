@@ -18,8 +18,8 @@ __all__ = ["CompensatedPath", "FeltDrop", "PushingHand", "Thrust"]
 THRESHOLDS = 2.0
 """Drop of the felt force to which a participant reacts [discrimination thresholds] (assumed).
 
-At a drop of one threshold, 75 % of answers are right. Such an answer is too unreliable to end a
-push.
+In comparisons of two forces that differ by one threshold, 75 % of the answers of a participant are
+right. Noticing a drop of this size is too unreliable to end a push.
 """
 
 
@@ -70,9 +70,9 @@ class PushingHand:
     once to a sudden motion of the device. The reflex responds after the reflex time, and the aim
     after the reaction time.
 
-    The hand stops a reaction time after it has noticed an event: a drop of the felt force, or a
-    report to `see`. The aim then moves by one minimum-jerk submovement to the position of the
-    device at that time. Noise and tremor are as in `tissue.haptics.hand.hand.Hand`.
+    The hand notices an event if the felt force drops, or if `see` is called. It stops one reaction
+    time later. The aim then moves, in one minimum-jerk submovement, to the position that the device
+    has at the stop. Noise and tremor are as in `tissue.haptics.hand.hand.Hand`.
 
     The felt force is the force that skin and tendons carry: the sum of grip, reflex and noise.
 
@@ -129,7 +129,10 @@ class PushingHand:
         self._hand = Hand(parameters, self, rng=rng)
 
     def see(self, time_s: float) -> None:
-        """Make the hand stop a reaction time after a visible event, unless it already stops."""
+        """Make the hand stop one reaction time after a visible event.
+
+        The call has no effect if the hand has already noticed an event.
+        """
         if time_s < self.noticed_s:
             self.noticed_s = time_s
             self.stop_s = time_s + self._person.reaction_s
@@ -185,10 +188,10 @@ class PushingHand:
 
 
 SHARE = 0.35
-"""Share of the visible error that each correction adds (assumed value).
+"""Share of the tool's visible error by which each correction moves the hand (assumed value).
 
-The value applies to a tool that follows the hand. With 0.5, milling overshoots: the sideways error
-is as large as the wanted depth.
+The value applies to a tool that moves as far as the hand. With 0.5, milling overshoots: the
+sideways error is as large as the wanted depth.
 """
 LEAST_YIELD = 0.6
 """Smallest ratio of tool motion to hand motion that a simulated operator expects (assumed value).
@@ -203,8 +206,8 @@ class CompensatedPath:
     """Path of a hand that moves beyond the target, so that the tool reaches the target.
 
     If a hand moved only to the target, the tool would stop where spring and resistance balance. At
-    every correction, this hand moves farther by a share of the visible error of the tool. The share
-    is larger if the tool moved less than the hand in the last corrections.
+    every correction, the hand with this path moves farther by a share of the visible error of the
+    tool. The share is larger if the tool moved less than the hand in the last corrections.
 
     Attributes
     ----------
@@ -292,7 +295,7 @@ class Thrust:
         return min(max(gone, 0.0), 1.0)
 
     def path(self, time_s: float) -> Array:
-        """Return the target of the hand at a time [s]: the device position at the tool."""
+        """Return the target of the hand at a time [s]: ``stretch_m`` in front of the tool."""
         share = self.share
         aim: Array = self.start_m + share * self.path_m
         # Before the start and after the end there is no push, so that the spring is not stretched.

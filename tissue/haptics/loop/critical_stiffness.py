@@ -32,20 +32,22 @@ __all__ = [
 
 SOFTEST_N_M = 1e-2
 STIFFEST_N_M = 1e8
-"""Search range of the critical stiffness [N/m]."""
+"""Search range of the critical stiffness: `SOFTEST_N_M` to `STIFFEST_N_M` [N/m]."""
 STEPS = 4
 NARROW_STEPS = 24
-"""Search steps per decade: usual steps, and steps where a narrow unstable window may exist.
+"""Search steps per decade where narrow unstable windows may exist; elsewhere `STEPS`.
 
-An unstable window may exist where the loop oscillates at half the frequency of its tooth vibration.
-Vibrations of 5-60 Hz with shares up to 1 were tried on a touch device. In the windows that 24 steps
-miss, the oscillation grows by less than 1 / 5000 per tick. In some windows that 16 steps miss, it
-grows by 1 / 700 per tick.
+A window is a narrow range of stiffness in which the loop is unstable. It may exist where the loop
+oscillates at half the frequency of the vibration of a cutter's teeth. Vibrations of 5 to 60 Hz,
+with amplitudes up to the average force, were tried on a Touch. With 24 steps, the search misses
+only windows in which the oscillation grows by less than 1 / 5000 per tick. With 16 steps, it also
+misses windows in which the oscillation grows by 1 / 700 per tick.
 """
 ON_THE_CIRCLE = 1e-12
-"""Distance to 1 below which eigenvalues are treated as stable.
+"""Distance below 1 within which the largest eigenvalue is treated as unstable.
 
-The tolerance allows for rounding, and for a wall so soft that the device does not move.
+An eigenvalue of exactly 1, a mode that does not decay, may be rounded to slightly less than 1. An
+example is a device on a wall whose force is too small to move the device.
 """
 
 
@@ -67,7 +69,7 @@ class Verdict:
         The given stiffness if it is stable, otherwise the nearest stable stiffness, rounded down to
         three digits [N/m].
     spectral_radius
-        Growth of the slowest mode over one tick, with the worst hand.
+        Growth factor per tick of the mode that decays most slowly, with the worst hand.
     """
 
     stable: bool
@@ -108,15 +110,15 @@ class LinearHand(NamedTuple):
 
 
 def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLoop, ...]:
-    """Return the loop with each of several hands, which have the entries of `LinearHand`."""
+    """Return one copy of the loop for each hand; a hand has the entries of `LinearHand`."""
     return tuple(replace(loop, **LinearHand(*each)._asdict()) for each in hands)
 
 
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
     """Return the hands that do not oscillate on the device without a virtual wall.
 
-    The reflex may make a hand oscillate. Such a hand may oscillate with any coupling, so a
-    coupling cannot be chosen with it.
+    The reflex may make a hand oscillate. Such a hand may oscillate with any coupling. It is
+    therefore left out when a coupling is chosen.
     """
     alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)
     return tuple(
@@ -130,10 +132,10 @@ def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearH
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Return the lowest stiffness at which the loop is unstable [N/m].
 
-    It is 0 if the softest wall is unstable, and inf if no wall is unstable. The search goes upwards
-    with `STEPS` or `NARROW_STEPS` per decade. Brent's method then solves between the last two
-    values, down to rounding. A stiffness above the first unstable value is always reported as
-    unstable, even if a stable window exists there.
+    The result is 0 if the softest wall is unstable, and inf if no wall is unstable. The search goes
+    upwards with `STEPS` or `NARROW_STEPS` per decade. Brent's method then refines the result
+    between the last two values, with a relative tolerance of 1e-10. A stiffness above the first
+    unstable value is always reported as unstable, even if a stable window exists there.
     """
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
@@ -142,9 +144,10 @@ def critical_stiffness_N_m(loop: WallLoop) -> float:
 # a few kilobytes.
 @lru_cache(maxsize=1024)
 def _critical_N_m(loop: WallLoop) -> float:
-    """Return the critical stiffness, cached for loops that differ only in their stiffness.
+    """Return the critical stiffness from a cache, or compute and store it.
 
-    The choice of a stiffness and the check of this stiffness then need only one search.
+    `critical_stiffness_N_m` calls this function with the same stiffness for all loops. The choice
+    of a stiffness and the check of this stiffness therefore need only one search.
     """
     from scipy.optimize import brentq
 
@@ -165,9 +168,9 @@ def _critical_N_m(loop: WallLoop) -> float:
 def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
     """Return the number of search steps per decade above a stiffness.
 
-    With a vibration of frequency f, the steps are smaller where the undamped mass oscillates at f /
-    4 or above. Unstable windows are near f / 2, but damping and delay lower the frequency of the
-    loop.
+    With a vibration of frequency f, the steps are smaller for stiffnesses at which the undamped
+    mass oscillates at f / 4 or above. Unstable windows occur where the loop oscillates near f / 2,
+    but damping and delay lower the frequency of the loop.
     """
     if loop.vibration is None:
         return STEPS
@@ -201,21 +204,21 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
 
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
-    """Return the largest eigenvalue minus the stability limit; below zero the loop is stable."""
+    """Return the largest eigenvalue minus its limit; a negative result means stability."""
     return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)
 
 
 def passive_bound_N_m(loop: WallLoop) -> float:
     """Return the largest stiffness of a passive wall (Colgate and Schenkel, 1997) [N/m].
 
-    A passive wall is stable in any passive hand. The condition b > T / 2 Re{(1 - exp(-j w T)) H} /
-    (1 - cos w T) is solved for K on a grid of w. H contains the wall, the filter and a delay of
+    A passive wall is stable in any passive hand. The bound is the largest K with b > T / 2 Re{(1 -
+    exp(-j w T)) H} / (1 - cos w T) on a grid of frequencies w. b is the damping of the device
+    alone. T is the time for which a force is held; for a slow model, it is the step of the model. H
+    is the transfer function of the wall with stiffness K and damping B, the filter, and a delay of
     whole steps. A fraction of a step is rounded up to a whole step, and the lag of the amplifier is
-    treated as delay. b is the damping of the device alone, and B the damping of the wall. T is the
-    time for which a force is held. For a slow model, T is the step of the model. Without delay and
-    filter, the bound is 2 (b - |B|) / T, for positive and negative B. One more step of delay is
-    added if a filter changes the held force within the step. The result is 0 if B, delay and filter
-    leave no passive stiffness.
+    treated as delay. If a filter changes the held force within a step of a slow model, one more
+    step of delay is added. Without delay and filter, the bound is 2 (b - |B|) / T, for positive and
+    negative B. The result is 0 if no stiffness is passive with this B, delay and filter.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
@@ -241,7 +244,7 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 
 
 def delay_bound_N_m(loop: WallLoop) -> float:
-    """Return K = (b + B) / (T / 2 + t_d) (Gil et al., 2009) [N/m].
+    """Return the bound K = (b + B) / (T / 2 + t_d) for a delayed wall (Gil et al., 2009) [N/m].
 
     b is the damping of device and hand, B the damping of the wall, T the time for which a force is
     held, and t_d the delay. With delay, the bound is a first-order estimate and may be larger than
@@ -252,7 +255,9 @@ def delay_bound_N_m(loop: WallLoop) -> float:
 
 
 def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) -> float:
-    """Return K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) [N/m].
+    """Return the bound K = min(2 b / T, 2 f_c / D) for a wall with encoder steps [N/m].
+
+    Source: Abbott and Okamura, 2005.
 
     b is the damping of the device, T the time for which a force is held, f_c the Coulomb friction
     and D the encoder step.
@@ -269,9 +274,9 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
 def pade_bound_N_m(loop: WallLoop) -> float:
     """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
 
-    Hold and delay are combined into one delay t = t_d + T / 2. This delay is approximated as (1 - t
-    s / 2) / (1 + t s / 2). The bound is computed from Routh's criterion for the third-order
-    polynomial. The hand's stiffness is ignored.
+    The zero-order hold over the time T and the delay t_d are combined into one delay t = t_d + T /
+    2. This delay is approximated as (1 - t s / 2) / (1 + t s / 2). The bound follows from Routh's
+    criterion for the characteristic polynomial of third order. The hand's stiffness is ignored.
     """
     delay = loop.delay_s + 0.5 * loop.tick_s * loop.model_ticks
     mass = loop.mass_kg + loop.hand_mass_kg

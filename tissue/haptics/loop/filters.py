@@ -38,10 +38,11 @@ observed position changes by 11 um (1 - 0.93^3 of the step). In each later tick,
 
 
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
-    """Return the gain per step of 1 / (1 + a s): 1 - exp(-T / a), or 1 without a filter (a = 0).
+    """Return the gain 1 - exp(-T / a) per step T of the low-pass 1 / (1 + a s).
 
-    The output moves by this share of the difference between input and output in a step. The time
-    constant a is in seconds. The amplitude falls to 1 / sqrt(2) at the frequency 1 / (2 pi a).
+    In each step, the output moves by the gain times the difference between input and output. The
+    gain is 1 without a filter (a = 0). The time constant a is in seconds. The amplitude falls to 1
+    / sqrt(2) at the frequency 1 / (2 pi a).
     """
     require_range(
         "time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz"
@@ -51,9 +52,10 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
 
 
 class LowPass:
-    """First-order low-pass of a vector: y += (1 - exp(-T / a)) (u - y).
+    """First-order low-pass y += (1 - exp(-T / a)) (u - y) of a vector u.
 
-    The step is exact for an input that is constant during the step.
+    T is the step, and a the time constant. The step is exact for an input that is constant during
+    the step.
     """
 
     def __init__(self, time_constant_s: float, *, step_s: float) -> None:
@@ -67,12 +69,13 @@ class LowPass:
 
 
 def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
-    """Return the matrix M, (3, 3), and the gains g, (3,), of the filter s+ = M s + g x.
+    """Return matrix M and gains g of the filter s' = M s + g x, shapes (3, 3) and (3,).
 
-    The state s has three entries after a position x: position, change of the position per tick, and
-    change of this change per tick. The filter of Morrison (1969) fits a parabola to all previous
-    samples. The weight of a sample is `memory` to the power of its age. This alpha-beta-gamma
-    filter has three poles equal to the memory. It has no delay for a constant acceleration.
+    The new position x changes the state from s to s'. The three entries of a state are the
+    position, its change per tick, and the change of this change per tick. The filter of Morrison
+    (1969) fits a parabola to all previous samples. The weight of a sample is `memory` to the power
+    of its age. This alpha-beta-gamma filter has three poles equal to the memory. It has no delay
+    for a constant acceleration.
     """
     fresh = 1.0 - memory
     # Gains of the fading-memory polynomial filter of second order (Morrison, 1969).
@@ -98,7 +101,7 @@ class ConstantAcceleration:
         self._state: Array | None = None
 
     def step(self, position: Array) -> Array:
-        """Return the velocity after a sample, per second, shape (3,).
+        """Update with a position, shape (n,), and return the velocity per second, shape (n,).
 
         The velocity after the first sample is zero.
         """
@@ -165,7 +168,10 @@ class SlewLimit:
         self.limited = 0
 
     def step(self, wanted: Array) -> Array:
-        """Return the new value; it is ``wanted`` if the change is within the limit."""
+        """Move towards ``wanted``, and return the new value.
+
+        The new value is ``wanted`` if the change is within the limit.
+        """
         change = wanted - self.value
         square = float(change.dot(change))
         if square <= self._most * self._most:

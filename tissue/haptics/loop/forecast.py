@@ -32,7 +32,7 @@ LONGEST = 512
 The value is five times the longest memory of the built-in predictors, which is 102 ticks.
 """
 FADED = 1e-3
-"""Ratio of a response to the largest response below which the response has decayed.
+"""Size of a response, relative to the largest response, below which it has decayed.
 
 The map of the loop has one state per tick of memory, so shorter responses make the analysis
 faster.
@@ -52,20 +52,20 @@ The value is three times the longest memory of the built-in predictors.
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast:
-    """Linear response of the predicted force: F(t) = sum over ages a of taps . (x, v, F)(t - a).
+    """Linear response of a predicted force, the sum over ages a of taps . (x, v, F)(t - a).
 
     Attributes
     ----------
     taps
-        Responses to position [N/m], velocity [N s/m] and force [N/N], shape (phases, ages, 3). The
-        phase is the tick of the observation, counted from the last model force. A force is observed
-        only in phase 0.
+        Responses to position x [N/m], velocity v [N s/m] and force F [N/N], shape (phases, ages,
+        3). The phase is the tick of the observation, counted from the last model force. A force is
+        observed only in phase 0.
     gain
-        Gain C of the played force F + C (F_ahead - F): 0 plays the present force, 1 the predicted
-        force.
+        Gain C of the played force F + C (F_ahead - F), with the predicted force F_ahead. A gain of
+        0 plays the present force, and 1 plays the predicted force.
     stiffness_N_m
-        Coupling stiffness in the contact shown to the predictor. The responses to position and
-        velocity are proportional to this stiffness. None for a predictor without contact.
+        Coupling stiffness of the contact that was shown to the predictor. The responses to position
+        and velocity are proportional to this stiffness. None for a predictor without contact.
     """
 
     taps: Array
@@ -178,7 +178,7 @@ class _Probe:
         )
 
     def _show(self, predictor: "Predictor", seen: Sequence[Array], tick: int) -> Array:
-        """Pass the observations of a tick to a predictor, and return its force along the axis."""
+        """Pass the observations of a tick to a predictor, and return its force along the normal."""
         if isinstance(predictor, SeesContact):
             force = self.stiffness_N_m * self.depth_m * OUT
             rigid = RIGID * self.stiffness_N_m * np.outer(OUT, OUT)
@@ -189,7 +189,7 @@ class _Probe:
     def _answers(
         self, predictor: "Predictor", seen: Sequence[Array], changed: Sequence[Array], at: int
     ) -> Array:
-        """Return the predicted forces along the axis after changed inputs in one tick [N]."""
+        """Return the predicted forces along the normal [N] after changed inputs in one tick."""
         ticks = range(LONGEST + 1 + self.model_ticks)
         return np.array([self._show(predictor, changed if n == at else seen, n) for n in ticks])
 

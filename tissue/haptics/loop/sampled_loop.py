@@ -46,7 +46,7 @@ The map has one state per tick of delay.
 @suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class WallLoop:
-    """Mass on a virtual wall with one degree of freedom.
+    """Sampled loop of a device with one degree of freedom and a virtual wall.
 
     For a rotation, the units are kg m2, N m s/rad and N m/rad.
 
@@ -57,10 +57,11 @@ class WallLoop:
     stiffness_N_m, wall_damping_N_s_m
         Stiffness [N/m] and damping [N s/m] of the wall, F = -K x - B v.
     velocity_memory
-        Memory of the filter for v, see `constant_acceleration_map`. With None, v is computed from
-        the difference of positions between model steps; for a forecast, between ticks.
+        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the difference
+        of positions over a model step, divided by its time. A forecast then uses the difference
+        over a tick.
     observes
-        True if the position estimated by this filter replaces x. Requires `velocity_memory`.
+        True if the position estimated by the filter for v replaces x. Requires `velocity_memory`.
     tick_s
         Time between two forces at the device [s]. For a device that is slower than the loop, it is
         the time between two samples of the device.
@@ -81,11 +82,11 @@ class WallLoop:
         Stiffness of the hand's reflex [N/m], and its delay [s], rounded to whole ticks. The reflex
         force is opposite to the position one delay earlier, and proportional to it.
     forecast
-        Linear predictor of the force before the low-pass; None for no predictor. Its phases belong
-        to `model_ticks`.
+        Linear predictor of the force before the low-pass; None for no predictor. It must have
+        ``model_ticks`` phases.
     vibration
-        Vibration of a cutter's teeth; None for no vibration. It is played after the low-pass, in
-        proportion to the force.
+        Vibration of a cutter's teeth; None for no vibration. The vibration is added after the
+        low-pass, in proportion to the averaged force.
     """
 
     mass_kg: float
@@ -138,7 +139,7 @@ class WallLoop:
 
     @property
     def vibration_factors(self) -> Array:
-        """Factors of the force envelope for ticks and model steps, shape (model_ticks, n)."""
+        """Vibration per averaged force in the ticks of n model steps, shape (model_ticks, n)."""
         return (
             np.zeros((self.model_ticks, 1))
             if self.vibration is None
@@ -174,7 +175,7 @@ def plant_step(
 
 
 def parts_of_tick(delay_s: float, tick_s: float) -> list[tuple[float, int]]:
-    """Return the parts of a tick between which the delayed force changes.
+    """Return the parts of a tick in which the delayed force is constant.
 
     Each part has its length [s] and the age of its force [ticks].
     """
@@ -192,10 +193,10 @@ def loop_matrix(loop: WallLoop) -> Array:
     The map is a square matrix. The state contains position, velocity and motor force, the position
     at the last model step, the filtered force, the pending forces and the velocity filter. With a
     forecast, it also contains the observed positions, velocities and forces. With a vibration, it
-    contains the envelope of the force, and with a reflex the positions during its delay. The
+    contains the envelope of the force, and with a reflex the positions during the reflex delay. The
     columns of the map are the responses of the loop to unit states, computed tick by tick. The map
-    over a period is the product of the maps of its steps; its eigenvalues determine the stability
-    (Floquet).
+    over a period of the vibration is the product of the maps of the model steps in this period. The
+    eigenvalues of the map determine the stability (Floquet).
     """
     parts = parts_of_tick(loop.delay_s, loop.tick_s)
     spring = loop.hand_stiffness_N_m
@@ -285,7 +286,7 @@ class SampledVelocity:
 
 
 class ForecastMemory:
-    """Observations of a loop's forecast, newest first: one value, row or column per tick.
+    """Previous observations that a loop's forecast needs, newest first, one entry per tick.
 
     Parameters
     ----------
@@ -337,11 +338,12 @@ class ForecastMemory:
 
 
 def largest_eigenvalue(loop: WallLoop) -> float:
-    """Return the factor of growth of the slowest mode over one step of the model.
+    """Return the growth factor per model step of the mode that decays most slowly.
 
-    It is the largest eigenvalue of `loop_matrix`. The computation uses one thread. A second thread
-    is not faster for so few states. On a busy computer the two threads wait for each other and take
-    ten times as long or more.
+    The factor is the magnitude of the largest eigenvalue of `loop_matrix`. If this matrix is the
+    map over n model steps, the n-th root is returned. The computation uses one thread. For so few
+    states, two threads are not faster. On a busy computer they wait for each other and take ten
+    times as long or more.
     """
     with one_blas_thread():
         largest = float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
@@ -349,7 +351,7 @@ def largest_eigenvalue(loop: WallLoop) -> float:
 
 
 def spectral_radius(loop: WallLoop) -> float:
-    """Return the factor of growth of the slowest mode over one tick.
+    """Return the growth factor per tick of the mode that decays most slowly.
 
     The loop is stable if this factor is below 1, and unstable if it is above 1.
     """
@@ -407,15 +409,16 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
 
 
 def mean_over_ticks_N(force_N: Array) -> Array:
-    """Return the mean force over every tick from the forces at the ticks [N], (n - 1, 3).
+    """Return the mean force between successive ticks [N], shape (n - 1, 3), for n forces.
 
-    The force is interpolated linearly between the ticks.
+    ``force_N`` is the force at n ticks, shape (n, 3). Between the ticks, it is interpolated
+    linearly.
     """
     return 0.5 * (force_N[:-1] + force_N[1:])
 
 
 def force_later_N(force_N: Array, ticks: float) -> Array:
-    """Return the force ``ticks`` later, interpolated linearly [N], shape (n, 3).
+    """Return for each tick the force [N] ``ticks`` later, shape (n, 3), interpolated linearly.
 
     After the end, the last force is used.
     """

@@ -35,7 +35,10 @@ __all__ = [
 
 SOFTEST_N_M = 0.1
 STIFFEST_N_M = 1e6
-"""Range of the bisection [N/m]; built-in devices have limits between 400 and 5000 N/m."""
+"""Range of the bisection: `SOFTEST_N_M` to `STIFFEST_N_M` [N/m].
+
+The stability limits of built-in devices are between 400 and 5000 N/m.
+"""
 BISECTIONS = 15
 """Number of bisections of seven decades, for a resolution of 0.05 %."""
 
@@ -51,7 +54,7 @@ class StabilityChart:
     values
         Values of the field, shape (n,).
     measured_N_m, exact_N_m
-        Critical stiffness by simulation of the loop and by its eigenvalues, shape (n,).
+        Critical stiffness computed by simulation of the loop, and from its eigenvalues, shape (n,).
     lines_N_m
         Theoretical bounds, keyed by the name of the bound, each of shape (n,).
     stiffnesses_N_m
@@ -71,7 +74,7 @@ class StabilityChart:
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """Charts as functions of damping and of delay, and the chosen point with its stability."""
+    """Stability charts over damping and over delay, and a chosen loop with its stability."""
 
     chosen: WallLoop
     verdict: Verdict
@@ -84,12 +87,13 @@ def growth_while_running(
 ) -> Array:
     """Return the growth of the amplitude between two windows of a simulated run, shape (n,).
 
-    Several loops run at once after a push. They have the same tick, model ticks, velocity filter,
-    forecast and vibration. A loop runs as on a device: sample, velocity, force, filter, delay,
-    hold. The amplitude is the square root of kinetic plus stored energy, averaged in two windows
-    around 45 and 85 % of the run. The growth is infinite after an overflow. With 4000 ticks, the
-    critical stiffness of validation case 21 differs by at most 0.02 % from the critical stiffness
-    computed from eigenvalues.
+    Several loops run at once after a push. All loops must have the same ``tick_s``,
+    ``model_ticks``, velocity filter, ``forecast`` and ``vibration``. A loop runs as on a device:
+    sample, velocity, force, filter, delay, zero-order hold. The amplitude is the square root of
+    kinetic plus stored energy, averaged in two windows around 45 and 85 % of the run. The growth is
+    infinite after an overflow. With 4000 ticks, the critical stiffness found with this function
+    differs by at most 0.02 % from the critical stiffness computed from eigenvalues (validation case
+    21).
     """
     first = loops[0]
     tick = first.tick_s
@@ -184,8 +188,9 @@ def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> Sta
     """Compute stability charts as functions of wall damping and delay, around a chosen loop.
 
     The damping ranges from zero to the value that stops the mass within the delay plus one step.
-    This is far above the best damping. The delay ranges from zero to eight ticks. The stiffness
-    ranges from a twentieth of the lowest critical stiffness to three times the highest one.
+    This value is far above the damping that allows the stiffest wall. The delay ranges from zero to
+    eight ticks. The stiffness ranges from a twentieth of the lowest critical stiffness to three
+    times the highest one.
     """
     step_s = chosen.tick_s * chosen.model_ticks + chosen.delay_s
     most = (chosen.mass_kg + chosen.hand_mass_kg) / step_s

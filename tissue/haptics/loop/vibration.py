@@ -32,9 +32,9 @@ Vibration is felt best near this frequency (Pacinian receptors).
 ENVELOPE_S = 0.05
 """Averaging time of the force envelope that scales the vibration [s].
 
-A loop may oscillate at 10 Hz and above. Through the envelope, at most a third of the oscillation
-returns to the loop. This part appears at frequencies near 250 Hz, at which hand and device hardly
-move.
+A loop may oscillate at 10 Hz and above. Through the envelope, at most a third of the amplitude of
+the oscillation returns to the loop. This part appears at frequencies near 250 Hz, at which hand and
+device hardly move.
 """
 MOST_PERIOD_TICKS = 200
 """Longest period used in the stability analysis of a loop [ticks].
@@ -77,7 +77,9 @@ class Vibration:
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Return the factors in the common period of vibration and model, (model_ticks, n).
+        """Return the vibration per average force in the common period of vibration and model.
+
+        The period has n model steps, and the result has shape (model_ticks, n).
 
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.
@@ -93,14 +95,15 @@ class Vibration:
 class PlayedVibration:
     """Vibration as played by a device, added to its force.
 
-    Amplitude and direction follow the force averaged with a time constant tau of 0.05 s: F_v =
-    share E cos(2 pi f t) with E' = (F - E) / tau. Within a period, the vibration therefore hardly
-    depends on the state of the loop. A change of the force at the frequency g returns through the
-    vibration at the frequencies f - g and f + g. Its amplitude is then multiplied by at most share
-    / sqrt(1 + (2 pi g tau)^2). The stability analysis (`tissue.haptics.loop.sampled_loop`) includes
-    the vibration without its limits, which only reduce it. The amplitude is limited so that the sum
-    stays within the largest force of the device. The vibration uses at most half of the slew rate,
-    because a loop at its slew limit oscillates.
+    The vibration is F_v = share E cos(2 pi f t). E is the force F averaged with a time constant tau
+    of 0.05 s, E' = (F - E) / tau. Within a period, the vibration therefore hardly depends on the
+    state of the loop. A change of the force at the frequency g returns through the vibration at the
+    frequencies f - g and f + g. The amplitude of this change is then multiplied by at most share /
+    sqrt(1 + (2 pi g tau)^2). The amplitude of the vibration is limited so that the sum of force and
+    vibration stays within the largest force of the device. The vibration uses at most half of the
+    slew rate, because a loop at its slew limit oscillates. The stability analysis
+    (`tissue.haptics.loop.sampled_loop`) includes the vibration without these two limits, which only
+    reduce the vibration.
 
     Parameters
     ----------
@@ -142,7 +145,7 @@ The frequency lies within the band of vibration receptors, 50 to 500 Hz (Johanss
 PERIODS = 5
 """Number of periods of a transient under a Hann window."""
 APART_S = 0.1
-"""Time without contact before a new first contact, and shortest time between transients [s].
+"""Time without contact before a first contact, and shortest time between transients [s].
 
 A transient takes 40 ms, so two transients never overlap. A tool that bounces causes only one
 transient.
@@ -150,8 +153,8 @@ transient.
 SETTLED_S = 0.01
 """Time for which a new layer must have the largest contact area [s].
 
-At a border between layers, the two areas are nearly equal, and either of the two layers may have
-the larger area in a tick.
+At a border between two layers, their contact areas are nearly equal, and either layer may have the
+larger area in a tick.
 """
 
 
@@ -169,7 +172,7 @@ class TouchEvents:
         self._for = 0
 
     def step(self, engaged_m2: Array) -> bool:
-        """Return True if an event begins in this tick, for areas by layer [m2], shape (layers,)."""
+        """Update with the contact area of each layer [m2], and return True if an event begins."""
         self._quiet += 1
         layer = int(engaged_m2.argmax())
         if not engaged_m2[layer] > 0.0:
@@ -189,7 +192,7 @@ class TouchEvents:
 
 
 class Cues:
-    """Transient for each event, added along the direction of the device force, with zero mean.
+    """Zero-mean transient for each touch event, added along the direction of the device force.
 
     After its start, a transient does not depend on the force. It therefore does not affect the
     stability of the loop.
@@ -253,12 +256,12 @@ class PlayedForce:
     vibration
         Vibration of the cutter's teeth, added to the played force.
     cues
-        Transients of contact, layers and punctures, added to the played force.
+        Transients at first contacts, changes of layer and punctures, added to the played force.
 
     Attributes
     ----------
     names
-        Columns of the trace.
+        Names of the trace columns that these stages write.
     measures
         Values of these columns in this tick.
     """

@@ -27,13 +27,13 @@ DAMPING_RATIO = 1.0
 The value is chosen: at critical damping, encoder steps do not make the tool oscillate.
 """
 GYRATION_M = 0.05
-"""Radius of gyration of the tool about its tip [m], assumed: that of a rod of 0.09 m."""
+"""Assumed radius of gyration of the tool about its tip [m]; a rod of 0.09 m has this value."""
 LEVER = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
 """Lengths that convert a wrench to six forces [N] and a velocity to six speeds [m/s].
 
 The wrench is divided by these lengths, and the velocity is multiplied by them. Forces and speeds of
-the rotation refer to points at the radius of gyration. All six unknowns then have the mass of the
-tool.
+the rotation refer to points at the radius of gyration. With these units, the inertia of all six
+unknowns is the mass of the tool.
 """
 LEVERS = np.outer(LEVER, LEVER)
 """Divisors for the derivatives of a wrench with respect to a velocity, see `LEVER`."""
@@ -43,7 +43,7 @@ TOLERANCE = 1e-6
 The value is the relative rounding error of forces in single precision.
 """
 LEAST_N = 1e-4
-"""Residual that is always accepted [N]; a tool at rest on its spring then needs no step.
+"""Residual that is always accepted [N]; a tool at rest on its spring needs no Newton step.
 
 The value is chosen. It is far below any force that a device can play.
 """
@@ -74,11 +74,15 @@ class CutTissue(Protocol):
     def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
         """Find the bone around the whole tool at a pose that the tool would reach in a step.
 
-        The velocity is along the axes of the tool, shape (6,).
+        ``velocity`` contains velocity and angular velocity along the axes of the tool, shape (6,).
         """
 
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
         """Return force and torque on the tool, linearised at a velocity in the step.
+
+        The first array is the linearised wrench at zero velocity, shape (6,). The second array has
+        its derivatives with respect to the first 3 or all 6 components of the velocity, shape (6,
+        unknowns). With 3 unknowns, the torque is given at the velocity itself.
 
         The components of all vectors are along the axes of the tool at the pose of `find_bone`.
         """
@@ -91,14 +95,15 @@ class CuttingTool(HeldTool):
 
         m (v - v_before) / T = k (x_device - x - T v) + b (v_device - v) + F(v)
 
-    F is the force of the tissue in this step, a Lipschitz function of the velocity. The bone at the
-    cutting elements is found once, at the pose that the tool would reach with its present velocity.
+    m is the mass of the tool, and k and b are stiffness and damping of the coupling. F is the force
+    of the tissue in this step, a Lipschitz function of the velocity. The bone at the cutting
+    elements is found once, at the pose that the tool would reach with its present velocity.
     Newton's method solves the balance. The force is differentiable except at kinks, where it has
     different slopes on the two sides (semi-smooth).
 
-    For a device that plays torque, the angular velocity is also solved for. Its balance has the
-    moment of inertia about the tip, the rotational spring and a damper. For any other device, the
-    tool turns with the device.
+    For a device that plays torque, the angular velocity is computed in the same way. The balance of
+    torques contains the moment of inertia about the tip, the rotational spring and a damper. For
+    any other device, the tool turns with the device.
 
     Parameters
     ----------
@@ -206,8 +211,9 @@ class CuttingTool(HeldTool):
         """Change the velocity until ``falling u = driving + F(u)``, and set `wrench`.
 
         The unknowns u are the first three or all six components of the velocity, multiplied by
-        `LEVER`. They are solved along the axes of the tool. `velocity` is the velocity before the
-        step.
+        `LEVER`. ``driving`` is the force of inertia, spring and damper at zero velocity, and
+        ``falling`` is its decrease per velocity. The balance is solved in components along the axes
+        of the tool. `velocity` is the velocity before the step.
         """
         rotation = self._rotation
         falling = self._falling
@@ -287,7 +293,7 @@ class _Line:
         self.tried = self._start + self._share * self._step
 
     def accepts(self, missing: Array) -> bool:
-        """Return True to accept the point with this residual; otherwise set a shorter step."""
+        """Return True to accept the tried point with this residual; otherwise shorten the step."""
         share = self._share
         if share == 0.0:
             return True

@@ -77,10 +77,10 @@ class HeldTurn:
 
 
 FADE = 0.8
-"""Factor per tick with which a stored resistance or stiffness decays.
+"""Factor per tick by which the estimated stiffness of a tissue decays.
 
-A value falls to a tenth in 10 ticks, about the time between two encoder steps at a slow motion. A
-tool therefore does not jump between free space and contact between two encoder steps.
+The estimate falls to a tenth in 10 ticks, about the time between two encoder steps at a slow
+motion. A tool therefore does not jump between free space and contact between two encoder steps.
 """
 LEAST_M = 2e-6
 """Smallest displacement for an estimate of the tissue stiffness [m].

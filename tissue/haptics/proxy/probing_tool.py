@@ -18,16 +18,16 @@ from tissue.motion.quaternion import Quaternion
 __all__ = ["ProbedBone", "ProbingTool"]
 
 RIGID_LEVER_M = 10.0
-"""Lever of the rotational spring for a device that imposes its rotation [m].
+"""Lever (see `Proxy`) of the rotational spring for a device that imposes its rotation [m].
 
 The value is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2.
-Contacts therefore turn the tool only by 1e-4 of the rotation that they cause with the tool's own
-lever.
+Contacts therefore turn the tool by only 1e-4 of the rotation that they would cause with a lever of
+the tool's own size.
 """
 
 
 class ProbingTool(HeldTool):
-    """God-object of a tool of any shape: its pose without penetration.
+    """Tool of any shape, held as a god-object: its pose never penetrates bone.
 
     The contact forces at the shell points balance the springs of translation and rotation, see
     :class:`tissue.haptics.proxy.proxy.Proxy`. The voxels of the bone are not copied, so that other
@@ -156,7 +156,7 @@ class ProbedBone(FreeSpace):
         return response
 
     def _layer_under(self, point_m: Array, push_m: Array) -> int:
-        """Return the layer of the voxel half a voxel behind a surface point.
+        """Return the layer of the voxel that is half a voxel behind a surface point.
 
         ``push_m`` is the push at the point [m], which points outward.
         """

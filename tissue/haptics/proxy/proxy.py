@@ -3,8 +3,9 @@
 The device follows the hand and may enter solids. The proxy follows the device as far as possible
 and stays outside. The coupling between device and proxy gives the force on the hand, see
 `tissue.haptics.renderer.ProxyRenderer`. The pose of the proxy is the static equilibrium of the tool
-between the coupling springs and the contacts. It is reached by local descent from the last pose. A
-search for the nearest free point could instead end on the far side of a thin wall.
+between the coupling springs and the contacts. The proxy reaches this pose in small steps from its
+last pose, each of which reduces the energy of the springs. A search for the nearest free point
+could instead end on the far side of a thin wall.
 """
 
 from dataclasses import dataclass, field
@@ -101,9 +102,9 @@ class ContactField:
         Exact convex solids. A concave object consists of several solids. For example, an inner
         corner consists of two half-spaces.
     store
-        Bone that may be carved during contact. Its contact surface has a trilinear fraction of 1/4,
-        and lies about a quarter of a voxel outside the true surface. A tool with normals corrects
-        for this offset; see :mod:`kernels.voxmap`.
+        Bone that may be carved during contact. On its contact surface, the trilinear fraction of
+        bone is 1/4. This surface lies about a quarter of a voxel outside the true surface. A tool
+        with normals corrects for this offset; see :mod:`kernels.voxmap`.
     device
         Warp device name. If a store is given, the device of the store is used.
     """
@@ -137,10 +138,10 @@ class ContactField:
     def distance(self, points_m: Array) -> tuple[Array, Array]:
         """Return the distances of points to the nearest solid [m], and the outward directions.
 
-        The shapes are (n,) for distances, and (n, 3) for directions and points. The distances are
-        exact for solids. For voxels, the distance to the contact surface is accurate to first order
-        within half a voxel of this surface. Farther away, the distance is a lower bound and the
-        direction is (0, 0, 0).
+        For n points, shape (n, 3), the shapes are (n,) for distances and (n, 3) for directions. The
+        distances are exact for solids. For voxels, the distance to the contact surface is accurate
+        to first order within half a voxel of this surface. Farther away, the distance is a lower
+        bound and the direction is (0, 0, 0).
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
@@ -173,9 +174,10 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Return a lower bound of the distance from cells to the contact range of bone [m].
+    """Return a lower bound of the distance to bone [m] for each cell, a block of voxels.
 
-    The bound is valid everywhere in a cell.
+    The bound is valid everywhere in a cell. Bone includes its surroundings in which the trilinear
+    fraction is above zero.
     """
     counts = [ceil(n / CELL) for n in holds.shape]
     padded = np.pad(
@@ -224,9 +226,9 @@ class ToolShell:
     def of_cutter(cls, cutter: Cutter, *, point_count: int = 700) -> "ToolShell":
         """Return about ``point_count`` points over the cutting surface of a cutter.
 
-        With the default, a tick takes less than 1 ms. For a ball of 4 mm on rough voxels of 0.2 mm,
-        the 99th percentile of the time is 0.2 ms with 700 points, 0.9 ms with 1400 points and 4 ms
-        with 2800 points.
+        With the default of 700 points, a tick takes less than 1 ms. For a ball of 4 mm on a rough
+        surface of 0.2 mm voxels, the 99th percentile of the time per tick is 0.2 ms. It is 0.9 ms
+        with 1400 points, and 4 ms with 2800 points.
         """
         shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / point_count) ** 0.5)
         return cls(shell.points_m, shell.normals)
@@ -245,22 +247,21 @@ The value is chosen. The tests with exact solids also pass with 1 and 10 mm.
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel].
 
-On rough voxels of 0.2 mm, points of a burr penetrate by up to 11 um with steps of 1 voxel, and by
-23 um with steps of 2 voxels. The tests allow 10 um.
+On a rough surface of 0.2 mm voxels, points of a burr penetrate by up to 11 um with steps of 1
+voxel. With steps of 2 voxels, they penetrate by up to 23 um. The tests allow 10 um.
 """
 TOLERANCE_M = 1e-12
 TOLERANCE_VOXELS = 1e-3
-"""Steps below which the proxy has settled [m], [voxel].
+"""Steps below which the proxy has settled: `TOLERANCE_M` [m] and `TOLERANCE_VOXELS` [voxel].
 
-The first value is for exact solids, where it allows for rounding. The second value, a thousandth of
-a voxel, is for voxels.
+`TOLERANCE_M` is for exact solids, and allows for rounding. `TOLERANCE_VOXELS` is for voxels.
 """
 STEP_LIMIT = 64
 SOLVE_LIMIT = 150
-"""Largest numbers of steps and of active-set solves in a tick.
+"""Largest number of active-set solves in a tick; `STEP_LIMIT` is the largest number of steps.
 
-The motion then continues in the next tick. On a jerky path over rough voxels, 6 of 1500 ticks reach
-these limits. With half of the limits, 49 ticks do not settle.
+After a tick that reaches a limit, the motion continues in the next tick. On a jerky path over a
+rough surface of voxels, 6 of 1500 ticks reach a limit. With half of the limits, it is 49 ticks.
 """
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
@@ -288,7 +289,7 @@ class ProxyResult:
     push_m, push_moment_m2
         Sum of the contact forces on the tool, and sum of their moments about its origin, each
         divided by the coupling stiffness k. Multiplied by k, the sums are in N and N m. When the
-        proxy has settled, they balance the coupling springs.
+        proxy has settled, the sums balance the coupling springs.
     arm_m
         Vector from the tool's origin to the centre of pressure, in the world's axes [m], shape
         (3,).
@@ -316,7 +317,7 @@ class Proxy:
         Square root of the ratio of the coupling's rotational stiffness to its stiffness [m]. None
         for three degrees of freedom; the tool then keeps its initial orientation.
     friction
-        Coulomb's coefficient.
+        Coulomb's coefficient of friction.
     """
 
     def __init__(
@@ -390,7 +391,7 @@ class Proxy:
         return self.result
 
     def advance(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
-        """Follow the device to its pose [m], (x, y, z, w).
+        """Follow the device to its pose, a position [m] and a quaternion (x, y, z, w).
 
         The next call overwrites the returned object.
 

@@ -56,7 +56,7 @@ class HardwareSample(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDevice:
-    """Device found by a search, or the reason for which its adapter cannot search.
+    """Device found by a search, or the reason why the search has found none.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class HardwareAdapter(ABC):
     """Real device in its own frame. `MappedDevice` makes a `Device` from it.
 
     An adapter is a context manager. Entering it opens the device. Leaving it removes all force and
-    closes the device. ``close`` removes all force by other means than ``push``. It may be called
+    closes the device. ``close`` removes all force without calling ``push``. It may be called
     repeatedly, and from another thread.
 
     Parameters
@@ -176,8 +176,8 @@ class RecordedAdapter(HardwareAdapter):
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` is a file as for ``motion.file``, such as a run's
-        trace.csv.
+        Settings of the device. Their ``address`` is the path of a file that ``motion.file``
+        accepts, such as a run's trace.csv.
 
     Raises
     ------
@@ -289,7 +289,7 @@ def adapter_class(name: str) -> type[HardwareAdapter]:
 
 @suggests_arguments
 def devices() -> list[FoundDevice]:
-    """Return the real devices of this computer; for each missing kind, return the reason.
+    """Return the real devices of this computer, and for each missing kind the reason.
 
     A search takes some seconds: it opens each device for a moment, and waits for a device on the
     network.

@@ -24,12 +24,15 @@ __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 
 FAILED = -1
 UNCHANGED = 1
-"""Return values of a call: error; no new data, because the last call was too recent (TIMEGUARD)."""
+"""Return value of a call for no new data; the value for an error is `FAILED`.
+
+There is no new data if the last call was too recent (TIMEGUARD of the library).
+"""
 MOST_FAILURES = 100
 """Number of consecutive failed calls after which the device is treated as lost.
 
-With two calls in each tick, this takes 50 ms. After this time the force of a silent device is
-removed anyway.
+With two calls in each tick, so many calls take 50 ms. After this time the force of a silent device
+is removed anyway.
 """
 MISSING = (
     "must be installed for a device of Force Dimension, got none. Run pip install "
@@ -37,7 +40,7 @@ MISSING = (
     "forcedimension.com"
 )
 _OPEN: Counter[int] = Counter()
-"""Number of adapters of this process that use an open device, by the library's number."""
+"""Number of adapters of this process for each open device, keyed by the library's number."""
 
 
 class ForceDimensionAdapter(HardwareAdapter):

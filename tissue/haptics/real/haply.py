@@ -7,10 +7,10 @@ and not with the device.
 A thread sends the newest force and receives the newest state. The service answers every frame with
 one state. The service plays a force only as long as the force is sent repeatedly. The thread sends
 a frame only after the answer to the previous frame, so at most one answer is pending. An answer
-contains the state that belongs to the force of the frame before. A state is therefore not older
-than one exchange of a frame and its answer. Answers do not identify the frame to which they belong.
-If an answer is late, the thread sends one frame with zero force without waiting. It then sends
-nothing until both answers have arrived or are treated as lost.
+contains the state that belongs to the force of the previous frame. A state is therefore at most as
+old as one exchange of a frame and its answer. Answers do not identify the frame to which they
+belong. If an answer is late, the thread sends one frame with zero force without waiting. It then
+sends nothing until both answers have arrived or are treated as lost.
 """
 
 import socket
@@ -54,12 +54,12 @@ The value equals the default of ``hardware.watchdog_ms``. The vendor does not pu
 LOST_S = 0.5
 """Time without answers after which late answers are treated as lost [s].
 
-No force is sent in this time, so a long wait is safe.
+The force is zero in this time, so a long wait is safe.
 """
 PATIENCE_S = 0.01
 """Interval at which the thread checks whether it must end [s]."""
 HOLD_S = 0.03
-"""Longest time for which a force is repeated without a new command of the loop [s].
+"""Longest time for which a force is repeated without a new command from the loop [s].
 
 The value allows for late ticks, and the force is still removed within 50 ms.
 """
@@ -86,7 +86,8 @@ class HaplyAdapter(HardwareAdapter):
     """Adapter of an Inverse3 in its own frame: x to the right, y forward, z up.
 
     `poll` and `push` only exchange numbers with the thread of a `_Session`, so that they never
-    wait. Torque is not played. At every kind of end, the last force sent to the service is zero.
+    wait. Torque is not played. However the exchange ends, the last force sent to the service is
+    zero.
 
     Parameters
     ----------
@@ -438,7 +439,7 @@ class _Session:
 
     @property
     def _open_socket(self) -> "ClientConnection":
-        """Connection, unless another thread has ended it."""
+        """Open connection; `OSError` is raised if another thread has ended it."""
         if self._socket is None:
             raise OSError("the session was ended")
         return self._socket

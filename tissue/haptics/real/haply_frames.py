@@ -44,22 +44,23 @@ PROFILE = "tissue:simulation"
 USUAL = "ws://localhost:10001"
 ANSWER_S = 0.5
 STATED_S = 2.0
-"""Longest wait for data with the service's version, and longest total time [s]."""
+"""Longest total wait for the service's version [s]; `ANSWER_S` is the limit for each answer."""
 LONGEST = 65_536
 """Largest number of bytes read for the version, because another program may use the port."""
 MEMORY_S = 0.024
 LONGEST_S = 0.005
-"""Averaging time of the share of contradictions, and longest time for which one state counts [s].
+"""Largest weight of one state in the share of contradictions, see `StateOrder` [s].
 
-With this averaging time, a velocity may lag behind a blow by 6 ms without an error.
+The weight of a state is the time since the previous state. `MEMORY_S` is the averaging time of the
+share. With this averaging time, a velocity may lag behind a blow by 6 ms without being treated as a
+wrong order.
 """
 WRONG = 0.25
 RIGHT = 0.05
-"""Shares of contradictions above which the order of states is wrong, and below which it is right.
-"""
+"""Share of contradictions below which the order is right again; above `WRONG`, it is wrong."""
 LEAST_M = 2e-4
 LEAST_M_S = 0.05
-"""Smallest step [m], and smallest speed [m/s], that are checked.
+"""Smallest speed that is checked [m/s]; `LEAST_M` is the smallest step [m].
 
 For smaller values, a wrong order of states has no perceptible effect.
 """
@@ -85,7 +86,7 @@ class ServiceState:
         self._known: dict[str, dict[str, dict[str, Any]]] = {}
 
     def take(self, text: str | bytes) -> bool:
-        """Merge a frame; return True if it contains a state of the device, for a new sample.
+        """Merge a frame into the state; return True if it contains a new state of the device.
 
         Invalid JSON, or a frame of another structure, is ignored.
         """
@@ -309,11 +310,12 @@ def _buttons(state: Mapping[str, Any]) -> int:
 
 
 class StateOrder:
-    """Check of the order of states: comparison of steps between states with their velocities.
+    """Check that states arrive in order, based on their positions and velocities.
 
-    If a state is older than the previous state, the step between them is opposite to their
-    velocities. In a random order, about half of the states contradict in this sense. Their share
-    reaches a quarter within 17 ms.
+    If a state is older than the state that arrived before it, the step between the two positions is
+    opposite to the velocities. If states arrive in a random order, this contradiction occurs for
+    about half of them. The averaged share of contradictions then reaches a quarter, the limit,
+    within 17 ms.
 
     Attributes
     ----------

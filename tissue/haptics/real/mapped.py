@@ -89,7 +89,7 @@ class Workspace:
     ) -> tuple[Triple, Quaternion]:
         """Return position [m] and orientation in the scene for a device pose.
 
-        The first orientation in the scene is no rotation.
+        The first orientation in the scene is the identity.
         """
         if clutched and self.is_placed:
             self._clutched = True
@@ -134,8 +134,8 @@ class MappedDevice:
 
     The played force is the commanded force, limited to a largest magnitude, times a share. The
     share increases linearly from 0 to 1 during a ramp. A ramp begins at the start, after a lost
-    connection, and when the clutch or the force button changes. While there must be no force, for
-    example while the clutch is held, the share is 0.
+    connection, and when the clutch or the force button changes. The share is 0 while no force may
+    be played, for example while the clutch is held.
 
     Parameters
     ----------
@@ -162,7 +162,10 @@ class MappedDevice:
     real_time = True
     """True, because a run with the device must follow real time."""
     bounds_itself = True
-    """True, because `read` checks the reach. With a clutch, the tool may move farther."""
+    """True, because `read` itself checks the reach of the device.
+
+    Positions in the scene may go beyond this reach, because the clutch shifts the workspace.
+    """
 
     def __init__(
         self,
@@ -208,7 +211,7 @@ class MappedDevice:
             self._adapter.__exit__(*raised)
 
     def close(self) -> None:
-        """Remove all force from the device by other means than `command`."""
+        """Remove all force from the device without using `command`."""
         self._adapter.close()
 
     def read(self, time_s: float) -> Sample | None:
@@ -263,7 +266,7 @@ class MappedDevice:
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque, in the world frame, with largest magnitude and share."""
+        """Play the limited force, and the torque, times `share`; both are in the world frame."""
         size = sqrt(force_N.dot(force_N))
         share = self.share * (self._cap / size if size > self._cap else 1.0)
         self.played = share * force_N, self.share * torque_Nm
@@ -297,5 +300,5 @@ class MappedDevice:
 
 
 def _held(buttons: int, button: int | None, *, otherwise: bool) -> bool:
-    """Return True if a button is held; return ``otherwise`` without a button number."""
+    """Return True if a button is held; return ``otherwise`` if ``button`` is None."""
     return otherwise if button is None else bool(buttons >> button & 1)

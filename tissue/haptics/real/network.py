@@ -52,7 +52,7 @@ CLOSE_S = 0.2
 """Longest time of each step of a close [s].
 
 There are three steps: the device receives its last packets, it ends its connection, and the
-connection is aborted. In total, they take less than the time of 1 s after which a run gives up a
+connection is aborted. In total, the steps take less than 1 s. After this time, a run gives up a
 device that does not close.
 """
 SEND_S = 0.25
@@ -63,7 +63,7 @@ The value is half of the silence after which the session gives up the device.
 HANDSHAKE_S = 2.0
 """Longest time for a connection to become a WebSocket [s].
 
-Without this limit, a program that only connects could keep a connection for any time.
+Without this limit, a program that only connects could keep a connection without any limit of time.
 """
 MOST_WAITING = 2
 """Largest number of packets that wait for the thread; a new wrench replaces the oldest one.
@@ -80,7 +80,7 @@ class UdpTransport:
     host, port
         Address to listen on; port 0 for any free port.
     session
-        Receiver of the packets.
+        Session that receives the packets.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class WebTransport:
     host, port
         Address to listen on; port 0 for any free port.
     session
-        Receiver of the packets, called from the thread.
+        Session that receives the packets, called from the thread of this transport.
 
     Attributes
     ----------
@@ -392,7 +392,7 @@ class NetworkAdapter(HardwareAdapter):
 
     @property
     def address(self) -> str:
-        """Address on which the program listens, with the port that replaced 0."""
+        """Address on which the program listens, with the actual port instead of 0."""
         port = self._transport.port if self._transport else self._port
         return f"{self._scheme}://{self._host}:{port}"
 
@@ -402,7 +402,10 @@ class NetworkAdapter(HardwareAdapter):
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:
-        """Return the numbers of dropped and lost packets so far, as one sentence or none."""
+        """Return one sentence with the numbers of dropped and lost packets.
+
+        The list is empty if there are no such packets.
+        """
         good = ("poses", "heartbeats", "hellos")
         found = [
             f"{count} as {what}"

@@ -41,10 +41,10 @@ WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 HALF = 1 << 31
 WHOLE = 1 << 32
-"""Half of the number of sequence numbers, and the number of sequence numbers.
+"""Number of different sequence numbers; `HALF` is half of this number.
 
-Sequence numbers restart after 2^32 packets. A number is newer than another if it is ahead by less
-than half of this range.
+Sequence numbers restart after 2^32 packets. A sequence number is newer than another number if it is
+ahead by less than `HALF`.
 """
 
 
@@ -227,7 +227,7 @@ class NetworkSession:
             return newest
 
     def wrench(self, wrench: Wrench) -> tuple[Hashable, bytes] | None:
-        """Return the receiver of a wrench and the packet; None without a device."""
+        """Return the receiver of a wrench and the packet to send; None without a device."""
         with self._lock:
             self._forget_silent()
             if self.peer is None:

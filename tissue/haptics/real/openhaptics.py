@@ -40,7 +40,8 @@ NONE = (None, 0x0104, 0xFFFFFFFF)
 HELD_S = 0.05
 """Longest time for which a force is played without a new force [s].
 
-In the network protocol, a device removes its force by itself after the same time.
+In the network protocol of this package, a device that receives nothing removes its force after the
+same time.
 """
 REST_S = 0.05
 """Longest time for the vendor's thread to play zero force at the end [s]: 50 calls."""
@@ -52,15 +53,15 @@ The thread calls them a thousand times a second. Five periods allow for a busy c
 WINDOW = 10
 """Number of calls of the vendor's thread, 10 ms, over which velocities are computed.
 
-An encoder step of a Touch (0.055 mm) then changes the velocity by 5.5 mm/s. Over one call it would
-change it by 55 mm/s.
+An encoder step of a Touch (0.055 mm) then changes the velocity by 5.5 mm/s. Over one call, the step
+would change the velocity by 55 mm/s.
 """
 MISSING = (
     "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
     "and install OpenHaptics with the driver of the device from 3dsystems.com"
 )
 _OPEN: dict[int, str] = {}
-"""Names of the devices that this process has opened, by the library's number."""
+"""Names of the devices that this process has opened, keyed by the library's number."""
 _OPENING = threading.Lock()
 
 
@@ -151,7 +152,7 @@ class OpenHapticsAdapter(HardwareAdapter):
     def close(self) -> None:
         """Play zero once more in the vendor's thread, and close the device.
 
-        The last device stops the thread.
+        Closing the last device also stops this thread.
         """
         if self._ended:
             return
@@ -175,7 +176,7 @@ class OpenHapticsAdapter(HardwareAdapter):
     def _serve(self) -> None:
         """Read and drive the device, in the vendor's thread.
 
-        An exception would end that thread silently.
+        An exception is stored for `poll`, because it would end that thread silently.
         """
         try:
             hd = self._hd

@@ -20,9 +20,9 @@ __all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test", "write_m
 
 BUMP_N = 0.5
 BUMP_S = 0.3
-"""Largest force of the push [N] and its duration [s].
+"""Duration of the push [s]; `BUMP_N` is the largest force of the push [N].
 
-The force is above the friction of a Touch (0.26 N) and below its continuous force (0.88 N).
+The largest force is above the friction of a Touch (0.26 N) and below its continuous force (0.88 N).
 """
 FEWEST = 20
 """Smallest number of samples for a result; a device at 10 Hz gives 20 samples in 2 s."""
@@ -164,10 +164,10 @@ def bump(
     clock: Callable[[], float] = perf_counter,
     pause: Callable[[float], None] = sleep,
 ) -> Bump:
-    """Push the hand along the device's z with half a sine of force: `BUMP_N`, `BUMP_S`.
+    """Push the hand along the device's z axis, with a force that follows half a sine.
 
-    `BUMP_N` is the largest force and `BUMP_S` the duration. At every kind of end, the last force is
-    zero.
+    `BUMP_N` is the largest force and `BUMP_S` the duration. However the push ends, the last force
+    is zero.
 
     Raises
     ------
@@ -216,15 +216,19 @@ On a busy computer, some samples of a device that has one sample in every tick a
 """
 SLOWEST_HZ = 10.0
 LONGEST_S = 0.2
-"""Smallest rate and longest delay that `tissue.haptics.device.device.DeviceParameters` accepts."""
+"""Longest delay that `tissue.haptics.device.device.DeviceParameters` accepts [s].
+
+`SLOWEST_HZ` is the smallest rate that this class accepts [Hz].
+"""
 
 
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """Write rate and latency of a device as constants with ranges.
 
-    The rate is the mean rate, or the tick rate if nearly every tick has a new sample. The low end
-    of its range is the rate that 99 % of the intervals reach. The latency is the round trip, or the
-    duration of the calls if the device does not report a round trip.
+    The rate is the mean rate, or the tick rate if nearly every tick has a new sample. The lower end
+    of the range of the rate is the rate that 99 % of the intervals between samples reach. The
+    latency is the round trip, or the duration of the calls if the device does not report a round
+    trip.
     """
     most = 1.0 / TICK_S
     rate = min(max(test.rate_Hz, SLOWEST_HZ), most)
