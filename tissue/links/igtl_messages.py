@@ -53,12 +53,15 @@ At this length, the parallel and the serial method take less than 2 ms each. The
 faster from about 16 kB on.
 """
 MASK = 0xFFFFFFFFFFFFFFFF
-"""Mask of the 64 bits of a remainder, because Python integers are not limited to 64 bits."""
+"""Mask of the 64 bits of a remainder.
+
+The mask is needed because Python integers are not limited to 64 bits.
+"""
 Words = NDArray[np.uint64]
 
 
 def _table() -> Words:
-    """Return the remainder of each byte value followed by eight zero bytes, shape (256,)."""
+    """Return the CRC remainder of each byte value followed by eight zero bytes, shape (256,)."""
     # the byte is in the highest of the 64 bits; each round divides one bit by the polynomial
     values = np.arange(256, dtype=np.uint64) << TOP
     for _ in range(8):
@@ -76,9 +79,9 @@ BITS: Words = np.arange(64, dtype=np.uint64)
 def crc64(body: bytes | bytearray | memoryview) -> int:
     """Return the checksum of a message body.
 
-    The remainder is linear in the body. A long body is split into `LANES` parts, whose remainders
-    are computed in parallel and then joined in pairs. The earlier of two remainders is first
-    advanced by the length of the later part.
+    The checksum is a remainder, which is linear in the body. A long body is split into `LANES`
+    parts. The remainders of the parts are computed in parallel and then joined in pairs. Before two
+    remainders are joined, the earlier one is advanced by the length of the later part.
     """
     if len(body) < LONG:
         value = 0
@@ -103,7 +106,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
 
 
 def _through(moved: Words, words: Words) -> Words:
-    """Apply a linear map to words. The map converts bit i to ``moved[i]``."""
+    """Apply a linear map to 64-bit words. The map converts bit i to ``moved[i]``."""
     chosen = ((words[:, None] >> BITS) & np.uint64(1)) * moved
     return np.asarray(np.bitwise_xor.reduce(chosen, axis=1))
 
@@ -111,27 +114,34 @@ def _through(moved: Words, words: Words) -> Words:
 HEADER = struct.Struct(">H12s20sIIQQ")
 HEADER_BYTES = HEADER.size
 EXTENDED = struct.Struct(">HHII")
-"""Sizes of extended header, metadata header and metadata, and number of the message."""
+"""Format of the extended header.
+
+Its fields are the sizes of the extended header, the metadata header and the metadata, and the
+number of the message.
+"""
 ENTRY = struct.Struct(">HHI")
-"""Length of a metadata key, and encoding and length of its value."""
+"""Format of a metadata entry: length of the key, encoding and length of the value."""
 NEWEST = 3
 """Highest header version with a known layout. Versions from 2 on have an extended header."""
 STATUS_OK = 1
 STATUS_SHUT_DOWN = 19
 ASCII = 3
 UTF8 = 106
-"""IANA numbers of the text encodings."""
+"""IANA number of the text encoding UTF-8; `ASCII` is the number of ASCII."""
 LONGEST_TEXT = 0xFFFF
 """Largest length of a text that the 16 bits of its length field can hold [bytes]."""
 SCALARS = {"i1": 2, "u1": 3, "i2": 4, "u2": 5, "i4": 6, "u4": 7, "f4": 10, "f8": 11}
-"""Type numbers of scalars."""
+"""Numbers of the scalar types in messages, keyed by the type codes of NumPy."""
 NEWTON = 0x0B << 54 | 1 << 50
 NEWTON_METRE = NEWTON | 0x01 << 44 | 1 << 40
-"""Codes of units. Starting at the highest bits, a unit has 6 bits and its power has 4 bits."""
+"""Code of the unit N m; `NEWTON` is the code of the unit N.
+
+From the highest bits on, a code contains pairs of a unit (6 bits) and its exponent (4 bits).
+"""
 POINT_SCALARS = 0x00
 LITTLE = 2
 RAS = 1
-"""Codes for the byte order and the frame of an image.
+"""Code of the frame RAS of an image; `LITTLE` is the code of little-endian voxels.
 
 Only the voxels of an image are little-endian.
 """
@@ -140,7 +150,7 @@ Only the voxels of an image are little-endian.
 class IgtlError(ValueError):
     """Error for bytes that are not an OpenIGTLink message.
 
-    Its text is a part of a sentence, which the caller completes.
+    The message of the error is a part of a sentence that the caller completes.
     """
 
 
@@ -151,7 +161,7 @@ class Header:
     Attributes
     ----------
     version
-        1 for a message without extended header and metadata, 2 for a message with them.
+        1 for a message without extended header and metadata, 2 or more for a message with both.
     kind, name
         Type of the message, and name of the sending device.
     time_s
@@ -179,7 +189,8 @@ def packed(
 ) -> bytes:
     """Return a whole message.
 
-    With metadata, the header has version 2, and ``number`` is the number of the message.
+    If metadata is given, the header has version 2, and ``number`` is stored as the number of the
+    message.
     """
     version = 1
     if metadata is not None:
@@ -344,10 +355,10 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     Parameters
     ----------
     voxels
-        Values with the indices i, j, k, shape (ni, nj, nk).
+        Values of the voxels, shape (ni, nj, nk), with the indices i, j and k.
     ijk_to_ras_mm
-        Homogeneous matrix from indices to positions [mm], shape (4, 4). The message contains the
-        centre of the volume instead of its first voxel.
+        Homogeneous matrix from indices to positions [mm], shape (4, 4). In the message, the
+        position of the volume is given by its centre instead of its first voxel.
     """
     matrix = np.asarray(ijk_to_ras_mm, dtype=float)
     shape = voxels.shape
@@ -364,10 +375,10 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
 
 
 def _scalar(values: NDArray[np.generic]) -> int:
-    """Return the type number of the scalars of an array."""
+    """Return the number of the scalar type of an array in messages."""
     return SCALARS[f"{values.dtype.kind}{values.dtype.itemsize}"]
 
 
 def _encoded(text: str) -> tuple[int, bytes]:
-    """Return the encoding and the bytes of a text."""
+    """Return the IANA number of the encoding, and the encoded bytes of a text."""
     return (ASCII if text.isascii() else UTF8), text.encode()

@@ -28,9 +28,9 @@ OVERLARGE = 1 << 34
 No image has 16 GiB. Such a size means that the bytes are not a header.
 """
 PIECE = 1 << 16
-"""Number of bytes read from a client in one call, equal to the size of the largest body."""
+"""Largest number of bytes read from a client in one call, equal to the largest body size."""
 STALLED_S = 10.0
-"""Longest time in which a client may accept no data from its send queue [s].
+"""Time after which a client that accepts no data from its send queue is disconnected [s].
 
 A client that hangs would otherwise use one of the `MOST_CLIENTS` connections until the run ends.
 """
@@ -201,7 +201,7 @@ class IgtlServer:
     def poll(self, timeout_s: float) -> tuple[list[Client], list[Received]]:
         """Send and receive without blocking, and return new clients and received messages.
 
-        The call waits up to ``timeout_s`` for new data.
+        The call waits for new data for at most ``timeout_s``.
         """
         for client in list(self.clients):
             self._try(client, client.write)
@@ -224,7 +224,7 @@ class IgtlServer:
     def send(
         self, message: bytes, *, to: list[Client] | None = None, is_stream: bool = False
     ) -> int:
-        """Send a message to all clients, or only to `to`, and return the number of receivers.
+        """Send a message to all clients, or to the clients in `to`; return the number of receivers.
 
         A stream message is not sent to a client with a non-empty send queue, because a newer stream
         message will follow.

@@ -1,4 +1,7 @@
-"""Server that receives poses from another program and returns wrenches, by network or ROS 2."""
+"""Server that receives poses of a tool from another program and returns wrenches on the tool.
+
+The server uses the network or ROS 2.
+"""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,7 +22,7 @@ __all__ = ["PosedLoop", "serve_network", "serve_ros2"]
 LOOK_S = 0.05
 """Longest time between two checks whether the server must stop [s].
 
-A received pose ends the wait.
+The server waits for a pose between two checks. A received pose ends this wait.
 """
 
 
@@ -42,9 +45,9 @@ def serve_network(
 ) -> int:
     """Answer every pose of a client with a wrench; return the number of answers.
 
-    After each accepted ``hello``, the tissue is uncut and the tool is at the client's first pose.
-    Each later pose is a step of the loop. A client that sends an invalid pose is refused with an
-    error message.
+    After each accepted ``hello`` message, the tissue is restored to its uncut state, and the tool
+    is put at the first pose of the client. For each later pose, the loop runs a step. A client that
+    sends an invalid pose is refused with an error message.
 
     Parameters
     ----------
@@ -89,9 +92,9 @@ def serve_ros2(
 ) -> int:
     """Answer every message on ``servo_cp`` with ``measured_cp`` and ``measured_cf``.
 
-    At the first pose, the tissue is uncut. Names and units follow CRTK: m, N and N m, in the frame
-    of the scene. An invalid pose is logged as an error of the node and is not answered. Returns the
-    number of answers.
+    At the first pose, the tissue is restored to its uncut state. Names and units follow CRTK: m, N
+    and N m, in the frame of the scene. An invalid pose is logged as an error of the node and is not
+    answered. Returns the number of answers.
 
     Raises
     ------

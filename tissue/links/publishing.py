@@ -1,4 +1,4 @@
-"""Start, loop and end of a process that publishes a live run."""
+"""Base class of publishers of a live run, and main function of their processes."""
 
 import json
 import sys
@@ -35,12 +35,12 @@ class RunPublisher(ABC):
         self._turn = 0
 
     def _places(self, names: tuple[str, ...]) -> list[int]:
-        """Return the indices of columns in a row."""
+        """Return the indices of the columns with the given names."""
         return [self._columns.index(name) for name in names]
 
     @abstractmethod
     def step(self) -> None:
-        """Publish the data that is due, and wait briefly."""
+        """Publish the data that are due, then wait briefly."""
 
     @abstractmethod
     def end(self) -> None:

@@ -20,13 +20,13 @@ NAMESPACE = "tissue"
 FRAME = "tissue_scene"
 """Frame of poses and of all vectors: the frame of the scene."""
 DEPTH = 10
-"""Queue length for slow subscribers [messages], the same as in CRTK's client."""
+"""Queue length for slow subscribers [messages], equal to the length in CRTK's client."""
 STATE_S = 1.0
 """Interval at which an unchanged state is published again [s]."""
 PAUSED_S = 0.5
-"""Time without a tick after which the run counts as paused [s].
+"""Time without a tick after which the state of the run is published as paused [s].
 
-This is the time of 500 ticks, so late ticks do not count as a pause.
+This time is 500 ticks, so late ticks do not count as a pause.
 """
 LOOK_S = 1e-3
 """Interval between two checks for a new row [s].
@@ -47,7 +47,7 @@ KINDS = {
 
 
 class RosNode:
-    """Node of this program, with a publisher for each of some topics.
+    """ROS 2 node of this program, with a publisher for each of the given topics.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class RosNode:
         return self.node.get_clock().now().to_msg()
 
     def publish(self, *messages: Any) -> None:
-        """Publish one message for each topic, in the frame of the scene."""
+        """Publish one message for each topic, with the frame of the scene in the header."""
         header = {"frame_id": FRAME, "stamp": self.now()}
         for publisher, message in zip(self._publishers, messages, strict=True):
             fill(message.header, header, header.values())

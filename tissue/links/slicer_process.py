@@ -38,8 +38,8 @@ class SlicerFrame:
     """Rigid transform between the scene frame [mm] and RAS [mm].
 
     If the anatomy of the scene comes from a file, the scene is aligned with that file. Any other
-    scene has no patient frame. It is then aligned with the files of its run, such as ``bone.nrrd``,
-    which 3D Slicer interprets as LPS.
+    scene has no patient frame. Such a scene is aligned with the files of its run, such as
+    ``bone.nrrd``, which 3D Slicer interprets as LPS.
 
     Parameters
     ----------
@@ -171,9 +171,10 @@ class SlicerContent:
         return self._packed("TRANSFORM", TOOL, igtl.transform_body(pose))
 
     def force_messages(self, read: Readings, kind: str) -> list[bytes]:
-        """Return the load of the tissue on the tool, with the simulated time.
+        """Return messages with force and torque of the tissue on the tool, and the simulated time.
 
-        The result is a SENSOR message for the force and one for the torque, or one NDARRAY message.
+        For the kind SENSOR, the result is one message for the force and one for the torque. For the
+        kind NDARRAY, it is one message.
         """
         force, torque = self._load(read)
         self._number += 1
@@ -188,7 +189,7 @@ class SlicerContent:
         return [self._packed(*each, metadata=metadata, number=self._number) for each in bodies]
 
     def words_message(self, read: Readings) -> bytes:
-        """Return the load of the tissue on the tool as text for display in 3D Slicer."""
+        """Return a message with force and torque on the tool, as text for display in 3D Slicer."""
         force, torque = self._load(read)
         x, y, z = force
         text = (
@@ -201,7 +202,7 @@ class SlicerContent:
     def status_message(self, read: Readings | None) -> bytes:
         """Return a status message with the simulated time and the number of missed deadlines.
 
-        The result is None before the first tick.
+        Before the first tick, `read` is None, and the message states that the run begins.
         """
         text = "begins"
         if read is not None:
@@ -273,9 +274,9 @@ class SlicerTarget:
 
         The pose consists of the tip in the scene [mm] and the rotation relative to the first
         orientation (x, y, z, w). The result is None for a transform with another name and for an
-        ignored transform. A transform is ignored if it is not a rigid motion, or if the scene does
-        not allow clients to move the tool. It is also ignored while another client that sent a
-        target earlier is still connected.
+        ignored transform. A transform is ignored if it is not a rigid motion, or if clients may not
+        move the tool. It is also ignored while another client, which sent a target earlier, is
+        still connected.
         """
         if received.header.name != TARGET:
             return None
@@ -305,23 +306,25 @@ FRAME_S = 0.02
 WORDS_S = 0.2
 STATUS_S = 1.0
 SURFACE_S = 1.0
-"""Shortest interval between two force texts, two states and two surfaces [s].
+"""Shortest interval between two surfaces [s].
 
-Text that changes faster cannot be read. Surfaces are the largest messages.
+`WORDS_S` and `STATUS_S` are the intervals between two texts of the force and between two states.
+
+A user cannot read a text that changes faster. Surfaces are the largest messages.
 """
 WAIT_S = 0.005
 """Longest wait in a call of the server [s], a quarter of the interval between poses."""
 LINGERS_S = 2.0
 """Longest time for sending the last messages after the end of the run [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
-"""Streams that are only sent on request.
+"""Message types that are only sent to clients that request them.
 
 3D Slicer would report each of these messages as an error.
 """
 
 
 class Publisher(RunPublisher):
-    """Server of a live run: newest row, events and the changing surface of the tissue.
+    """Server that sends the newest row, the events and the changing surface of a live run.
 
     Attributes
     ----------
@@ -443,7 +446,7 @@ class Publisher(RunPublisher):
             self._send(self._content.status_message(read), is_stream=True)
 
     def _send_events(self) -> None:
-        """Send new events that are still stored."""
+        """Send the new events that are still in the shared memory."""
         count = int(self._arrays["events_count"][0])
         held = self._arrays["events"]
         for number in range(max(self._event, count - len(held)), count):

@@ -31,10 +31,11 @@ EVENTS = "physics_data/intermittent_data"
 """HDF5 group of intermittent events: removed voxels, burr changes and forces."""
 OLD_POSES = "high_frequency_poses"
 OLDEST_POSES = "data"
-"""Groups of the poses in files of older layouts, in which the event groups are at the root.
+"""HDF5 group of the poses in recordings of 2022 to 2025.
 
-Recordings of 2022 to 2025 have ``data/time`` and ``data/pose_OBJECT``, with one clock for all
-objects.
+The group contains ``time``, one clock for all objects, and ``pose_OBJECT``. In another older
+layout, the group is `OLD_POSES`. In both older layouts, the groups of events are at the root of the
+file.
 """
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
@@ -60,10 +61,10 @@ class DrillingRecording:
     quaternions
         Orientations (x, y, z, w), shape (n, 4). The tool's z axis runs from tip to shank.
     load_times_s
-        Times of the loads, on the clock of the poses [s], shape (m,); None without recorded loads.
+        Times of the loads [s], shape (m,), relative to the first pose; None without recorded loads.
     loads
-        Forces on the tool in the world frame [N], shape (m, 3). The shape is (m, 6), with torques
-        [N m], if the recorded torques are not a copy of the forces.
+        Forces on the tool in the world frame [N], shape (m, 3). With torques [N m], the shape is
+        (m, 6). Recorded torques are left out if they are only a copy of the forces.
     notes
         Findings and assumptions, one sentence each.
     """
@@ -109,9 +110,9 @@ class PoseFile:
 def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
-    The recorded pose is at the centre of the burr, with x towards the shank. The pose is moved to
-    the tip by half the burr size if the file contains this size. Otherwise the recorded point is
-    used as the tip. The recorder sometimes receives a pose twice or out of order. Samples are
+    The recorded pose is at the centre of the burr, with x towards the shank. If the file contains
+    the burr size, the pose is moved to the tip by half of this size. Otherwise the recorded point
+    is used as the tip. The recorder sometimes receives a pose twice or out of order. Samples are
     therefore sorted, and the first sample of each time is kept. If the file contains exactly one
     camera, forces are rotated from the axes of the camera to the world frame.
 
@@ -152,7 +153,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
 
 
 def poses_group(file: Any) -> str | None:
-    """Return the group of a drill's poses in an HDF5 file; None in any other file."""
+    """Return the name of the group of a drill's poses in an HDF5 file, or None if it has none."""
     for group in (POSES, OLD_POSES):
         if group in file:
             return group

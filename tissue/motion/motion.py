@@ -44,8 +44,8 @@ class FeedLimit:
     max_feed_mm_s
         Feed limit [mm/s].
     active_s
-        Time in contact with an active limit [s]. The resistance of the tissue is then smaller than
-        the thrust.
+        Total time in which the limit was active in contact [s]. During this time, the resistance of
+        the tissue is smaller than the thrust.
     first_s
         Time of the first activation [s]; None if the limit was never active.
     """
@@ -71,22 +71,22 @@ class Motion(Protocol):
     after_s: float = 0.0
     """Part of the duration that is caused by the delay of a simulated hand [s]."""
     measure_names: tuple[str, ...] = ()
-    """Names, with units, of the motion's own columns in the trace."""
+    """Names, with units, of the columns that the motion adds to the trace."""
     measures: Array = np.zeros(0)
-    """Values of these columns at the present tick."""
+    """Values of the columns `measure_names` at the present tick."""
     model_ticks: int = 1
     """Number of ticks for which one response of the tissue is used."""
     notes: tuple[str, ...] = ()
     """Findings about the file from which the motion was read, in sentences."""
     balances: bool = False
-    """True if the pose depends on the force at that pose.
+    """True if the pose in a tick depends on the force at this pose.
 
-    `correct` then searches for the pose before tissue is removed.
+    If True, `correct` searches for the pose before tissue is removed.
     """
 
     @property
     def feed_limit(self) -> FeedLimit | None:
-        """Time in which the feed limit determines the speed; None for a motion without thrust."""
+        """Time in contact in which the feed limit determines the speed; None without a thrust."""
         return None
 
     def sweep_m(self) -> Array:
@@ -141,7 +141,7 @@ def first_off_unit(quaternions: Array) -> int | None:
 
 
 def frame_along(axis: ArrayLike) -> Array:
-    """Return a rotation with its third column along ``axis`` and its first column near x.
+    """Return a rotation matrix whose third column is along ``axis``, and its first column near x.
 
     If the angle between ``axis`` and x is below about 26°, the first column is near y instead.
     """

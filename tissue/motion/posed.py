@@ -13,12 +13,15 @@ from tissue.motion.motion import StaysAt, matrix_of
 __all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
 
 FASTEST_M_S = 10.0
-"""Largest speed of a tool [m/s]; a larger speed means that the pose has a wrong unit.
+"""Largest accepted speed of a tool [m/s]; a larger speed is due to a pose in a wrong unit.
 
-Carving visits the whole swept region, so one wrong number would take minutes.
+Carving visits all voxels of the swept region, so a step with one wrong number would take minutes.
 """
 OFF_ROTATION = 1e-4
-"""Largest deviation of a matrix from a rotation, for single precision or five digits."""
+"""Largest accepted deviation of a matrix from a rotation.
+
+The value allows for numbers in single precision or with five digits.
+"""
 RESTS = 1e-9
 """Speed below which a tool rests [m/s, rad/s]; rounding of positions gives a smaller speed."""
 
@@ -101,7 +104,9 @@ def rotation_by(vector: Array) -> Array:
 
 
 class PosedTool(StaysAt):
-    """Motion of a tool to given poses; a step is divided equally among its ticks.
+    """Motion of a tool to given poses.
+
+    The motion from one pose to the next is divided equally among the ticks of the step.
 
     Parameters
     ----------
@@ -135,17 +140,18 @@ class PosedTool(StaysAt):
         velocity: Array | None,
         ticks: int,
     ) -> None:
-        """Set the pose that the tool has after the next ticks.
+        """Set the pose that the tool reaches after a number of ticks.
 
         Parameters
         ----------
         motion
             Present pose of the tool.
         tip_m, rotation
-            Pose after these ticks.
+            Pose after the given number of ticks.
         velocity
-            Velocity of the tip [m/s] and angular velocity [rad/s] in these ticks, shape (2, 3).
-            With None they are the change of the pose divided by the time.
+            Velocity of the tip [m/s] and angular velocity [rad/s] during the ticks, shape (2, 3).
+            With None, the velocities are the change of the pose divided by the duration of the
+            ticks.
         ticks
             Number of ticks.
 

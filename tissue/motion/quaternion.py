@@ -24,16 +24,16 @@ Triple = tuple[float, float, float]
 """Three components of a vector."""
 NOTHING: Triple = (0.0, 0.0, 0.0)
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
-"""Vector of zeros, and quaternion of no rotation."""
+"""Quaternion of the rotation by zero; `NOTHING` is the vector of zeros."""
 OFF_UNIT = 0.02
-"""Largest deviation of a quaternion's squared length from 1.
+"""Largest accepted deviation of a quaternion's squared length from 1.
 
 Rounding of all four components to two decimals changes the squared length by up to 0.02.
 """
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
-    """Return the product ``left right``: the rotation ``right`` followed by ``left``."""
+    """Return the product ``left right``: the rotation ``right``, followed by ``left``."""
     a, b, c, d = left
     e, f, g, h = right
     return (

@@ -30,16 +30,17 @@ __all__ = [
 
 
 FARTHEST_M = 10.0
-"""Largest distance between two poses along an axis [m].
+"""Largest extent of a motion along a coordinate axis [m].
 
 The motion of a tool in a patient is less than a metre.
 """
 
 
 class GivenPoses(Motion):
-    """Motion through given poses, one per tick.
+    """Motion through given poses, one pose per tick.
 
-    The velocity at a pose is the difference to the previous pose divided by the tick length.
+    The velocity at a pose is the difference from the previous pose, divided by the time between
+    both poses.
 
     Parameters
     ----------
@@ -48,12 +49,12 @@ class GivenPoses(Motion):
     tips_m
         Tip positions [m], shape (n, 3).
     turns
-        The n orientations.
+        The n orientations of the tool.
 
     Raises
     ------
     InputError
-        If the distance between two positions is larger than `FARTHEST_M`.
+        If the extent of the positions along a coordinate axis is larger than `FARTHEST_M`.
     """
 
     def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
@@ -227,7 +228,7 @@ FORMAT = 2
 
 
 def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
-    """Write poses, and origin and spacing of the voxels that were cut, to a .npz file."""
+    """Write the poses of a tool, and origin and spacing of the cut voxels, to a .npz file."""
     with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {
             "poses": poses,
@@ -277,7 +278,8 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
 def poses_of_trace(tips_m: Array, axes: Array) -> Array:
     """Build the poses of a run from its trace, if the pose file is missing.
 
-    The error of the bone's shape is then about the distance that the tool moves between two cuts.
+    The error of the bone's shape that is computed from these poses is about the distance that the
+    tool moves between two cuts.
 
     Parameters
     ----------

@@ -10,13 +10,13 @@ from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
 TOLERANCE = 0.01
-"""Allowed difference between the speed that led to a pose and the balanced speed at this pose.
+"""Largest difference between the speed that led to a pose and the balanced speed at this pose.
 
 The difference is relative to the larger of the two speeds. The force balance itself is exact. The
 tolerance limits the error of the pose to a hundredth of the travel in a tick. The tolerance also
-applies to the speed at which the tissue linearises its force law. If the balanced speed differs
-from that speed by a hundredth, the relative error of the linearised force is 1e-5 for a size
-exponent of 0.3.
+applies to the difference between the balanced speed and the speed at which the tissue linearises
+its force law. If these speeds differ by a hundredth, the relative error of the linearised force is
+1e-5 for a size exponent of 0.3.
 """
 MOST_POSES = 10
 """Largest number of poses tried in a tick.
@@ -43,23 +43,23 @@ def implicit_speed(
 class SpeedSearch:
     """Search for the speed in a tick that balances the forces at the resulting pose.
 
-    Let S(v) be the balanced speed at the pose of a tried speed v. S(v) is within the allowed
-    speeds, so that S(v) - v changes its sign between the lowest and the highest allowed speed. The
-    balanced speed is tried next. If balanced and tried speed are not close after two tries, the
+    Let S(v) be the speed that balances the forces at the pose that a tried speed v leads to. S(v)
+    is limited to the allowed speeds. S(v) - v therefore changes its sign between the lowest and the
+    highest allowed speed. S(v) is tried next. If S(v) and v are not close after two tries, the
     interval with the change of sign is halved. If the force jumps, for example at the first contact
     of a flat reamer, the search ends on the side of the larger force.
 
-    The force at a pose is given by a tangent as a function of the speed. The tangent is computed at
-    the tried speed, so that S(v) - v has the same sign as with the force law. If the search ends
-    with a balanced speed that is not close to the tried speed, new tangents are computed at that
-    pose until the two speeds are close.
+    At each pose, the force law is replaced by its tangent as a function of the speed. The tangent
+    is computed at the tried speed. S(v) - v therefore has the same sign as with the force law
+    itself. If the search ends with a balanced speed that is not close to the tried speed, new
+    tangents are computed at that pose until the two speeds are close.
 
     Attributes
     ----------
     tried
         Speed of the next pose to evaluate [m/s].
     tangent
-        Speed at which the tangent of the force at this pose is computed [m/s].
+        Speed at which the tangent of the force at the pose of `tried` is computed [m/s].
     """
 
     def __init__(self) -> None:
@@ -240,7 +240,7 @@ class PushAlongAxis(Motion):
         return True
 
     def happened(self) -> Events:
-        """Return the event of the feed limit in contact: first time and total duration."""
+        """Return the event of an active feed limit in contact: first time and total duration."""
         if self._limited_s == 0.0:
             return []
         what = (
@@ -257,7 +257,7 @@ class PushAlongAxis(Motion):
         return FeedLimit(1e3 * self._max_feed, round(self._limited_s, 6), first_s)
 
     def _resisting(self, response: Response) -> tuple[float, float]:
-        """Return drag [N s/m] and edge force [N] against the direction of motion."""
+        """Return drag [N s/m] and edge force [N], both against the direction of motion."""
         drag = max(-float(response.resistance[:3].dot(self._heading)), 0.0)
         edge = max(-float(response.edge[:3].dot(self._heading)), 0.0)
         return drag, edge
@@ -284,7 +284,7 @@ class PushAlongAxis(Motion):
         motion.tip_m[:] = self._start + self._travel * self._heading
 
     def _set_speed(self, motion: ToolMotion, edge: float) -> None:
-        """Write the speed, and the share of the edge force that holds a tool at rest."""
+        """Write the speed and, at rest, the share of the edge force that balances the thrust."""
         motion.speed_m_s = self._speed
         stuck = self._speed == 0.0 and self._travel < self._longest and edge > 0.0
         motion.pressed = min(self._thrust / edge, 1.0) if stuck else 0.0

@@ -56,18 +56,18 @@ __all__ = [
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Names of length units in NRRD, keyed by the length of the unit [mm]."""
 MOST_FRAMES = 40
-"""Largest number of frames in a file of the carving, including the last frame.
+"""Largest number of frames in ``carving.pvd``, including the last frame.
 
-This number and `MOST_TRIANGLES` limit the size of the files; both values are chosen.
+This number and `MOST_TRIANGLES` limit the size of the files. Both values were chosen by judgement.
 """
 MOST_TRIANGLES = 40_000
-"""Largest number of triangles in a frame; a larger cut is drawn in blocks of voxels."""
+"""Largest number of triangles in a frame; a larger surface is computed from blocks of voxels."""
 STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
-"""Possible intervals between two frames in a file of the carving [s]."""
+"""Possible intervals between two frames in ``carving.pvd`` [s]."""
 
 
 def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
-    """Return the voxels as an image [mm].
+    """Return the voxels as a pyvista image with lengths in mm.
 
     The cell arrays are ``start`` and ``remaining`` (255 = full), ``layer`` and ``density_kg_m3``.
 
@@ -76,7 +76,7 @@ def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
     volume
         Bone before the first cut.
     remaining
-        Bone left in each voxel, 255 = full, with the shape of the volume.
+        Bone left in each voxel (255 = full), one value for each voxel of `volume`.
     """
     import pyvista
 
@@ -97,7 +97,8 @@ def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, Bytes]:
     """Read the voxels of ``bone.vti`` of a run, in the frame of the scene.
 
-    The function returns the volume before the first cut, and the bone left at the end.
+    The function returns the volume before the first cut, and the bone left in each voxel at the
+    end.
 
     Raises
     ------
@@ -128,8 +129,8 @@ def saved_voxels(
 ) -> tuple[VoxelVolume, Bytes, Array | None]:
     """Read the voxels of a run and the tool poses that cut them.
 
-    The function returns the volume before the first cut, the bone left at the end, and the poses.
-    The poses are None if the file of poses does not exist.
+    The function returns the volume before the first cut, the bone left in each voxel at the end,
+    and the poses. The poses are None if the file of poses does not exist.
 
     Raises
     ------
@@ -175,8 +176,8 @@ def write_bone(run: CarvedRun, out: Path) -> None:
     the arrays ``removed_depth_mm`` and ``layer``. No ``bone.stl`` is written if the run removed all
     of the bone.
 
-    Bone that was read from a file is written in the frame and unit of that file, so both can be
-    shown together.
+    Bone that was read from a file is written in the frame and unit of that file, so the input file
+    and the results can be shown together.
     """
     if run.parts.volume is None:
         return
@@ -203,7 +204,7 @@ def write_bone(run: CarvedRun, out: Path) -> None:
 def _write_nrrd(run: CarvedRun, path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image.
 
-    The axes are those that 3D Slicer uses for surface files (LPS).
+    The axes are LPS (left, posterior, superior), which 3D Slicer also uses for surface files.
     """
     volume = run.volume
     placement = run.parts.placement
@@ -238,7 +239,7 @@ def _write_nrrd(run: CarvedRun, path: Path) -> None:
 
 
 def carving_ticks(run: CarvedRun) -> list[int]:
-    """Return the ticks after which the bone is written.
+    """Return the ticks whose bone is written to ``carving.pvd``.
 
     These are the ticks of the saved fields, if there are any, and the last tick.
     """
@@ -260,14 +261,14 @@ def carving_ticks(run: CarvedRun) -> list[int]:
 
 
 def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> None:
-    """Write the bone over time; for a run that cut no bone, write nothing.
+    """Write the bone over time. If the run cut no bone, no file is written.
 
-    ``carving.pvd`` lists two surfaces for each time [s]. The part that the run cut is in
-    ``carving/frame_0000.vtp`` and so on. The rest of the bone is in ``carving/rest.vtp``. Both
-    surfaces are in mm, or in the frame and unit of the anatomy's file, and have the arrays
-    ``layer`` and ``removed_depth_mm``. A cut of many triangles is written in blocks of voxels.
-    ``carving/poses.npz`` holds the tool poses, from which the bone at any other tick can be
-    computed.
+    ``carving.pvd`` lists two surfaces for each time [s]. The part of the surface that changes
+    during the run is in ``carving/frame_0000.vtp`` and so on. The rest of the surface is in
+    ``carving/rest.vtp``. Both surfaces are in mm, or in the frame and unit of the anatomy's file,
+    and have the arrays ``layer`` and ``removed_depth_mm``. If the changing part has more than
+    `MOST_TRIANGLES` triangles, it is computed from blocks of voxels. ``carving/poses.npz`` holds
+    the tool poses, from which the bone at any other tick can be computed.
     """
     box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)
     if run.poses is None or box is None:

@@ -1,4 +1,4 @@
-"""Surface of bone in voxels, with layers and removed depth, and the part that cuts change."""
+"""Surface of a bone made of voxels, with layers, removed depth and the part that cuts change."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -47,7 +47,8 @@ Box = tuple[NDArray[np.intp], NDArray[np.intp]]
 MARGIN = 2
 """Margin around the voxels that change [voxels].
 
-With this margin, the normals at the edge of the part equal those of the whole bone.
+With this margin, the normals at the edge of the changing part of the surface equal the normals of
+the whole surface.
 """
 HALF = (FULL + 1) // 2
 """Smallest content of a voxel that counts as bone (255 = full)."""
@@ -67,8 +68,9 @@ def bone_surface(
     fraction
         Bone in each voxel, 255 = full, uint8, shape (nx, ny, nz).
     closed
-        Whether the surface is closed where bone reaches the boundary of the voxels. Faces then
-        appear where the region was cut out of a larger bone. Otherwise the surface is open there.
+        Whether the surface is closed where bone reaches the boundary of the volume. If True, the
+        surface has additional faces where the region was cut out of a larger bone. If False, the
+        surface is open there.
     """
     import pyvista
     from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
@@ -91,7 +93,7 @@ def bone_surface(
 
 
 def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
-    """Add the layer below each triangle as the cell array ``layer``.
+    """Add the cell array ``layer``: the layer of the bone below each triangle.
 
     The layer names are stored as the field ``layer_names``.
     """
@@ -108,7 +110,10 @@ def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.Po
 
 
 def triangle_means(values: ArrayLike, triangles: ArrayLike) -> Floats:
-    """Return the means of the values at the three points of each triangle, shape (triangles, 3)."""
+    """Return the mean of the values at the three points of each triangle.
+
+    For vectors at the points, the result has shape (triangles, 3).
+    """
     first, second, third = np.asarray(triangles).T
     values = np.asarray(values)
     return np.asarray((values[first] + values[second] + values[third]) / values.dtype.type(3.0))
@@ -135,7 +140,7 @@ def with_depth(
     volume, remaining
         Bone before the first cut, and bone left in each voxel after the cuts.
     depth_mm
-        Removed depth of each column along ``axis`` [mm], with the shape of the other two axes.
+        Removed depth of each column of voxels along ``axis`` [mm], one value for each column.
     axis
         World axis closest to the tool's axis, 0 to 2.
     """
@@ -158,10 +163,10 @@ def with_depth(
 def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> Singles:
     """Return unit normals averaged over neighbours, shape (n, 3).
 
-    With these normals, a picture does not show the steps of the voxels. The weight of a neighbour
-    increases with the agreement of both normals. Neighbours whose normal differs by more than 37
-    degrees, as across an edge, are ignored. On a ball of binary voxels, 16 passes reduce the error
-    of the normals from 16 to 6 degrees, and 32 passes to 5.7 degrees.
+    With these normals, a picture does not show the steps between voxels. A neighbour has a larger
+    weight if its normal agrees better with the normal at the point. Neighbours whose normal differs
+    by more than 37 degrees, for example across an edge, are ignored. On a ball of binary voxels, 16
+    passes reduce the error of the normals from 16 to 6 degrees, and 32 passes to 5.7 degrees.
     """
     from scipy.sparse import csr_array
 
@@ -184,7 +189,7 @@ def cut_out(
     volume: VoxelVolume,
     reach_m: tuple[Array, Array],
 ) -> Flags:
-    """Return which triangles lie where the voxels end inside bone, shape (triangles,).
+    """Return a mask, shape (triangles,), of the triangles where the volume ends inside bone.
 
     Parameters
     ----------
@@ -193,8 +198,8 @@ def cut_out(
     volume
         Volume of voxels.
     reach_m
-        Lowest and highest corner of the requested region. Where the voxels end before this corner,
-        the bone itself ends.
+        Lowest and highest corner of the requested region [m]. If the volume ends before such a
+        corner, the bone itself ends there.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
     # A face on the boundary of the volume is within 0.25 voxel of the boundary.
@@ -207,10 +212,10 @@ def cut_out(
 
 
 def cut_faces(volume: VoxelVolume, reach_m: tuple[Array, Array]) -> list[tuple[int, int]]:
-    """Return the faces of a volume at which the voxels end inside bone.
+    """Return the faces at which a volume ends inside bone.
 
-    A face is an axis, and -1 for the lower or 1 for the upper end. The arguments are those of
-    `cut_out`.
+    Each face is a pair: the axis, and -1 for the lower end or 1 for the upper end. The arguments
+    are those of `cut_out`.
     """
     # The region is rounded outward to whole bricks (blocks of voxels). 1.5 voxels allow for the
     # rounding to whole voxels of other volumes. Where the volume ends before the requested corner,
@@ -248,7 +253,7 @@ class CarvedSurface:
     Attributes
     ----------
     part
-        Slices of the arrays of the volume that `of` needs.
+        Slices that select, from an array of the volume, the values that `of` needs.
     """
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:
@@ -272,7 +277,7 @@ class CarvedSurface:
         self._high_mm = origin + spacing * (high + 0.5)
 
     def rest(self) -> "pyvista.PolyData":
-        """Return the surface that no cut changes [mm].
+        """Return the part of the surface that no cut changes [mm].
 
         The surface has the cell array ``layer``, and the point arrays ``Normals`` and
         ``removed_depth_mm``. The removed depth is 0 everywhere.
@@ -285,7 +290,9 @@ class CarvedSurface:
         return _chosen(surface, ~self._inside(surface))
 
     def of(self, fraction: Bytes) -> "pyvista.PolyData":
-        """Return the surface that cuts change [mm], from the bone left in `part` (255 = full).
+        """Return the part of the surface that cuts change [mm].
+
+        The argument is the bone left in the voxels of `part` (255 = full).
 
         The surface has the same arrays as `rest`.
         """
@@ -300,7 +307,7 @@ class CarvedSurface:
         return _chosen(surface, self._inside(surface))
 
     def _inside(self, surface: "pyvista.PolyData") -> Flags:
-        """Return which triangles belong to the surface that cuts change, shape (triangles,).
+        """Return a mask of the triangles in the part that cuts change, shape (triangles,).
 
         Such a triangle lies between the centres of voxels, at least one of which changes.
         """
@@ -342,7 +349,10 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
 
 
 def block_means(fraction: Bytes, block: int) -> Bytes:
-    """Return means over blocks of voxels; outside the volume the fraction is zero."""
+    """Return the mean of each cube of voxels with an edge of ``block`` voxels.
+
+    Voxels of a cube that lie outside the volume count as 0.
+    """
     if block == 1:
         return fraction
     nx, ny, nz = (-(-n // block) for n in fraction.shape)
@@ -369,7 +379,10 @@ def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
 
 
 class CarvedRun(Protocol):
-    """Run that was just simulated or read from a folder; see `tissue.simulation.run.Run`."""
+    """Interface of a run that was just simulated or read from a folder.
+
+    The class `tissue.simulation.run.Run` has this interface.
+    """
 
     @property
     def scene(self) -> "Scene":
@@ -486,7 +499,10 @@ def tool_axes(quaternions: Array) -> Array:
 
 
 def facing(trace: Table) -> tuple[int, int]:
-    """Return the world axis closest to the tool's axis during the cut, and its sign."""
+    """Return the world axis closest to the tool's axis during the cut, and the side of the tool.
+
+    The side is 1 if the tool comes from the positive end of the world axis, and -1 otherwise.
+    """
     rows = trace["contact_mm2"] > 0.0
     quaternions = trace.quaternions()
     mean = tool_axes(quaternions[rows] if rows.any() else quaternions).mean(axis=0)

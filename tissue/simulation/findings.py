@@ -19,27 +19,30 @@ from tissue.simulation.trace import Table
 __all__ = ["BreakThrough", "break_throughs", "shortfalls"]
 
 MOSTLY = 0.5
-"""Share of the caries within reach that must be removed; below it, the caries counts as missed.
+"""Share of the caries within reach that must be removed.
 
-The value is chosen.
+If less is removed, the caries counts as missed.
+
+The share was chosen by judgement.
 """
 TOLERANCE_MM = 0.05
-"""Largest shortfall of the depth of a thrust that is not noted [mm].
+"""Difference between requested and reached depth of a thrust above which a note is made [mm].
 
 The value is half a voxel of the default size.
 """
 FORWARD = 0.5
 """Smallest ratio of travel along the tool's axis to total travel in a tick of forward motion.
 
-A tool that leaves the bone sideways does not break through.
+Because of this limit, a tool that leaves the bone sideways does not count as breaking through.
 """
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
     """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
-    There is also a note if a bone with an image of its density has no cortical bone. ``path_s`` is
-    the requested duration [s]. There is a note if the run is shorter than its scripted motion.
+    There is also a note if the bone has a density image, but no bone in the simulated region is
+    dense enough to be cortical bone. ``path_s`` is the duration of the run [s]; infinity if a user
+    decides when the run ends. There is a note if this duration is shorter than the scripted motion.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -87,7 +90,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
 
 def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
-    """Return a note on caries that the tool missed, with its place if known, and how to reach it.
+    """Return a note on missed caries: its place, if known, and how the tool can reach it.
 
     The note is empty if there is no lesion or the removal is sufficient. Caries is missed if no
     caries was removed or, in a tooth from files, if most of the caries within reach is left.
@@ -138,8 +141,8 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
     The surface of the bone is where interpolated voxels are half full. The time of the exit within
     a tick is interpolated too. Each hole counts as one break-through. An exit belongs to an earlier
-    hole if its place was inside the tool before: within the radius around the axis, and behind the
-    tip.
+    hole if the tool has passed through its place before. The tool passes through places behind its
+    tip that are within its radius around the axis.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ The loads for new coefficients need no further run.
 
 The force on a cutter is the sum of the forces on its cutting elements. The force on a cutting
 element is proportional to the length of its edge. On a given path of the tool, the engaged bone and
-the chip thickness do not depend on the coefficients. One run therefore records the loads of a unit
-force per length, at nodes of chip thickness, and::
+the chip thickness do not depend on the coefficients. One run therefore records unit loads: the
+loads of a unit force per length, at sampled values (nodes) of density and chip thickness. Then::
 
     loads = sum over layers, density nodes and chip nodes h of
             strength * (K_tc, K_rc, K_ac) effective(h) + (K_te, K_re, K_ae) share(h) . unit loads
@@ -60,24 +60,25 @@ SENSITIVITIES = (
 MOST_BYTES = 1_000_000_000
 """Largest size of a record [bytes].
 
-This size is enough to record every tick of 60 s in two layers of varying density, or of an hour in
-one layer of constant density.
+This size is enough for every tick of 60 s in two layers of varying density. It is also enough for
+an hour in one layer of constant density.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LayerLoads:
-    """Unit loads of an engaged layer.
+    """Unit loads of one layer that the tool engaged.
 
     Attributes
     ----------
     nodes
-        Nodes of density.
+        Values of density at which loads are recorded.
     chips_m
-        Nodes of chip thickness [m], shape (k,).
+        Values of chip thickness at which loads are recorded (chip nodes) [m], shape (k,).
     unit
-        Loads of a unit force per length of edge, shape (nodes, 3 k, n, 6): density nodes, three
-        directions at k chip nodes, ticks, and force and torque.
+        Loads of a unit force per length of edge, shape (nodes, 3 k, n, 6). The axes are the density
+        nodes, three directions at each of k chip nodes, n ticks, and the components of force and
+        torque.
     """
 
     nodes: DensityNodes
@@ -113,8 +114,7 @@ class LayerLoads:
         return np.vstack([basis, np.multiply.outer(by_exponent, chips).ravel(), by_minimum.ravel()])
 
     def _basis(self, coefficients: CuttingCoefficients) -> tuple[Array, Array]:
-        """Return the derivatives of `values` with respect to the six coefficients, and the
-        coefficients.
+        """Return the derivatives of `values` by the six coefficients, and the six coefficients.
 
         The shapes are (6, 3 k) and (6,).
         """
@@ -147,7 +147,7 @@ class LoadRecord:
     engaged_m2
         Engaged area of the tool in each layer [m2], shape (n, layers).
     trace
-        Rows of the trace for the recorded ticks, in which the loads are 0.
+        Rows of the trace for the recorded ticks. The columns of force and torque are 0.
     notes
         Notes on assumptions and findings from the build of the scene, keyed by subject.
     """
@@ -182,7 +182,9 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """Return for each layer the factors of its unit loads, shape (nodes * 3 k,).
+        """Return the factors of the unit loads of each layer, shape (nodes * 3 k,).
+
+        The keys are those of `layers`.
 
         The arguments are those of `loads`.
         """
@@ -261,16 +263,16 @@ def record_loads(
 ) -> LoadRecord:
     """Run the geometry of a scene once, and record the unit loads.
 
-    The bone is carved in every tick as in a run. Stress, heat and structures to keep clear of are
-    left out.
+    The bone is carved in every tick, as in a run. Stress, heat, and distances to structures that
+    must not be touched are not computed.
 
     Parameters
     ----------
     scene
         Scene in which a cutter mills bone or tooth on a given path.
     motion
-        Motion of the tool that replaces the motion of the scene, for its whole duration. The motion
-        must not depend on the force.
+        Motion of the tool that replaces the motion of the scene. Its whole duration is run. The
+        motion must not depend on the force.
     every
         Interval between two recorded ticks [ticks].
     compute, cores, progress

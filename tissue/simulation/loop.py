@@ -69,7 +69,7 @@ class PoseLog:
 
 
 class Stepper:
-    """Step of motion and tissue response in a tick of 1 ms, without output and record.
+    """Motion and tissue response in a tick of 1 ms, without output and record.
 
     All simulated ticks use `step`: the ticks of runs, cuts of a bone, loops of a caller's program,
     reference forces and environments. The cutting force depends on the bone before the current
@@ -118,8 +118,8 @@ class Stepper:
     def place(self, *, resume: bool = False) -> Response:
         """Put the tool at the start of the motion and return the response there.
 
-        Call this before the first tick. With `resume` the tissue continues from a loop that ended
-        at this pose.
+        Call this before the first tick. With `resume`, the tissue keeps the state in which another
+        loop left it at this pose.
         """
         self._motion.meet(self._tissue)
         self._motion.begin(self.tool)
@@ -203,9 +203,9 @@ class Stepper:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Keep the garbage collector and other threads from delaying the ticks in a block.
+    """Keep the garbage collector and other threads from delaying the ticks in a ``with`` block.
 
-    In the block, linear algebra uses one thread.
+    Inside the block, linear algebra uses one thread.
     """
     was_enabled = gc.isenabled()
     switching = sys.getswitchinterval()
@@ -230,7 +230,7 @@ class Loop:
     parts
         Motion of the tool, tissue and further parts of the run.
     ticks
-        Number of ticks for which memory is allocated now.
+        Number of ticks for which the constructor allocates memory.
     output
         Processing of the model force before it is commanded.
     timing_columns
@@ -296,8 +296,8 @@ class Loop:
     def place(self, *, resume: bool = False) -> None:
         """Put the tool at the start of the motion; call this before the first tick.
 
-        The time for this is not part of any tick. With `resume` the tissue continues from a loop
-        that ended at this pose.
+        The time that this call takes does not count as part of a tick. With `resume`, the tissue
+        keeps the state in which another loop left it at this pose.
         """
         response = self._stepper.place(resume=resume)
         if self.parts.keep_clear is not None:

@@ -1,6 +1,6 @@
-"""Observers of a run, called in every tick: a group of observers, wall clock, priority.
+"""Observers that are called in every tick: group of observers, wall clock, and priority.
 
-Observers are called between ticks and must not change the result of the run.
+They must not change the result of the run.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -29,7 +29,9 @@ __all__ = [
     "WallClock",
 ]
 LOOK_TICKS = 200
-"""Interval between two checks of the load by ticks and of the processes of a live run [ticks].
+"""Interval between two checks of a live run [ticks].
+
+The processor time of the ticks is checked, and whether the processes of the run still exist.
 
 The interval of 0.2 s is shorter than the 1 s after which Linux stops a thread that leaves no time
 to other threads.
@@ -44,9 +46,11 @@ BEHIND = (
     "this time, so the device received its forces later than the trace states"
 )
 BEHIND_S = 0.01
-"""Largest lateness of a tick [s] that later ticks catch up.
+"""Largest lateness of a tick that later ticks catch up [s].
 
-A person does not feel that ten ticks are caught up.
+The later ticks then run without waiting until the run is on time again.
+
+A person does not feel that up to ten ticks run faster than in real time.
 """
 SPIN_S = 1.5e-4
 """Time before a tick is due [s] at which the thread stops sleeping and polls the clock.
@@ -209,8 +213,9 @@ class Paced(RunObserver):
 class Prioritised(RunObserver):
     """Observer that raises the priority of the thread of the ticks, and restores it at the end.
 
-    The priority is restored earlier if the ticks leave no time to other threads. Otherwise the
-    system would stop the ticks, for longer than the delays at an ordinary priority.
+    The priority is restored earlier if the ticks use more than the share `FULL` of the time.
+    Otherwise the system would stop the thread of the ticks, and this pause would be longer than the
+    delays at an ordinary priority.
 
     Attributes
     ----------
@@ -231,7 +236,7 @@ class Prioritised(RunObserver):
             self.note = self._priority.granted
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Check the load by the ticks every `LOOK_TICKS` ticks."""
+        """Check the processor time used by the ticks, every `LOOK_TICKS` ticks."""
         self._busy_us += times[0]
         if index % LOOK_TICKS == LOOK_TICKS - 1:
             if self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S and not self._restored:

@@ -1,4 +1,4 @@
-"""Session in which a caller gives poses of a tool and receives the wrench on it."""
+"""Session in which a caller gives poses of a tool and receives the wrench on the tool."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,22 +21,24 @@ from tissue.simulation.simulate import builder_of
 __all__ = ["PosedSession", "Region", "Snapshot", "posed_parts", "scene_arguments"]
 
 ACROSS = 5
-"""Number of copies of a scene's path in each direction across the tool's axis; chosen."""
+"""Number of copies of a path in each direction across the tool's axis, chosen by judgement."""
 LEFT_REGION = "the tool left the region in which the tissue is prepared: use a larger reach_mm"
 """Event that reports a tool outside the prepared region."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a session, which can be pickled, and restored in a session made from equal
-    arguments.
+    """State of a session, for pickling and for restoring it later.
+
+    The state can be restored in any session that was made from equal arguments.
 
     Attributes
     ----------
     time_s
         Simulated time [s].
     tissue
-        Class and layers of the tissue. Both must be equal in a session that restores the snapshot.
+        Class and layers of the tissue. A session that restores the snapshot must have the same
+        class and layers.
     made_from
         Fingerprint of the constants, the step, the tool and the prepared tissue of the session.
     state
@@ -59,8 +61,8 @@ class Region:
     rotation
         Axes of the tool at the start, shape (3, 3).
     low_m, high_m
-        Corners of the box that the tip may not leave, along these axes [m], shape (3,) each. The
-        box is open upwards.
+        Coordinates of two corners of the box along these axes [m], shape (3,) each. The tip may not
+        leave the box, except at its top, where the box is open.
     """
 
     rotation: Array
@@ -84,7 +86,7 @@ class Region:
 
 
 class _Widened(Motion):
-    """Motion of a scene with shifted copies of its path, along which the tissue is prepared."""
+    """Motion along the path of a scene and shifted copies of this path, to prepare the tissue."""
 
     def __init__(self, motion: Motion, reach_m: float) -> None:
         self.duration_s = motion.duration_s
@@ -172,14 +174,15 @@ class PosedSession:
     Parameters
     ----------
     parts
-        Tissue, and structures to keep clear of. Their motion gives the start pose, and is replaced.
+        Tissue, and structures to keep clear of. The motion in `parts` only defines the start pose.
+        The poses of the caller replace it.
     ticks
         Number of ticks of 1 ms in a step.
     rows
         Number of ticks that the trace keeps.
     made_from
-        Constants, tool and tissue from which the parts were made. A snapshot is refused if it is of
-        a session made from others, see `tissue.models.state.fingerprint`.
+        Constants, tool and tissue from which the parts were made. The session refuses a snapshot of
+        a session that was made from other objects; see `tissue.models.state.fingerprint`.
     keep_ready
         Function that is called with the tip [m] before every tick, to prepare more tissue.
     region
@@ -222,16 +225,19 @@ class PosedSession:
         self.loop.place()
 
     def step(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Array:
-        """Move the tool to a pose in one step; return force [N] and torque [N m] on it, shape (6,).
+        """Move the tool to a pose in one step; return the force and the torque on the tool.
+
+        The result has shape (6,), with the force [N] first and then the torque [N m].
 
         Parameters
         ----------
         pose
-            As for `tissue.motion.posed.pose_in`. Without a rotation, the tool keeps its
+            As for `tissue.motion.posed.pose_in`. If the pose has no rotation, the tool keeps its
             orientation.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
-            array, shape (6,). None for the change of the pose divided by the duration of the step.
+            array, shape (6,). With None, the velocity is the change of the pose divided by the
+            duration of the step.
         """
         loop = self.loop
         present = loop.tool
@@ -267,11 +273,11 @@ class PosedSession:
         self.loop.place()
 
     def snapshot(self) -> Snapshot:
-        """Return a copy of the state."""
+        """Return a copy of the state of the session."""
         return Snapshot(self.loop.ticks * TICK_S, self._names, self._made_from, self.loop.state())
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a copied state.
+        """Restore the state of a snapshot.
 
         Raises
         ------

@@ -21,7 +21,10 @@ __all__ = ["write_formats", "write_recording"]
 
 DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
-"""Default object names of the recorder, so that scripts for the recorder's files work."""
+"""Default name of the anatomy in the recorder's files; `DRILL` is the default name of the drill.
+
+With these names, scripts for files of the recorder also work with files of tissue.
+"""
 DENSEST_KG_M3 = 2000.0
 """Density of bone that is drawn white [kg/m3]; the densest cortical bone has 1800 to 2000."""
 ABOUT = (
@@ -52,11 +55,13 @@ def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
 
 
 def write_recording(run: CarvedRun, path: Path) -> None:
-    """Write a run in the layout of volumetric_drilling's recorder, version 3 of its data note.
+    """Write a run in the file layout of volumetric_drilling's recorder.
+
+    The layout follows version 3 of the recorder's data note.
 
     Data that a run does not have are left out, as the recorder leaves out topics that it did not
-    receive. Images and camera are always left out. For a tool that cuts nothing, voxels and burr
-    are left out too.
+    receive. Images and camera are always left out. If the tool does not cut, voxels and burr are
+    also left out.
     """
     import h5py
 

@@ -1,7 +1,7 @@
 """Reference force of a device, without latency, filter and coarse model.
 
-Runs with a hand are compared with this force. Errors are measured at the motor: the played force
-passes through transport, zero-order hold and amplifier, and is then compared with the reference
+The forces of runs with a hand are compared with this force. Errors are measured at the motor, after
+transport, zero-order hold and amplifier. There, the played force is compared with the reference
 force at the same time. Each error is reported with its lower bound. The lower bound is the error of
 a perfect prediction from the same encoder steps, after the same low-pass and amplifier.
 """
@@ -95,13 +95,13 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 def ideal_force_N(
     run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
-    """Compute the force of the ideal loop along the device motion of a run [N], shape (n, 3).
+    """Compute the force [N], shape (n, 3), of the ideal loop for the device motion of a run.
 
     The ideal loop has no latency and the finest model; see `ideal_scene`. The device moves as in
     the run, so the force difference does not include the reaction of a hand to the ideal force. A
     simulated device provides its true motion; for other devices, the motion that the encoders read
-    is used. The ideal loop cuts the tissue itself, so the remaining tissue may differ from the
-    remaining tissue of the coarse model.
+    is used. The ideal loop cuts its own tissue, so the remaining tissue may differ from the
+    remaining tissue in the run.
 
     Raises
     ------
@@ -126,15 +126,16 @@ def ideal_force_N(
 def rendered_force_N(parts: Parts, ticks: int) -> Array:
     """Compute the force of the renderer in each tick [N], shape (ticks, 3).
 
-    This is the force before prediction, filter and delay. It equals the columns ``raw_force`` of a
-    run of the same parts bit for bit, and takes about half of the time. The motion of the device is
-    given and does not depend on the force. Prediction, filter, limits, output and record are
-    therefore skipped.
+    This is the force before prediction, filter and delay. The result equals the columns
+    ``raw_force`` of a run of the same parts bit for bit. The computation takes about half of the
+    time of such a run. The motion of the device is given and does not depend on the force.
+    Prediction, filter, limits, output and record are therefore skipped.
 
     Parameters
     ----------
     parts
-        Tool on a device that plays no force, and tissue whose model responds in every tick.
+        Tool on a device that plays no force, and tissue whose model computes a new response in
+        every tick.
     ticks
         Number of ticks.
     """
@@ -159,10 +160,10 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 def stretch_force_N(run: Run) -> Array:
     """Compute the force of the coupling spring in each tick of a run [N], shape (n, 3).
 
-    This is the force of the run without latency, computed from the encoder positions and the model
-    of the run. For a cutting tool, the estimate of the position observer replaces the encoder
-    position; see `WallLoop.observes`. A predictor receives this force if the model responds in
-    every tick.
+    This is the force that the run would have without latency. It is computed from the encoder
+    positions and the model of the run. For a cutting tool, the estimate of the position observer
+    replaces the encoder position; see `WallLoop.observes`. A predictor receives this force if the
+    model computes a new response in every tick.
 
     Raises
     ------
@@ -213,11 +214,13 @@ class MotorForces(NamedTuple):
     ideal
         Force without latency at the true device position.
     nearest
-        Force from `stretch_force_N`, perfectly predicted over the delay of its path to the motor.
-        The error of this force is the lower bound for forces from the same encoder steps. A force
-        that smooths the encoder steps more may have a smaller error.
+        Force that would arrive at the motor if the force from `stretch_force_N` were predicted
+        perfectly over its delay to the motor. The error of this force is the lower bound for forces
+        from the same encoder steps. A played force may still have a smaller error if it smooths the
+        encoder steps more.
     sent
-        Force that the device received, compressed to its range and scaled for a person.
+        Force that the device received, after compression to the device's range and scaling for a
+        person.
     """
 
     played: Array

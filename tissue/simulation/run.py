@@ -76,8 +76,8 @@ class Run:
     path
         Folder of the run; None before it is saved.
     scheduling
-        Data on kernel launches and background work, and scheduling gaps (times in which the system
-        did not run the thread); None if they were not recorded.
+        Data on kernel launches, background work and scheduling gaps (times in which the system did
+        not run the thread); None if these data were not recorded.
     draw
         Function that draws the pictures of the run into a folder in a given format. It returns a
         sentence for each picture that could not be drawn. `tissue.simulate` sets this attribute.
@@ -405,9 +405,7 @@ class Run:
         overwrite: bool,
         report: Progress,
     ) -> None:
-        """Write the folder of a simulated run, or complete the folder that was written during the
-        run.
-        """
+        """Write the folder of a simulated run, or complete a folder that the run began to write."""
         from tissue.simulation.bone_files import write_bone, write_carving
         from tissue.simulation.recording import write_formats
         from tissue.simulation.vtk_files import write_fields
@@ -460,7 +458,10 @@ class Run:
 
 
 def load_figures(trace: Table) -> dict[str, dict[str, float]]:
-    """Return peak and mean in contact of force [N] and torque [N m], for a trace with rows."""
+    """Return the peak, and the mean in contact, of force [N] and torque [N m].
+
+    The trace must have at least one row.
+    """
     found = {}
     contact = trace["contact_mm2"] > 0.0
     for name, unit in (("force", "N"), ("torque", "Nm")):

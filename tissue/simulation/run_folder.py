@@ -57,7 +57,7 @@ PARTS = {
     "organ.material": "material",
     "tool.kind": "tool",
 }
-"""Keys whose values are names of registered parts, with a noun for the part."""
+"""Nouns for registered parts in messages, keyed by the key of a scene that names such a part."""
 AGAIN = "run the scene again"
 PICTURE_FORMATS = ("png", "svg", "pdf")
 FILES = (
@@ -149,8 +149,8 @@ class RunFolder:
     Raises
     ------
     InputError
-        If the folder holds another run or files of another origin, or another process writes into
-        it.
+        If the folder holds another run or files that no run wrote, or if another process writes
+        into it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
@@ -355,7 +355,7 @@ def _remark(placement: Placement | None) -> str:
 
 
 def added_to_run(path: Path) -> OwnedFolder:
-    """Return the folder of a finished run, to be used in a ``with`` block that changes its files.
+    """Return the folder of a finished run, for a ``with`` block that changes the files in it.
 
     The folder is locked during the block.
     """

@@ -29,11 +29,17 @@ __all__ = [
 
 
 PEAK = 99.8
-"""Percentile of a cell field at the end of the colour scale; single cells at the tool exceed it."""
+"""Percentile of a cell field at the upper end of the colour scale.
+
+Single cells at the tool have larger values.
+"""
 SPAN = 1e-3
 """Smallest ratio of lowest to highest stress in a logarithmic colour scale (three decades)."""
 FAINT = 5.0
-"""Percentile at which a logarithmic scale begins, in the frame with the largest stress; chosen."""
+"""Percentile of the stress at the lower end of a logarithmic colour scale.
+
+It is computed in the frame with the largest stress, and was chosen by judgement.
+"""
 UNITS = {
     "mm3_s": "mm³/s",
     "mm_s": "mm/s",
@@ -161,7 +167,7 @@ class SavedFields:
     displacement
         Name of the field of nodal displacements, or None.
     unit_mm
-        Length of the unit of the displacement [mm].
+        Unit of the displacement [mm]: 1 if the displacement is stored in mm, 1000 if in m.
 
     Raises
     ------
@@ -280,8 +286,8 @@ def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
     """Return the ends of the colour scale of a field, from arrays of its values.
 
     The scale is symmetric about 0 if there are positive and negative values. For von Mises stress
-    the scale is logarithmic and begins above 0, because this stress decreases by decades with the
-    distance from a tool.
+    the scale is logarithmic and begins above 0. The reason is that this stress decreases by several
+    powers of ten with the distance from a tool.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]

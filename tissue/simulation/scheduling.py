@@ -16,10 +16,11 @@ __all__ = ["MachineGaps", "Scheduling", "spin", "spin_time_s"]
 
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
-"""Time for which the clock is polled before and after the ticks [s], and largest ratio of this time
-to the simulated time.
+"""Largest ratio of the time for which the clock is polled to the simulated time.
 
-Both values are chosen. The ratio limits the additional time of a short run.
+The clock is polled before and after the ticks, each time for at most `SPUN_S`.
+
+The ratio limits the additional time of a short run. Both values were chosen by judgement.
 """
 LEAST_GAP_S = 2e-4
 """Shortest interval between two clock readings that counts as a scheduling gap [s].

@@ -63,7 +63,7 @@ class RunObserver:
         """Wait until a tick may begin."""
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Read the rows of a tick in trace and timing; return whether the run continues."""
+        """Read the rows of trace and timing for a tick; return whether the run continues."""
         return True
 
     def on_event(self, time_s: float, what: str) -> None:
@@ -110,12 +110,12 @@ def simulate(
     allow_unstable
         Whether to run a device even if the check predicts that its coupling is unstable.
     device
-        Device object to read and command instead of a simulated device in a simulated hand. The
-        stability check uses the limits of the device that the scene names. If the object is a
-        context manager, the run enters and exits it, so pass the object without ``with``. To use a
-        device for several runs, pass ``held`` from ``with SafeDevice(device) as held``. The ticks
-        run in a second thread. The last command to the device is zero, even if an error ends the
-        ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
+        Device object that is read and commanded. It replaces the simulated device in a simulated
+        hand. The stability check uses the limits of the device that the scene names. If the object
+        is a context manager, the run enters and exits it, so pass the object without ``with``. To
+        use a device for several runs, pass ``held`` from ``with SafeDevice(device) as held``. The
+        ticks run in a second thread. The last command to the device is zero, even if an error ends
+        the ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
     observer
         Observer that is called in every tick.
 

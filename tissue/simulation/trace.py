@@ -1,4 +1,4 @@
-"""Trace of a run with one row per tick, written during the run and in other formats."""
+"""Trace of a run with one row per tick: table, CSV file written during the run, other formats."""
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -41,7 +41,8 @@ __all__ = [
 FLUSH_EVERY_S = 0.1
 """Longest time between two flushes [s].
 
-If the process is killed, at most the rows of this wall time and of one tick are lost.
+If the process is killed, at most the rows of this time (on the wall clock) and of one tick are
+lost.
 """
 NO_LAYER = "none"
 AGAIN = "run the scene again"
@@ -55,7 +56,10 @@ Columns = dict[str, NDArray[np.generic]]
 RECORDING = "recording"
 """Name of the format for other programs; see `tissue.simulation.recording`."""
 WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
-"""Package that writes a format, and extra that installs the package, keyed by format."""
+"""Pairs of the package that writes a format and the extra of tissue that installs the package.
+
+The keys are the formats.
+"""
 
 
 def components(name: str, unit: str) -> tuple[str, ...]:
@@ -180,15 +184,17 @@ class TraceLayout:
     columns
         Names of all columns, which end with the unit.
     time, removal_rate, removed, contact, layer
-        Index of one column each.
+        Index of the column with this quantity.
     tip, quaternion, velocity, spin
-        Indices of the pose of the tool, its velocity and its spin.
+        Indices of the columns of the pose, the velocity and the spin of the tool.
     commanded, wrench
-        Indices of force and torque: as commanded, and from the model.
+        Indices of the columns of force and torque: commanded to the device, and computed by the
+        model.
     removed_by_layer
-        Indices of one column per layer.
+        Indices of the columns of the removed volume, one for each layer.
     tissue_measures, motion_measures, clear_measures
-        Indices of the measures of tissue and motion, and of the distances to structures.
+        Indices of the columns of the measures of tissue and motion, and of the distances to
+        structures that must not be touched.
     """
 
     columns: tuple[str, ...]
@@ -360,7 +366,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     Raises
     ------
     InputError
-        If the file is not such a table. The message names the line.
+        If the file was not written by a `TraceWriter`. The message names the line.
     """
     require_regular(path)
     try:

@@ -1,9 +1,9 @@
 """VTK files of a run: conversion between the frames of scene and anatomy file, writers, fields.
 
-Coordinates are converted to the unit of the file. Quantities whose name contains a unit are not
-converted. Point arrays of three numbers are vectors and are rotated. Cell arrays are not rotated,
-because principal stresses are three numbers but not a vector. Writers raise an error if the disk is
-full.
+Coordinates are converted to the unit of the anatomy's file. Quantities whose name contains a unit
+are not converted. Point arrays of three numbers are vectors and are rotated. Cell arrays are not
+rotated, because principal stresses are three numbers but not a vector. The functions that write
+files raise an error if the disk is full.
 """
 
 from collections.abc import Iterable
@@ -40,7 +40,7 @@ CELL_TYPES = {4: 10, 8: 12}
 
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
-    """Convert a mesh of the scene [mm] to the frame and unit of the file.
+    """Convert a mesh of the scene [mm] to the frame and unit of the anatomy's file.
 
     Without a placement, the mesh is returned unchanged.
     """
@@ -50,7 +50,7 @@ def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
 
 
 def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """Convert a mesh of the file to the frame of the scene [mm].
+    """Convert a mesh in the frame of the anatomy's file to the frame of the scene [mm].
 
     Without a placement, the mesh is returned unchanged.
     """
@@ -60,7 +60,9 @@ def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
 
 
 def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Convert voxels of the scene [mm] to the frame and unit of the file, with a direction matrix.
+    """Convert voxels of the scene [mm] to the frame and unit of the anatomy's file.
+
+    The axes of the image are stored as its direction matrix.
 
     Without a placement, the voxels are returned unchanged.
     """
@@ -72,7 +74,7 @@ def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData
 
 
 def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Convert voxels of the file to the frame of the scene [mm].
+    """Convert voxels in the frame of the anatomy's file to the frame of the scene [mm].
 
     Without a placement, the voxels are returned unchanged.
     """

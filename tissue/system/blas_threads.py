@@ -11,8 +11,8 @@ __all__ = ["one_blas_thread"]
 def one_blas_thread() -> AbstractContextManager[object]:
     """Return a context manager in which NumPy and SciPy use one thread for linear algebra.
 
-    On a busy computer, threads that compute small products wait for each other, and take ten times
-    as long or more.
+    On a busy computer, threads that compute small products wait for each other. The computation
+    then takes ten times as long or more.
     """
     return _thread_pools().limit(limits=1, user_api="blas")
 

@@ -1,4 +1,4 @@
-"""Child Python processes that use the same package and end with this process.
+"""Child Python processes that use this package and end with this process.
 
 `Helper` exchanges messages with a child process. `HangDetector` detects processes that no longer
 work.
@@ -38,7 +38,8 @@ START = start_code("tissue.system.child", "_main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment variables that limit linear algebra to one thread.
 
-The rounding of sums is then equal on every computer, and processes do not compete for cores.
+With one thread, the rounding of sums is equal on every computer, and processes do not compete for
+cores.
 """
 CHECK_S = 1.0
 """Time between two checks of a process that is waited for [s]; a check takes about 10 ms."""
@@ -51,14 +52,14 @@ This time is 20 times 1.5 s, the longest delay of a tick on an overloaded comput
 WORK_S = 0.05
 """Smallest processor time that is treated as work [s].
 
-A process uses less time to check whether its parent has ended.
+A process that only checks whether its parent has ended uses less time.
 """
 
 
 class HelperLostError(RuntimeError):
     """Error of a helper process that ended, was stopped or hangs.
 
-    The message is part of a sentence.
+    The message is a part of a sentence that the caller completes.
     """
 
 
@@ -103,8 +104,9 @@ def end_with(parent: int, *, strictly: bool) -> None:
         Id of the process that started this process.
     strictly
         True to let the operating system end this process as well, where this is supported (Linux).
-        This process then ends even if it was stopped. The system observes the thread that started
-        this process, so that this thread must not end before the parent process.
+        The system then ends this process even if it was stopped. It also ends this process at the
+        end of the thread that started it. This thread must therefore live as long as the parent
+        process.
     """
     if strictly:
         kill_with_parent()
@@ -129,9 +131,9 @@ def _await_end(parent: int) -> None:
 class HangDetector:
     """Detector for processes that are waited for and no longer work.
 
-    The detector gives up a process that was idle for too long or has taken longer than a given
-    time. Time is measured by the number of checks, so that time in which this process was stopped
-    is not included.
+    The detector reports a process that was idle for too long or has taken longer than a given time.
+    Time is measured by the number of checks. Time in which the checking process was stopped is
+    therefore not included.
 
     Parameters
     ----------
@@ -155,7 +157,10 @@ class HangDetector:
         self._work_s = -WORK_S
 
     def check(self) -> str | None:
-        """Return the reason to give up, as part of a sentence, or None; call it every `CHECK_S`."""
+        """Return the reason to give up the processes, or None; call this method every `CHECK_S`.
+
+        The reason is a part of a sentence.
+        """
         self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
         # The sum decreases when a child of the process has ended.
@@ -181,12 +186,12 @@ def await_ready(
     longest_s
         Longest waiting time [s].
     closes_s
-        Longest time for the end of a process that printed something else [s].
+        Longest time that a process may take to end after it has printed another line [s].
 
     Returns
     -------
-    The text after the word, and None. If the process is not ready, an empty text and the reason as
-    part of a sentence. The reason is empty if the process has ended.
+    The text after the word ``ready``, and None. If the process is not ready, an empty text and the
+    reason, which is a part of a sentence. The reason is empty if the process has ended.
     """
     stdout = child.stdout
     first = SimpleQueue[str]()
@@ -210,7 +215,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Return the processor time of processes and their children [s], and whether one is stopped."""
+    """Return the processor time [s] of processes and their children, and whether one is stopped."""
     import psutil
 
     work_s = 0.0
@@ -232,11 +237,11 @@ NICE = 5
 
 
 def own_process(*, beside_ticks: bool) -> TextIO:
-    """Prepare a process that only draws or publishes, and return its standard output.
+    """Prepare this process for drawing or publishing, and return its standard output.
 
     All other output goes to standard error. The parent process decides when this process ends, so
-    Ctrl-C is ignored. If ticks run at the same time, the process has a lower priority and draws
-    with one thread, because OpenGL in software would otherwise use all cores.
+    Ctrl-C is ignored. With `beside_ticks`, the process has a lower priority and draws with one
+    thread. OpenGL in software would otherwise use all cores.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if beside_ticks:
@@ -270,9 +275,9 @@ class Helper:
     """Child Python process that receives pickled messages and answers them.
 
     Messages are written to the helper's standard input, and answers are read from the helper's
-    standard output. The helper ends with this process, and uses one thread for linear algebra.
-    Sending never blocks, because a separate thread writes the message. This thread also reads the
-    answer. The calling thread therefore keeps the interpreter lock between `send` and `receive`.
+    standard output. The helper ends with this process, and uses one thread for linear algebra. A
+    separate thread writes the message and reads the answer. Sending therefore never blocks, and the
+    calling thread does not release the interpreter lock for the transfer of data.
 
     Parameters
     ----------

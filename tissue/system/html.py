@@ -40,8 +40,8 @@ def html_page(
     """Return a self-contained HTML file.
 
     The page has a content security policy that lists its own style and scripts by their hashes. A
-    browser therefore runs no other script, even if a user's text with markup is in the body, and
-    loads nothing from a host.
+    browser therefore runs no other script, even if the body contains a text with markup from a
+    user. It also loads nothing from the network.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """Offscreen 3D drawing in a separate process.
 
-The separate process is needed because VTK ends its process if a graphics library is missing.
+A separate process is needed because VTK ends the process that uses it if a graphics library is
+missing.
 """
 
 import ctypes
@@ -38,7 +39,9 @@ LONGEST_S = 120.0
 """Longest drawing time of a picture [s]; pictures of the largest scenes take some seconds."""
 DISPLAY_S = 30.0
 ANSWERS_S = 5.0
-"""Longest wait for a display, and longest time for one answer of a display [s].
+"""Longest wait for one answer of a display [s].
+
+Attempts are repeated for at most `DISPLAY_S`.
 
 A display that is still starting refuses connections. A stopped display accepts connections and
 never answers.
@@ -71,7 +74,7 @@ def draw_apart(
 
     Returns
     -------
-    None on success; otherwise the reason and the remedy as part of a sentence.
+    None on success. Otherwise a part of a sentence with the reason and the remedy.
 
     Raises
     ------
@@ -244,9 +247,11 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """Yield environment changes for a drawing process; each is a fallback for the previous one.
+    """Yield changes of environment variables for a drawing process.
 
-    The changes select the class of VTK window.
+    Each set of changes is a fallback for the previous set.
+
+    The variables select the class of the VTK window.
     """
     key = "VTK_DEFAULT_OPENGL_WINDOW"
     # Other operating systems draw without a display. If the user has chosen a class, only this

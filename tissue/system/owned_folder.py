@@ -1,4 +1,4 @@
-"""Output folders in which a command writes its files and changes no file of the user.
+"""Output folders in which a command writes its own files without changing files of the user.
 
 A lock prevents a second writer in an output folder or file.
 """
@@ -42,7 +42,7 @@ MARKER = ".tissue.json"
 """Name of the marker file. It lists the files that tissue wrote into a folder."""
 FORMAT = "tissue output folder"
 VERSION = 1
-"""Format and version that are written into the marker."""
+"""Version of the marker file; the marker also contains the name of its format, `FORMAT`."""
 LONGEST_MARKER = 1 << 24
 """Largest marker that is read [bytes]; a marker with 40,000 names has 2 MB."""
 
@@ -51,7 +51,7 @@ LOCK = ".lock"
 FAR = 1 << 30
 """Position of the locked byte on Windows.
 
-The byte lies far behind the process id, because a locked byte cannot be read.
+The byte lies far behind the process id in the file, because a locked byte cannot be read.
 """
 LONGEST_LOCK = 32
 """Longest content of a lock file [characters]: a process id and a line end."""
@@ -60,13 +60,16 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 SAME_S = 5.0
 """Largest difference between two readings of the start time of the same process [s].
 
-The system clock may be changed between the readings. Process ids are assigned in order, so that
-another process rarely gets the same id within this time.
+The system clock may be changed between the readings. Process ids are assigned in order. Another
+process therefore rarely gets the same id within this time.
 """
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""Error codes if another process holds a lock; other codes mean that locks are not supported."""
+"""Error codes that mean that another process holds a lock.
+
+Other error codes mean that the file system does not support locks.
+"""
 _claimed: set[Path] = set()
-"""Folders for which this process has listed a file."""
+"""Folders in whose marker this process has listed a file."""
 Files = dict[str, set[str]]
 """Names of files relative to their folder, by kind of output."""
 
@@ -140,7 +143,7 @@ class OwnedFolder:
         OWNERS.add(self)
 
     def depth(self, path: Path) -> int:
-        """Return the number of parts of the folder's path if the folder holds ``path``, else 0."""
+        """Return the number of parts of the folder's path if ``path`` is in the folder, else 0."""
         return (
             len(self._place.parts) if Path(os.path.abspath(path)).is_relative_to(self._place) else 0
         )
@@ -307,7 +310,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
-    """Return True if a parent of a name exists and is not a plain folder."""
+    """Return True if a parent folder in a file name exists, but is not a plain folder."""
     parents = [
         path.joinpath(*PurePosixPath(name).parts[:count])
         for count in range(1, len(PurePosixPath(name).parts))

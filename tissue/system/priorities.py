@@ -20,14 +20,19 @@ __all__ = [
 REALTIME = 20
 """Real-time priority on Linux, in the range 1 to 99; kernel threads for devices have 50."""
 NICE = -10
-"""Niceness that is requested if no real-time priority is granted; the minimum is -20.
+"""Niceness that is requested if the system grants no real-time priority.
 
-Linux then gives the thread 9.3 times the processor time of an ordinary thread (weights 9548 and
-1024 in the table of the scheduler).
+The lowest possible niceness is -20.
+
+With a niceness of -10, Linux gives the thread 9.3 times the processor time of an ordinary thread.
+In the table of the scheduler, their weights are 9548 and 1024.
 """
 USER_INTERACTIVE = 0x21
 DEFAULT = 0x15
-"""Quality-of-service classes of macOS, from its header sys/qos.h."""
+"""Default quality-of-service class of macOS, from its header sys/qos.h.
+
+`USER_INTERACTIVE` is the class of the thread of the ticks.
+"""
 HIGH = 0x80
 """HIGH_PRIORITY_CLASS of Windows, from its header winbase.h."""
 USUAL = "ordinary priority"
@@ -165,14 +170,17 @@ def _macos_class(value: int) -> None:
 
 
 LOWEST = 19
-"""Lowest niceness: the process runs when no other process needs the processor."""
+"""Niceness of the lowest ordinary priority.
+
+The process then gets little processor time while other processes need the processor.
+"""
 
 
 @cache
 def may_return_from_idle() -> bool:
-    """Return True if this system lets a thread leave the idle priority again.
+    """Return True if this system lets a thread return from idle to normal priority.
 
-    A temporary thread tests this.
+    The function tests this with a temporary thread.
     """
     if not hasattr(os, "SCHED_IDLE"):
         return False
@@ -194,10 +202,10 @@ class BackgroundPriority:
     """Priority of a background process relative to the ticks.
 
     While the ticks run, the main thread of the process has idle priority and does not use the core
-    of the ticks. When the ticks wait for the process, this thread gets normal priority. If a thread
-    cannot leave the idle priority again, it gets the lowest ordinary priority instead. On a busy
-    computer, a process at idle priority would hardly run, even while the ticks wait for it.
-    Settings that the system refuses or does not have are skipped.
+    of the ticks. When the ticks wait for the process, its main thread gets normal priority. If the
+    system does not let a thread leave the idle priority, the main thread always has the lowest
+    ordinary priority instead. At idle priority, it would hardly run on a busy computer, even while
+    the ticks wait for it. Settings that the system refuses or does not have are skipped.
 
     Parameters
     ----------

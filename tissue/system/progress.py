@@ -14,16 +14,17 @@ __all__ = ["Bar", "Remaining", "duration_text", "in_notebook", "progress", "repo
 
 
 Bar = Progress | bool | None
-"""Argument ``progress`` of a call: a function, True or False for a bar, or None.
+"""Type of the argument ``progress``: a function, True for a bar, False for no bar, or None.
 
-The default None shows a bar only in a notebook.
+With the default None, a bar is shown only in a notebook.
 """
 EVERY_S = 0.2
 """Time between two updates of a notebook's bar [s]; an update is a message to the browser."""
 TRUSTED = 0.03
 """Completed share of the work from which the remaining time is shown.
 
-Below this share the estimate is wrong, because the first steps also load the code.
+Before this share is completed, an estimate would be wrong, because the first steps also load the
+code.
 """
 SHORT_S = 10.0
 """Smallest remaining time that is shown [s]."""
@@ -88,7 +89,7 @@ class Remaining:
         self._last = 1.0
 
     def text(self, share: float) -> str:
-        """Return the remaining time for a completed share as text; empty if it is not known.
+        """Return the remaining time as text, from the completed share; empty if it is not known.
 
         The pace is measured from the first report of a stage, because a continued command does not
         begin at zero. A new stage begins when the completed share decreases.

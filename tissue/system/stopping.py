@@ -1,4 +1,4 @@
-"""Conversion of stop signals to exceptions, so that a run can end in order; and time limits."""
+"""Conversion of stop signals to exceptions, so that a run can end in order, and time limits."""
 
 import atexit
 import os
@@ -28,13 +28,13 @@ STOPS = tuple(
 )
 """Signals of this operating system that ask a process to end.
 
-A closed or lost terminal sends SIGHUP. A key sends SIGQUIT or SIGBREAK.
+SIGHUP is sent if a terminal is closed or lost. SIGQUIT and SIGBREAK are sent by a key.
 """
 
 AGAIN_S = 0.01
 """Delay after which a stop signal that Python dropped is sent again [s].
 
-After this delay, the callback in which Python dropped the signal has returned.
+After this delay, the callback during which Python dropped the signal has returned.
 """
 
 
@@ -127,7 +127,7 @@ def interrupt_is_free() -> bool:
 def signals_handled(
     numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None]
 ) -> Iterator[None]:
-    """Handle these signals inside the ``with`` block, only in the main thread.
+    """Call a handler for the given signals inside the ``with`` block, only in the main thread.
 
     A signal that is ignored, for example under ``nohup``, stays ignored. A signal that is handled
     outside Python keeps its handler.
@@ -155,7 +155,7 @@ def _send(number: int) -> None:
 
 
 def returned_within(seconds: float, call: Callable[[], object]) -> bool:
-    """Return True if a call returned within a time [s] and without an error.
+    """Return True if a call returned without an error within a time [s].
 
     The call runs in a thread. If the call blocks, the thread is not waited for.
     """

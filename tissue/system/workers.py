@@ -40,7 +40,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """Start worker processes that end when this process ends for any reason."""
+    """Yield an executor whose worker processes end when this process ends for any reason."""
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
@@ -105,8 +105,8 @@ def first_done(
 def _interrupted_later() -> Iterator[None]:
     """Block Ctrl-C while processes start.
 
-    The processes inherit this block. Otherwise, Ctrl-C would make them print a traceback before
-    they can ignore the signal.
+    The processes inherit the blocking of the signal. Otherwise, Ctrl-C would make them print a
+    traceback before they can ignore it.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -128,15 +128,15 @@ def _begin_worker(parent: int, strictly: bool) -> None:
 
 
 AHEAD = 3
-"""Number of jobs that are submitted in advance for each worker.
+"""Number of jobs per worker that are submitted at a time.
 
 With this number, no worker waits, and memory does not grow with the number of jobs.
 """
 LOSSES = 3
 """Number of lost workers after which a job is run alone.
 
-The count is that of workers that were lost while the job ran. The run alone shows whether the job
-itself ends its worker.
+The lost workers are counted for each job that was submitted at the time of the loss. If a job is
+run alone, a further loss shows that this job ends its worker.
 
 One or two lost workers may be due to other jobs, or to the machine.
 """
@@ -157,17 +157,17 @@ def finished(
     scheduler: str | None,
     report: Callable[[str], None],
 ) -> Iterator[list[tuple[Job, Result | Exception]]]:
-    """Run jobs in other processes, and yield the jobs that are done at a time with their results.
+    """Run jobs in other processes, and yield lists of finished jobs with their results.
 
-    A lost worker is replaced and its jobs are run again. A job that always ends its worker has an
-    error as its result, like a job that raises one.
+    A lost worker is replaced and its jobs are run again. If a job always ends its worker, its
+    result is an error. If a job raises an error, this error is its result.
 
     Parameters
     ----------
     work
         Function that is run with each job.
     jobs
-        Different jobs that can be keys of a dictionary.
+        Jobs to run. They must be hashable and differ from each other.
     workers, scheduler
         Number of processes, or address of a Dask scheduler, see `executor`.
     report
@@ -243,7 +243,7 @@ def finished(
 SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}
 """Supported schemes of addresses, and names of these schemes in Dask."""
 CERTIFICATES = ("ca-file", "client.cert", "client.key")
-"""Keys of the certificate files that Dask's configuration must name for a TLS client.
+"""Keys of Dask's configuration that must name certificate files for a TLS client.
 
 The keys are below ``distributed.comm.tls``.
 """

@@ -1,4 +1,4 @@
-"""Validation of a caller's arguments and files of constants, by the rules for scene keys."""
+"""Validation of a caller's arguments and files of constants, by the rules for keys of a scene."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -43,12 +43,14 @@ Table = TypeVar("Table", bound=Part)
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 """Layers of the built-in anatomies.
 
-A file may contain constants of a layer that the scene does not have.
+A file of constants may name any of these layers, even layers that the scene does not have.
 """
 
 
 def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str]) -> None:
-    """Note which constants of the given file a scene uses, and which it does not use.
+    """Note which constants from the scene's file of constants are used, and which are not used.
+
+    The note is added to `notes`.
 
     Raises
     ------
@@ -70,7 +72,7 @@ def require_known(options: Mapping[str, object], table: type, *, of: str) -> Non
 
 
 def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = "") -> Table:
-    """Return a scene table made from a caller's arguments; None counts as not given.
+    """Return a scene table made from a caller's arguments; None values are left out.
 
     In error messages, `prefix` is put before the name of an argument.
 
@@ -99,9 +101,12 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
 def given_note(
     given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str
 ) -> dict[str, str]:
-    """Return the note ``materials``, which lists the given constants that `by` uses.
+    """Return the note ``materials``, which lists the given constants that are used.
 
-    There is no note if no constants were given; all constants are then the built-in ones.
+    The constants are used by a scene or another object, which `by` names in the note.
+
+    There is no note if no constants were given. In this case, all constants have their built-in
+    values.
 
     Raises
     ------

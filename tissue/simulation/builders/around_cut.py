@@ -26,11 +26,13 @@ __all__ = ["heated_bone", "tooth_around"]
 
 CELLS = 16
 CELL_MM = 0.125, 0.5
-"""Number of temperature cells across the tool's diameter, and limits of the edge of a cell [mm].
+"""Lower and upper limit of the edge of a temperature cell [mm].
+
+Within these limits, the tool's diameter is divided into `CELLS` cells.
 
 The cells are never smaller than the voxels. In cortical bone under a 4 mm drill, the largest
-temperature rise at 0.5 mm from the wall of the hole is 4.78, 3.42 and 3.33 K with 8, 16 and 32
-cells.
+temperature rise at 0.5 mm from the wall of the hole is 4.78, 3.42 and 3.33 K for 8, 16 and 32 cells
+across the diameter.
 """
 HEAT_CELL = 0.25
 """Ratio of the edge of temperature cells to the edge of stress cells, within the reach of the bur.

@@ -1,4 +1,4 @@
-"""Build the bone or tooth for a cutter, in voxels that are made at the start or near the tool."""
+"""Build the voxels of bone or tooth for a cutter, at the start or near the moving tool."""
 
 from collections.abc import Callable, Iterator
 from math import pi, radians
@@ -56,7 +56,7 @@ SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Largest distance between two poses around which bone is prepared [m]; chosen.
+"""Largest distance between two poses around which bone is prepared [m], chosen by judgement.
 
 Poses are inserted between two given poses that are farther apart.
 """
@@ -65,9 +65,9 @@ SAME = 1e-9
 SCATTER = 0.7
 """Largest relative error of the force of N cutting elements, multiplied by N ** 0.75.
 
-The comparison with numerical quadrature gave 0.57. The comparison covers balls of 3 to 8 mm
-diameter in slots 0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees. The value 0.7 contains
-a margin: the error is 0.9 % if 1 % is requested.
+A comparison with numerical quadrature gave 0.57. It covers ball cutters of 3 to 8 mm diameter in
+slots 0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees. The value 0.7 contains a margin:
+if an error of 1 % is requested, the measured error is 0.9 %.
 """
 MARGIN_VOXELS = 4
 """Margin around a tool within which carving and force computation read voxels [voxels]."""
@@ -291,8 +291,8 @@ class VoxelBone:
     Parameters
     ----------
     voxels
-        A volume, all bricks (blocks of 8 x 8 x 8 voxels) of which are made at once; or a store that
-        makes bricks only where a tool comes near.
+        Either a volume, whose bricks (blocks of 8 x 8 x 8 voxels) are all made at once, or a store
+        that makes bricks only near a tool.
     coefficients
         Cutting coefficients of each layer, in the order of the layers.
     compute
@@ -336,8 +336,9 @@ class VoxelBone:
         *,
         compute: str = "cpu",
     ) -> "VoxelBone":
-        """Return bone with the coefficients of its layers, except those that a scene table
-        replaces.
+        """Return bone whose layers have the cutting coefficients of `constants`.
+
+        Coefficients that are given in the scene table `cutting` take precedence.
         """
         grid = voxels if isinstance(voxels, VoxelVolume) else voxels.store.grid
         changes = cutting.model_dump(exclude={"material"})
@@ -347,8 +348,8 @@ class VoxelBone:
     def reach(self, boxes: Boxes) -> bool:
         """Make the bricks (blocks of 8 x 8 x 8 voxels) that the given boxes touch.
 
-        The boxes are given by their corners [m]. The method returns whether models must record
-        their kernel launches again.
+        The boxes are given by their corners [m]. The method returns True if models of this bone
+        must record their kernel launches again.
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
@@ -364,16 +365,18 @@ class VoxelBone:
     def whole(self) -> tuple[VoxelVolume, Bytes]:
         """Volume before any cut, and the bone left in each voxel (255 = full).
 
-        The property is available only if all voxels of the bone are made.
+        The property is available only if all voxels of the bone were made at once.
         """
         assert self.store.volume is not None
         return self.store.volume, self.store.fraction()
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut: the volume before any cut, and the bone left in each
-        voxel.
+        """Yield the parts that tools have cut.
 
-        The method is available only for bone that is made near the tool.
+        Each part is a pair: the volume before any cut, and the bone left in each voxel (255 =
+        full).
+
+        The method is available only if the voxels are made near the tool.
         """
         assert self.on_demand is not None
         return self.on_demand.cut_parts()
@@ -387,8 +390,10 @@ class VoxelBone:
     def under(
         self, cutter: Cutter, boxes: Boxes, start: Pose, *, shell_spacing_m: float | None = None
     ) -> tuple[BoneModel, bool]:
-        """Return the bone under a cutter within boxes, and whether the cut continues from the last
-        pose.
+        """Return a model of the bone within some boxes, and whether the last cut is continued.
+
+        The last cut is continued, with the same model, if the cutter is the same and starts at the
+        pose at which this cut ended.
         """
         grown = self.reach(boxes)
         last = self._last
@@ -411,10 +416,10 @@ class VoxelBone:
     def around(
         self, cutter: Cutter, tip_m: Array, axis: Array, *, reach_m: float
     ) -> tuple[BoneModel, Callable[[Array], None]]:
-        """Return the bone under a cutter, and a function that makes more bone as the tool moves.
+        """Return a model of the bone, and a function that makes bricks as the tool moves.
 
-        At first, bone is made within `reach_m` around the cutter. Call the function with the tip
-        [m] before each tick.
+        At first, the bricks within `reach_m` around the cutter are made. Call the function with the
+        position of the tip [m] before each tick.
         """
         made_at = tip_m.copy()
 
@@ -452,8 +457,9 @@ class VoxelBone:
         shell_spacing_m: float | None = None,
         cores: int | None = None,
     ) -> BoneModel:
-        """Return the bone under a cutter; material that an earlier tool removed counts as older
-        cuts.
+        """Return a model of the bone under a cutter.
+
+        Material that an earlier tool removed counts as older cuts.
         """
         store = self.store
         if self._was_cut:

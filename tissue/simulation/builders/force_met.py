@@ -1,4 +1,4 @@
-"""Fast estimate of the force on a scene's scripted motion, and the force scale chosen from it."""
+"""Fast estimate of the force along a scene's scripted motion, and choice of the force scale."""
 
 from functools import lru_cache
 from math import floor, isfinite, log, log10, sqrt
@@ -44,12 +44,12 @@ __all__ = [
 
 POSES = 250
 FINE_POSES = 3000
-"""Numbers of poses of the scripted motion at which the force is evaluated.
+"""Number of poses of the scripted motion at which the force of a needle is evaluated.
 
-The first number is for a cutter. The second one is for a needle, which breaks through within tenths
-of a millimetre. With four times as many poses, the largest force of the built-in scenes changes by
-less than 0.2 %. The exception is `milling`, whose force has a short peak at a corner: its largest
-force changes by 21 %.
+The number for a cutter or a blade is `POSES`. A needle needs more poses, because it breaks through
+a membrane within tenths of a millimetre. With four times as many poses of both kinds, the largest
+force of the built-in scenes changes by less than 0.2 %. The exception is `milling`, whose force has
+a short peak at a corner: its largest force changes by 21 %.
 """
 ACROSS = 8.0
 """Number of voxels across the diameter of a cutter.
@@ -64,43 +64,48 @@ Between 400 and 6000 cutting elements, the largest force of the built-in scenes 
 """
 SLOT_VOXELS = 10
 SLOT_M_S = 2e-3
-"""Number of voxels across a cutter and feed [m/s], for the estimate of the usual force of a cutter.
+"""Feed for the estimate of the usual force of a cutter [m/s].
 
-This force is used only to choose a force scale with two digits. The feed is typical of milling by
-hand; assumed.
+For this estimate, the cutter has `SLOT_VOXELS` voxels across its diameter.
+
+This force is used only to choose a force scale with two digits. The feed is assumed to be typical
+of milling by hand.
 """
 MOST = 0.35
-"""Largest scaled force on the scripted motion, as a ratio to the force limit of the device.
+"""Largest ratio of the scaled force along the scripted motion to the force limit of the device.
 
 The device plays up to twice this force without compression, so a hand may press twice as hard.
 """
 LEAST = 4.0
-"""Smallest ratio of the largest scaled force on the scripted motion to the friction of the device;
-assumed.
+"""Smallest ratio of the largest scaled force to the friction of the device.
 
-The bound `MOST` takes precedence.
+The force is the largest force along the scripted motion. The value is assumed.
+
+If both bounds cannot be met, `MOST` takes precedence.
 """
 STIFFER = 1.3
-"""Ratio of the stiffnesses of two specimens for which d' is given, as in the study.
+"""Ratio of the stiffnesses of two specimens for which the sensitivity d' is computed.
+
+The study uses the same ratio.
 """
 HELD_BY = "expert"
-"""Hand for which a scale is chosen; the same scale is then used for all hands."""
+"""Expertise group of the hand for which a scale is chosen; this scale is used for all hands."""
 
 
 class Met(NamedTuple):
-    """Force on a scene's scripted motion, and stiffness of the tissue that is pressed.
+    """Force on the tool along a scene's scripted motion, and stiffness of a pressed tissue.
 
     Attributes
     ----------
     force_N
         Largest force.
     stiffness_N_m
-        Slope of the force over the depth of the tool, at the depth of the scripted motion. The
-        slope is 0 for a tissue that is cut or pierced. For a tissue that is graded along the
+        Slope of the force as a function of the tool's depth, at the depth of the scripted motion.
+        The slope is 0 for a tissue that is cut or pierced. For a tissue that is graded along the
         scripted motion, the value is the geometric mean of the slopes at both ends.
     depth_m
-        Force divided by slope, at the same depth. With Hertz's law, the result is two thirds of the
-        depth of the scripted motion.
+        Force divided by slope, both at the depth of the scripted motion. With Hertz's law, the
+        result is two thirds of the depth of the scripted motion.
     """
 
     force_N: float
@@ -119,9 +124,9 @@ class Series(NamedTuple):
 
     A person notices force changes of at least kappa (F + F0). The low-force term F0 contains the
     friction of the device, because friction also hides forces. The sensitivity is therefore
-    proportional to F / (F + F0) / (1 + c K s). The sensitivity is largest at c K = (F0 / s / (D +
-    F0 s))^(1/2). At a smaller scale, friction and threshold hide the force. At a larger scale, the
-    force moves the hand back.
+    proportional to F / (F + F0) / (1 + c K s). It has its maximum at c K = (F0 / s / (D + F0
+    s))^(1/2). At a smaller scale, the force is hidden by the friction and by the threshold of the
+    person. At a larger scale, the force pushes the hand back.
 
     Attributes
     ----------
@@ -311,8 +316,9 @@ def pressed(scene: Scene) -> Met:
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
     a cylinder. The modulus of the stiffest tissue on the scripted motion is used; a nodule is
-    ignored. A hyperelastic law of the organ is ignored. With the exponential law of `liver-press`,
-    the force is 1.3 times the result. For a probe of another shape the result is 0.
+    ignored. A hyperelastic law of the organ is ignored. With the exponential law of the scene
+    `liver-press`, the simulated force is 1.3 times the returned force. For a probe of another shape
+    the result is 0.
     """
     organ = scene.organ
     tool = scene.tool

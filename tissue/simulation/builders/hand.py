@@ -48,7 +48,9 @@ A hand trembles and misses its targets. The value is assumed.
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
-    """Return the motion that a scene's hand makes with the device, and a note on the choices.
+    """Return the motion that a scene's hand makes with the device, and a note.
+
+    The note describes the device, the hand, the renderer, and the chosen stiffness and force scale.
 
     Raises
     ------
@@ -140,7 +142,10 @@ def _aims(
     settings: LoopSettings,
     stiffness_N_m: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
-    """Return the path of the hand's target, and the additional force of the hand (or None)."""
+    """Return the path of the hand's target, and the additional force of the hand.
+
+    The force is None if the hand only follows the path.
+    """
     corners = scripted.sweep_m()
     limits = settings.limits
     person = settings.person
@@ -194,12 +199,13 @@ def device_motion(
     rng: np.random.Generator,
     allow_unstable: bool,
 ) -> tuple[HandMotion, list[str]]:
-    """Return the motion of a tool that is coupled to a device, and notes on the choices.
+    """Return the motion of a tool that is coupled to a device, and notes on the chosen settings.
 
     Forces are scaled by f, and motions by m: the tool moves m times as far as the device. A
     stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so that the
     work at the device is f / m times the work at the tool. The stiffness of the coupling is given
-    at the device; the scales do not change it. The stability check uses this value.
+    at the device, so the scales do not change this stiffness. The stability check uses the same
+    stiffness.
 
     Parameters
     ----------
@@ -268,7 +274,7 @@ def device_motion(
 def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
     """Return the rendering law that computes the contact force in every tick.
 
-    A rendering law runs in every tick, whatever the sample rate of the device.
+    The law runs in every tick, even if the device gives fewer samples than there are ticks.
     """
     return renderer(settings.held.renderer, replace(loop, tick_s=TICK_S))
 

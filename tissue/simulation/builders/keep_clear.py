@@ -27,7 +27,7 @@ __all__ = ["keep_clear"]
 MARGIN_M = 10e-3
 """Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
 POINTS_ACROSS = 12.0
-"""Number of points of the tool's surface per radius, for pictures; chosen."""
+"""Number of points per radius on the tool's surface, for pictures; chosen by judgement."""
 
 
 def keep_clear(

@@ -59,11 +59,11 @@ A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue th
 stiffness (`Response.stiffness_N_m`), such as the virtual wall of a scene.
 """
 SHARE = 0.5
-"""Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
+"""Ratio of the coupling's stiffness to the critical stiffness in the scene's hand.
 
-The ratio is used if no stiffness is given. Half of the critical stiffness without a hand would be
-only a seventh to a ninth of this stiffness. With each of these two stiffnesses, a device that is
-released on a wall leaves the wall within some hundredths of a second; see
+The ratio is used if the scene gives no stiffness. Half of the critical stiffness without a hand
+would be only a seventh to a ninth of the stiffness chosen here. With either stiffness, a device
+that is released on a wall leaves the wall within some hundredths of a second; see
 tests/stability/test_wall_laws.py.
 """
 REST_SHARE = 0.3
@@ -178,7 +178,7 @@ class LoopSettings:
 
 
 def sampled(limits: DeviceParameters) -> DeviceParameters:
-    """Return the parameters of a device with a sample rate of at most one sample per tick."""
+    """Return the parameters of a device, with its sample rate limited to one sample per tick."""
     return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
 
 
@@ -213,7 +213,8 @@ class JudgedLoop:
     alone
         Critical stiffness of the loop without a hand.
     saves
-        Mechanisms other than a hand that stop an oscillation of the device, as text.
+        Text that names the mechanisms, other than a hand, that can stop an oscillation of the
+        device.
     """
 
     loop: WallLoop
@@ -250,7 +251,8 @@ def judged_loops(
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
     """Return the checked loop of translation and, if the device plays torque, the loop of rotation.
 
-    The check of rotation includes the coupling of both loops by a contact at a lever arm.
+    The check of the rotational loop takes into account that a contact at a lever arm couples both
+    loops.
 
     Raises
     ------
@@ -311,12 +313,12 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of a coupling, with its total delay.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force responds to a device sample in the same tick. For any other tissue, the tool estimates the
-    stiffness from the last motion. While the tool slides along the surface, this estimate is the
-    stiffness along the surface, and the force balance of the tool is found a tick later. For a
-    guarded predictor, the loop contains the predictor or its fallback, whichever has the lower
-    critical stiffness. The check includes the played vibration of a cutter's teeth, which is
-    proportional to the force.
+    force responds to a device sample in the same tick. In any other tissue, the tool estimates the
+    stiffness from its last motion. While the tool slides along the surface, it therefore estimates
+    the stiffness along the surface, and finds its force balance a tick later. For a guarded
+    predictor, the loop contains the predictor or its fallback, whichever has the lower critical
+    stiffness. The check includes the played vibration of a cutter's teeth, which is proportional to
+    the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -383,10 +385,12 @@ def device_path(limits: DeviceParameters) -> WallLoop:
 
 
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
-    """Return linearised models of the predictor and of its fallback.
+    """Return the linearised model of the predictor and, for a guarded predictor, of its fallback.
 
-    Both models are linearised at a contact at rest, under the share `REST_SHARE` of the device's
-    largest force.
+    The list contains only None if forces are not predicted.
+
+    The models are linearised for a tool at rest in contact. The contact force is the share
+    `REST_SHARE` of the device's largest force.
     """
     predictor = settings.predictor()
     chosen = settings.coupling
@@ -503,5 +507,5 @@ def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: st
 
 
 def person_of(hand: str) -> str:
-    """Return the name of an expertise group with its article."""
+    """Return the name of an expertise group with its article, such as "an expert"."""
     return f"a{'n' * (hand[0] in 'aeiou')} {hand}"

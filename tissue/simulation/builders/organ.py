@@ -1,4 +1,4 @@
-"""Soft organ of a scene: its mesh at the site, its supports, its material and its law."""
+"""Soft organ of a scene: mesh at the site, supports, material and hyperelastic law."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -175,9 +175,7 @@ def held_mesh(
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[Array, str]:
-    """Return the elasticity of the cells (see `SoftMaterial.elasticity`), and a note on the
-    elasticity.
-    """
+    """Return the elasticity of the cells [Pa], and a note on it; see `SoftMaterial.elasticity`."""
     material, notes = material_of(anatomy, organ, constants)
     with names_of_caller(OF_ORGAN):
         return material.elasticity(mesh), notes["modulus"]
@@ -193,8 +191,8 @@ def material_of(
     Raises
     ------
     InputError
-        If a viscous organ has a lazy compliance, or there are no relaxation constants for its
-        material.
+        If a viscous organ has the compliance ``lazy`` (see the key ``organ.path``), or there are no
+        relaxation constants for its material.
     """
     cited = constants.constants("soft", organ.material)
     young_kPa = organ.young_kPa or cited["modulus_kPa"].value
@@ -403,7 +401,10 @@ def hindrance(organ: Organ) -> str | None:
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ with the rate of its exponential law, given in the scene or built in."""
+    """Return an organ with a value for the rate of its exponential law.
+
+    The value is taken from the scene or, if the scene has none, from the constants of the material.
+    """
     if organ.law != "exponential" or organ.exponential_rate is not None:
         return organ
     cited = constants.constants("soft", organ.material).get("exponential_rate")
@@ -411,7 +412,9 @@ def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
 
 
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
-    """Return the law of the first cell, and for each cell the factor of its moduli, shape (m,).
+    """Return the hyperelastic law of the first cell, and relative moduli of all cells, shape (m,).
+
+    The relative moduli are the moduli of a cell divided by the moduli of the first cell.
 
     The result is None for the linear law.
 

@@ -67,18 +67,21 @@ class SoftMaterial:
     friction
         Coulomb friction coefficient between tool and organ.
     capsule, capsule_poisson_ratio
-        Thickness [um] and Young's modulus [kPa] of a membrane on the surface, None for no membrane;
-        and Poisson's ratio of the membrane, default Poisson's ratio of the organ.
+        `capsule` contains the thickness [um] and Young's modulus [kPa] of a membrane on the
+        surface; None for no membrane. `capsule_poisson_ratio` is Poisson's ratio of this membrane;
+        None for Poisson's ratio of the organ.
     density_kg_m3
         Density [kg/m3]. If it is given, gravity acts on the organ.
     relaxation
-        Pairs of a share of the modulus that relaxes, and the relaxation time of this share [s].
+        Pairs of two numbers: a share of the modulus that relaxes, and the relaxation time of this
+        share [s].
     graded_kPa, grading_exponent
-        Young's modulus at the largest x [kPa], None for no grading; and exponent of the distance
-        from the smallest x, where the modulus is `modulus_kPa`.
+        Young's modulus changes from `modulus_kPa` at the smallest x to `graded_kPa` [kPa] at the
+        largest x. It depends on a power of the distance from the smallest x, with the exponent
+        `grading_exponent`. There is no grading if `graded_kPa` is None.
     fibre_direction, fibre_modulus_ratio
-        Direction of fibres, None for no fibres; and ratio of Young's modulus along the fibres to
-        Young's modulus across the fibres.
+        Direction of the fibres, None for no fibres. The ratio is Young's modulus along the fibres
+        divided by Young's modulus across the fibres.
 
     Raises
     ------
@@ -256,8 +259,8 @@ def hold_of(
     held_below_mm
         Height below which the surface is held [mm]; used instead of `held`.
     mesh, points_mm
-        Mesh; and points to which a mask or indices refer [mm], shape (n, 3), None for the nodes of
-        the mesh.
+        Mesh of the organ, and the points [mm], shape (n, 3), to which a mask or indices refer. If
+        `points_mm` is None, they refer to the nodes of the mesh.
 
     Raises
     ------

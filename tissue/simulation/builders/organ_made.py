@@ -31,14 +31,16 @@ __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a hyperelastic law that a caller gives as a mapping."""
 ENVELOPE = 0.1
-"""Largest overlap of inclusions, and largest extent beyond the organ, relative to the edge length.
+"""Largest distance by which an inclusion may overlap another one or extend beyond the organ.
+
+The distance is relative to the edge length.
 
 The mesher moves a surface by up to this distance.
 """
 FINE_EDGES = 1.0
-"""Distance from a point, in edge lengths, within which edges do not become longer.
+"""Distance from a given point, in edge lengths, within which all edges have the shortest length.
 
-The value is chosen.
+The value was chosen by judgement.
 """
 TOUCHED_EDGES = 3.0
 """Radius around a point, in edge lengths, within which a tool is expected to touch the surface.
@@ -49,7 +51,7 @@ more time; see `SoftOrgan.expect`.
 
 
 class OrganOptions(TypedDict, total=False):
-    """Options of all functions that make an organ; see `tissue.Organ.from_tetrahedra`."""
+    """Options that all functions for making an organ accept; see `tissue.Organ.from_tetrahedra`."""
 
     parts: Mapping[str | int, float] | None
     held: str | ArrayLike
@@ -77,8 +79,8 @@ class MadeOrgan:
     surface
         Surface that the mesh represents; None for given tetrahedra.
     near
-        Region that will be pressed: points [m], shape (k, 3), and the distance around these points
-        [m]. None if the region is not known.
+        Region that a tool will press: points [m], shape (k, 3), and the radius of the region around
+        each point [m]. None if the region is not known.
     law
         Scene table of the hyperelastic law; None for the linear law.
     """
@@ -98,7 +100,7 @@ class MadeOrgan:
 
     @cached_property
     def soft(self) -> "SoftOrgan":
-        """Undeformed organ with assembled equations, ready to be solved."""
+        """Undeformed organ with its assembled finite-element equations."""
         law = None
         if self.law is not None:
             from tissue.models.organ.soft_organ import OrganLaw
@@ -113,7 +115,7 @@ class MadeOrgan:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Text on the size, the mesh and the moduli."""
+        """Texts on the size, the mesh and the moduli of the organ, keyed by subject."""
         mesh = self.mesh
         material = self.material
         moduli = material.moduli_kPa(mesh.part_names).items()
@@ -186,7 +188,7 @@ class StatedOrgan:
 
     @classmethod
     def of(cls, modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> "StatedOrgan":
-        """Return the material and supports from a caller's arguments; None counts as not given.
+        """Return the material and supports from a caller's arguments; None values are left out.
 
         Raises
         ------
@@ -251,7 +253,7 @@ def made_of(
     points_mm: Array | None = None,
     surface: Surface | None = None,
 ) -> MadeOrgan:
-    """Return an organ that consists of a mesh.
+    """Return an organ from a mesh and from given material and supports.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ __all__ = ["blade_of", "incised", "pierced", "pierced_tissue", "pressed", "probe
 
 
 POSES_TRIED = 200
-"""Number of poses along a motion at which contact with the organ is searched for; chosen.
+"""Number of poses along a motion at which contact is searched for, chosen by judgement.
 
 The search adds the margin `tissue.models.organ.soft_organ.MARGIN_EDGES` around the triangles that
 it finds.
@@ -40,14 +40,15 @@ it finds.
 KEPT = 0.01
 """Largest distance between an omitted corner of the path and the simplified path [edge lengths].
 
-Corners are omitted because a log has one corner per tick.
+Corners are omitted because a recorded path has one corner per tick.
 """
 HAND_M = 0.01
-"""Largest distance of a hand's entry point from the planned track at which fields are drawn [m].
+"""Distance of the needle's entry point from the planned track up to which fields are drawn [m].
 
-The fields are drawn as if the needle were on the planned track.
+If a hand inserts the needle farther away, the drawn tissue is undeformed. Otherwise the fields are
+drawn as if the needle were on the planned track.
 
-The distance is an eighth of the size of the block of tissue around the track.
+The largest distance is an eighth of the size of the block of tissue around the track.
 """
 
 

@@ -60,13 +60,15 @@ RECORDED = "recorded"
 Corners = tuple[Array, Array]
 """Lowest and highest corner of a box [m]."""
 POSES_TRIED = 300
-"""Number of poses along a motion at which contact is searched for; chosen."""
+"""Number of poses along a motion at which contact is searched for, chosen by judgement."""
 MUCH_MORE = 2.0
-"""Ratio of the tool's volumes inside bone with both quaternion orders.
+"""Ratio above which the other order of quaternion components is suggested.
 
-Above this ratio, the quaternion order with the smaller volume is suggested.
+The ratio is the volume of the tool inside bone with the order x, y, z, w, divided by this volume
+with the order w, x, y, z.
 
-A tool that starts in contact overlaps some bone with both orders. The value is assumed.
+The limit is larger than 1, because a tool that starts in contact overlaps some bone with both
+orders. The value is assumed.
 """
 
 
@@ -90,7 +92,7 @@ class Parts:
         Measurement of the tool's distance from structures that it must not touch; None if the scene
         names no structure.
     region_end
-        Watch on a tool that can leave the simulated region; None for a scripted motion.
+        Object that reports when the tool leaves the simulated region; None for a scripted motion.
     """
 
     motion: Motion
@@ -119,8 +121,7 @@ a function that reports progress.
 
 
 def plays_record(scene: Scene) -> bool:
-    """Return whether the device of a scene replays recorded poses, and the file of the poses
-    exists.
+    """Return True if the device of a scene replays recorded poses from a file that exists.
 
     A saved run can be viewed without this file. The motion in the scene is then used.
     """
@@ -211,15 +212,16 @@ def box_text(corners: Corners) -> str:
 
 
 def _fraction_at(volume: VoxelVolume, points_m: Array) -> Bytes:
-    """Return the content of the voxels around points [m]; points outside the volume are omitted."""
+    """Return the content of the voxels that contain points [m]; omit points outside the volume."""
     at = np.floor((points_m - volume.origin_m) / volume.spacing_m).astype(int)
     at = at[((at >= 0) & (at < np.array(volume.shape))).all(axis=1)]
     return volume.fraction[at[:, 0], at[:, 1], at[:, 2]]
 
 
 def _fine_shell(volume: VoxelVolume, cutter: Cutter) -> Array:
-    """Return points of the cutting surface that are close enough to hit each voxel [m], shape (n,
-    3).
+    """Return closely spaced points of the cutting surface [m], shape (n, 3).
+
+    Their distance is one voxel, but at least 1/24 of the radius of the cutter.
     """
     # A distance below the size of a voxel finds no more contact. 24 points per radius limit the
     # work.
@@ -280,7 +282,9 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
 
 
 def _on_one_side(points: Array, region: Corners) -> bool:
-    """Return whether a box lies completely on one side of a cap (plane where a scan cuts off bone).
+    """Return whether a region (box) lies completely on one side of a cap, given by its points.
+
+    A cap is a plane where a scan cuts off bone.
 
     The bounding box of the cap is not used, because it is too wide for an oblique cut.
     """
@@ -294,9 +298,9 @@ def _on_one_side(points: Array, region: Corners) -> bool:
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
     """Return a sentence if the start pose suggests that w is the first quaternion column, or None.
 
-    This is the case if the tool starts inside the bone, and would hardly overlap the bone with the
-    other order. A quaternion has unit length in both orders, so the order can only be recognised
-    from the position of the tool.
+    This is the case if the tool starts inside the bone, but would hardly overlap the bone if w were
+    the first column. A quaternion has unit length in both orders, so the order can only be
+    recognised from the position of the tool.
 
     Parameters
     ----------
@@ -382,7 +386,10 @@ def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | No
 
 
 def require_device(device: object, kind: str = "") -> None:
-    """Refuse a device without `read` or `command`; `kind` is the name of the device in a scene."""
+    """Raise an error if a device lacks the method `read`, the method `command`, or both.
+
+    The error names the device by `kind`, its name in a scene.
+    """
     missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
     if missing:
         known = f" for {kind}" if kind else ""

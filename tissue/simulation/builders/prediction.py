@@ -1,4 +1,4 @@
-"""Predictors and perceptual maps by name."""
+"""Construction of predictors and perceptual maps from their names."""
 
 from collections.abc import Callable
 from functools import cache
@@ -33,16 +33,16 @@ __all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "
 FALLBACKS = ("hold", "linear", "kalman")
 """Names of predictors without a Koopman operator.
 
-Training chooses one of these as fallback of a predictor with an operator.
+For a predictor with a Koopman operator, training chooses one of these predictors as fallback.
 """
 ADAPTIVE = "koopman-online"
 """Name of the predictor that starts from a general operator if the scene has no trained
 operator.
 """
 CAUTION = 0.1
-"""Quantile of the distribution of thresholds that limits the deadband.
+"""Quantile of the distribution of people's thresholds that is used as the limit of the deadband.
 
-Nine in ten people have a larger threshold.
+Nine in ten people have a threshold above this limit.
 """
 
 
@@ -51,8 +51,8 @@ def maker_of(
 ) -> Callable[[], Predictor]:
     """Return a function that makes new predictors for a scene's device.
 
-    The first call of this function reads the file of a trained predictor. Later calls use the same
-    data.
+    The first call of the returned function reads the file of a trained predictor. Later calls use
+    the data of the first call.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def maker_of(
     Raises
     ------
     InputError
-        In the first call of the function, if the file is missing or damaged, or belongs to another
-        version or scene.
+        In the first call of the returned function, if the file is missing or damaged, or belongs to
+        another version or scene.
     """
 
     @cache
@@ -91,10 +91,10 @@ def maker_of(
 def trained_predictor(
     kind: str, trained: Trained | None, *, force_limit_N: float, encoder_step_m: float = inf
 ) -> Predictor:
-    """Return a predictor under its guard, from its name in `PREDICTORS` and trained parameters.
+    """Return a guarded predictor from its name in `PREDICTORS` and trained parameters.
 
-    The encoder step of the device [m] chooses the operator of `koopman-online` without trained
-    parameters. By default, it is the step of the devices in training.
+    If `koopman-online` has no trained parameters, its operator is chosen by the encoder step of the
+    device [m]. The default is the encoder step of the devices in training.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def perception(
     Parameters
     ----------
     choice
-        Name of the perceptual map, with its argument.
+        Name of the perceptual map and, for maps that need one, its argument, such as a file.
     rng
         Random generator of the sensory noise of the person.
     force_limit_N

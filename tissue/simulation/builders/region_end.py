@@ -1,4 +1,4 @@
-"""Build the watch on a tool that can leave the simulated region."""
+"""Build the object that reports when a tool leaves the simulated region."""
 
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.tissue_model import StopsReporting
@@ -11,7 +11,10 @@ __all__ = ["region_end"]
 
 
 def region_end(scene: Scene, parts: Parts) -> RegionEnd | None:
-    """Return the watch on the end of the region; None if the tool cannot leave the region."""
+    """Return an object that reports when the tool leaves the simulated region.
+
+    The result is None if the tool cannot leave this region.
+    """
     whole = isinstance(scene.anatomy, BlockImage) and scene.anatomy.is_whole
     # The region contains all of a scripted motion, and all of an image that is not cut out.
     if scene.device is None or whole:

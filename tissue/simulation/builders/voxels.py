@@ -1,4 +1,4 @@
-"""Voxels of the bone of a scene that a tool can reach, procedural or from files."""
+"""Voxels that a tool can reach in a scene's bone, which is procedural or read from files."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -123,7 +123,7 @@ def is_procedural(parameters: CutAnatomy) -> bool:
 
 
 def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
-    """Return structures of an anatomy that a tool can be kept clear of, keyed by name.
+    """Return the structures of an anatomy that a scene can protect from the tool, keyed by name.
 
     An anatomy from files has no named structures.
     """
@@ -282,7 +282,7 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
 
 
 def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
-    """Return a bone whose interior comes from CT densities or from a surface around the core."""
+    """Return a bone whose interior is defined by CT densities or by the surface of its core."""
     from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy, stated_law
     from meshes.images.reading import read_image
     from meshes.surfaces.surface import read_surface
@@ -307,7 +307,7 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
 
 def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
-    """Return the bone of an image volume that is not moved to a site; its top is at z = 0."""
+    """Return the bone of an image that is not moved to a site. The top of the bone is at z = 0."""
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image
 
@@ -332,7 +332,11 @@ def labelled_tooth(
     notes: dict[str, str],
     report: Progress,
 ) -> VoxelVolume:
-    """Read a tooth from a label volume, or the part within a box in the frame of the site [m]."""
+    """Read a tooth from a label volume.
+
+    If `region` is given, only the part within this box is read. The box is in the frame of the site
+    [m].
+    """
     remarks: list[str] = []
     file = Path(parameters.file)
     stamp = file.stat() if is_file(file) else None
@@ -356,7 +360,8 @@ def labelled_tooth(
 def _site(parameters: Placed, surface: "Surface") -> "Site":
     """Return the site on a bone surface.
 
-    The scene gives the site. If it gives no normal for a glenoid, the glenoid is searched.
+    The scene gives the site. If the scene gives no normal for a glenoid, the site is found by a
+    search for the glenoid on the surface.
     """
     from meshes.surfaces.landmarks import find_glenoid
     from meshes.surfaces.site import place_site

@@ -1,6 +1,7 @@
-"""Publication of a live run on topics of ROS 2 and for 3D Slicer, in separate processes.
+"""Publication of a live run for ROS 2 and for 3D Slicer, each in a separate process.
 
-Such a process begins and ends with the run; the ticks check that it is still running.
+The process begins and ends with the run. The thread of the ticks checks that the process is still
+running.
 """
 
 import socket
@@ -42,9 +43,10 @@ PORT = 18944
 LOCAL = "127.0.0.1"
 EVENTS = 64
 EVENT_BYTES = 256
-"""Number of events that are kept until they are sent, and largest size of an event [bytes].
+"""Largest size of an event [bytes]; `EVENTS` is the number of events that are kept.
 
-The memory is shared between processes, so its size is fixed. A run reports few events per second.
+Events are kept until they are sent. Their memory is shared between processes, so its size is fixed.
+A run reports few events per second.
 """
 
 
@@ -57,7 +59,7 @@ class PublishingProcess(WindowProcess):
     shows_tissue = False
 
     def note(self) -> str:
-        """Return a text about the published data, as part of a sentence."""
+        """Return a part of a sentence about the published data."""
         return f"published {int(self.frames)} times as {self.address}"
 
 
@@ -80,7 +82,7 @@ class Publisher(RunObserver):
     what = "publishing for ROS 2"
     """Name of the process in the event that reports its end."""
     ends_run = False
-    """True if the run ends when the process ends."""
+    """True if the end of the process also ends the run."""
 
     def __init__(self, scene: Scene) -> None:
         self.note = ""
@@ -93,8 +95,9 @@ class Publisher(RunObserver):
         self._process = PublishingProcess(self._scene, parts, columns)
 
     def clock_of(self, times: Array) -> Clock:
-        """Return the clock values that the process receives with a tick; for ROS 2 they are not
-        used.
+        """Return the clock values that the process receives with a tick.
+
+        The values are 0, because the publisher for ROS 2 does not use them.
         """
         return 0.0, 0.0, 0.0, 0.0
 
@@ -148,7 +151,7 @@ class SlicerLink:
     Attributes
     ----------
     port
-        Port of this machine at which the run is published; 0 for any free port.
+        Port of this machine through which the run is published; 0 for any free port.
     drives
         Whether the transform ``tissue-target`` of a client moves the tool.
     opened
@@ -265,7 +268,7 @@ class SlicerProcess(WindowProcess):
         self._events_count[0] += 1
 
     def note(self) -> str:
-        """Return a text about sent messages and clients, as part of a sentence."""
+        """Return a part of a sentence about the clients and the messages that they received."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
         words = [
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
@@ -289,8 +292,8 @@ class SlicerPublisher(Publisher):
     link
         Port, and whether a client drives the tool.
     mouse
-        Device that the transform of a client moves; the run then ends with the link. None if no
-        client moves the tool.
+        Device that the transform of a client moves; None if no client moves the tool. With such a
+        device, the run ends when the link ends.
     """
 
     what = "the link to 3D Slicer"

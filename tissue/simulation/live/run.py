@@ -47,22 +47,23 @@ The trace of 600,000 rows and 60 columns takes 0.3 GB.
 """
 ROAM_MM = 8.0
 ROAM_ON_WALL_MM = 40.0
-"""Largest distance of the tool from the scripted path when the pointer moves it [mm].
+"""Largest distance from the scripted path to which a pointer can move the tool [mm].
 
-The second value is for the test wall, which has no edge. The number of voxels and the size of the
-compliance matrix increase with the first value, which is chosen.
+This distance is used for the test wall, which has no edge. For all other tissues, the distance is
+`ROAM_MM`. The number of voxels and the size of the compliance matrix increase with `ROAM_MM`, which
+was chosen by judgement.
 """
 LOOK_S = 0.01
 """Time between two checks while the run waits [s].
 
-The user does not feel this time, and the checks use almost no processor time.
+A user does not notice this delay, and the checks use almost no processor time.
 """
 STALLED_S = 3.0
 HELD_S = 60.0
-"""Time without a picture after which the run waits for its window, and longest waiting time [s].
+"""Longest time for which a run waits for a window that draws no pictures [s].
 
-A window draws 30 pictures per second. A busy machine does not delay a picture by 3 s. Both values
-are chosen.
+The run begins to wait after `STALLED_S` without a picture. A window draws 30 pictures per second,
+and a busy machine does not delay a picture by 3 s. Both values were chosen by judgement.
 """
 
 
@@ -76,10 +77,10 @@ class LiveSettings:
         Duration of a run that the mouse moves [s]. With None, the run lasts until the window is
         closed, at most 600 s. The scene sets the duration of a scripted run.
     opened
-        If given, a page in a browser shows the run instead of a window. The function is called once
-        with the address of the page. The ticks wait until the page is open. The user of the page
-        can reset the run: the same scene is then simulated again from its start. The rows of the
-        previous run are kept until the rows of the next run replace them.
+        Function that is called once with the address of a page in a browser. If the function is
+        given, this page shows the run instead of a window. The ticks wait until the page is open.
+        The user of the page can reset the run: the same scene is then simulated again from its
+        start. The rows of the previous run are kept until the rows of the next run replace them.
     slicer
         Settings for publication to 3D Slicer, see `docs/guide/slicer.md`. No window opens if a
         client of 3D Slicer moves the tool.
@@ -98,9 +99,7 @@ class LiveSettings:
         return self.slicer is not None and self.slicer.drives
 
     def mover(self, scene: Scene) -> tuple[bool, str]:
-        """Return whether a pointer or 3D Slicer moves the tool, and a sentence about the source of
-        motion.
-        """
+        """Return True if a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
         if self.by_slicer:
             return True, (
                 "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "
@@ -155,13 +154,15 @@ class LiveSettings:
 
 
 def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSettings]) -> Run:
-    """Simulate a scene in real time, with the mouse as device; without a display, run the script.
+    """Simulate a scene in real time, with the mouse as device.
+
+    Without a display, the scripted motion or a simulated hand moves the tool.
 
     If the scene names a real device that can be opened, that device is used without a window.
     Otherwise the mouse replaces the device of the scene, and the spring of the coupling connects
     the tool to the mouse. The trace and the window contain the forces that the device would play.
     In a scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
-    deadline if it is not complete within 1 ms of its due time. See `WallClock` for late ticks. The
+    deadline if it is not complete 1 ms after it was due. See `WallClock` for late ticks. The
     priority of the ticks is raised as far as the system allows; see the note ``priority``. Ctrl-C
     or closing the window ends the run. The function returns a run, as `simulate` does.
 
@@ -237,7 +238,7 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
 
 
 class LiveObserver(Paced):
-    """Observer that runs the ticks on time, shows the run in a window, and ends it on request.
+    """Observer that starts ticks on time, shows the run in a window, and ends the run on request.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Arrays of a tissue that two processes share, and the surfaces that the second process draws.
+"""Arrays of a tissue that two processes share, and the surface drawn by the second process.
 
-The arrays are in a file that stays in memory if the system supports this. In each tick, the update
-takes some microseconds.
+The arrays are in a file that stays in memory if the system supports this. The update of the arrays
+takes some microseconds per tick.
 """
 
 import json
@@ -57,24 +57,26 @@ ALIGNED = 64
 TURN_TICKS = 200
 """Number of ticks in which each brick (block of voxels) of a bone is copied once.
 
-The picture of the bone is thus updated five times per second, and each tick copies only 1/200 of
-the bricks.
+Each tick copies only 1/200 of the bricks, so the picture of the bone is updated five times per
+second.
 """
 MOVED_TICKS = 33
 """Ticks between two pictures of an organ's surface; a window draws 30 pictures per second."""
 MOST_SHOWN = 600_000
 """Largest number of blocks of voxels that the window shows.
 
-A bone with more blocks is shown in larger blocks.
+If a bone has more blocks, larger blocks are shown.
 
-The larger blocks have four by four by four voxels instead of two by two by two. The surface of
-600,000 blocks takes 29 ms, less than the 33 ms between two pictures.
+The larger blocks consist of 4 x 4 x 4 voxels instead of 2 x 2 x 2. The surface of 600,000 blocks
+takes 29 ms, less than the 33 ms between two pictures.
 """
 Start = Mapping[str, NDArray[Any]]
 FADES_MM = 20.0
-"""Distance over which the shown displacement decreases beyond the nodes with known displacement.
+"""Distance over which the shown displacement decreases by a factor of e [mm].
 
-The value is chosen for the picture. No force depends on it.
+It decreases with the distance from the nodes whose displacement is known.
+
+The value was chosen for the appearance of the picture. No force depends on it.
 """
 
 
@@ -83,8 +85,8 @@ class SharedArrays:
 
     Access to the arrays needs no system call.
 
-    `write` and `read` are for values that must be read as a whole: the reader tries again while a
-    write is in progress. Each array has one writer.
+    `write` and `read` are for arrays that must be read as a whole: `read` tries again while a write
+    is in progress. Each array has one writer.
 
     Parameters
     ----------
@@ -127,7 +129,8 @@ class SharedArrays:
     def write(self, name: str, values: AnyArray) -> None:
         """Write an array as a whole.
 
-        The array with the suffix ``_turn`` is a counter, which is odd while a write is in progress.
+        A second array, whose name has the suffix ``_turn``, is a counter. The counter is odd while
+        a write is in progress.
         """
         turn = self._arrays[f"{name}_turn"]
         turn[0] += 1
@@ -175,7 +178,7 @@ class SharedTissue:
 
 
 class BoneShared(SharedTissue):
-    """Bricks (blocks of 8 x 8 x 8 voxels) of a bone, of which each tick copies one slice.
+    """Bricks (blocks of 8 x 8 x 8 voxels) of a bone; each tick copies a part of the bricks.
 
     The copy of a brick is at most `TURN_TICKS` ticks old.
 
@@ -215,7 +218,7 @@ class BoneShared(SharedTissue):
         }
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
-        """Copy the next slice; at tick 0, copy all slices."""
+        """Copy the next part of the bricks; at tick 0, copy all bricks."""
         first = 0
         last = self._count
         if index > 0:
@@ -231,7 +234,7 @@ class BoneShared(SharedTissue):
 
 
 class OrganShared(SharedTissue):
-    """Displacement of the surface of a soft organ that can be touched.
+    """Displacement of the touchable part of the surface of a soft organ.
 
     Parameters
     ----------
@@ -278,14 +281,14 @@ def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSu
 
 
 class BoneSurface:
-    """Surface of a bone in blocks of voxels, computed from the bricks that the ticks copy.
+    """Surface of a bone, computed from blocks of voxels in the bricks that the ticks copy.
 
     A brick is a block of 8 x 8 x 8 voxels.
 
     Parameters
     ----------
     start, arrays
-        Values shared by `tissue.simulation.live.shared.BoneShared`.
+        `start` and the shared arrays of `tissue.simulation.live.shared.BoneShared`.
 
     Attributes
     ----------
@@ -339,15 +342,15 @@ class BoneSurface:
 
 
 class OrganSurface:
-    """Surface of a soft organ, displaced where the displacement is known.
+    """Surface of a soft organ, with its displacement.
 
-    Elsewhere, the shown displacement decreases with the distance from the nodes of known
-    displacement.
+    Where the displacement is not known, the shown displacement decreases with the distance from the
+    nodes whose displacement is known.
 
     Parameters
     ----------
     start, arrays
-        Values shared by `tissue.simulation.live.shared.OrganShared`.
+        `start` and the shared arrays of `tissue.simulation.live.shared.OrganShared`.
 
     Attributes
     ----------
@@ -393,7 +396,10 @@ class OrganSurface:
         return True
 
     def _spread(self, known: Flags) -> None:
-        """Find the nearest point with known displacement, and the share of it, for each point."""
+        """Find the nearest point with known displacement for each point of the surface.
+
+        The share of this displacement that is shown is also computed.
+        """
         from scipy.spatial import cKDTree
 
         self._known = known

@@ -57,7 +57,7 @@ COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 CLOSES_S = 10.0
 """Longest time for a window to close [s]; after this time its process is killed."""
 OPENS_S = 120.0
-"""Longest time for a window to open [s]; after this time the run is refused."""
+"""Longest time for a window to open [s]; if it takes longer, the run fails."""
 FOLDER = "tissue-live-"
 COUNTERS = (
     "row_turn",
@@ -70,15 +70,15 @@ COUNTERS = (
     "resets",
     "runs",
 )
-"""Names of shared numbers: counters of writes, and states of the window and of the run."""
+"""Names of numbers that both processes share: counters, and states of the window and the run."""
 
 ABOVE_M = 0.02
 BELOW_M = 0.01
-"""Distances above and below the path that the pointer can reach [m].
+"""Largest distance below the scripted path to which a pointer can move the tool [m].
 
-The first value limits how far a tool can be withdrawn. The second value limits how far a probe can
-be pressed beyond the path. For a cutting tool, the margin of the voxels below the path is used
-instead.
+This distance limits how far a probe can be pressed beyond the path. For a cutting tool,
+``voxels.margin_mm`` is used instead. `ABOVE_M` limits how far a tool can be withdrawn above the
+path.
 """
 Clock = tuple[float, float, float, float]
 """Type of the values of `CLOCK`."""
@@ -219,7 +219,7 @@ class WindowProcess:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _count(self, name: str) -> int:
-        """Return a shared number."""
+        """Return one of the shared numbers in `COUNTERS`."""
         return int(self.arrays[name][0])
 
     @property
@@ -267,7 +267,7 @@ class WindowProcess:
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
     def show(self, index: int, row: Array, clock: tuple[float, float, float, float]) -> None:
-        """Send the row of a tick: trace, and clock values (see `CLOCK`)."""
+        """Send the values of a tick to the window: row of the trace, and clock (see `CLOCK`)."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
             self._row[len(row) :] = clock
@@ -297,7 +297,7 @@ class WindowProcess:
 
 
 class PageProcess(WindowProcess):
-    """Window in a browser: the process draws off screen and serves a page."""
+    """Window in a browser, whose process draws off screen and serves a page."""
 
     process = "page"
     place = "must serve its page"
