@@ -47,12 +47,15 @@ CUT_AS = {
     "pulp": "soft",
     "ligament": "soft",
 }
-"""Material whose cutting coefficients a tooth layer uses. Other layers use a material of bone."""
+"""Name of the material whose cutting coefficients a layer of a tooth uses.
+
+Layers that are not listed use a material of bone.
+"""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """Cited constant with value, plausible range and source, in the unit that its name states."""
+    """Cited constant with value, plausible range and source. Its name states the unit."""
 
     value: float
     low: float
@@ -72,10 +75,11 @@ class Entry(TypedDict):
 
 @dataclass(frozen=True)
 class CuttingCoefficients:
-    """Mechanistic cutting coefficients of a material: for chip [Pa] and edge [N/m].
+    """Cutting coefficients of a material: chip coefficients [Pa] and edge coefficients [N/m].
 
-    The chip coefficients are valid at the reference chip thickness. Their size effect is described
-    in `effective_chip`. Without a minimum chip thickness the law is linear in the chip thickness.
+    The chip coefficients are valid at the reference chip thickness. Their dependence on the chip
+    thickness, the size effect, is described in `effective_chip`. Without a minimum chip thickness
+    the law is linear in the chip thickness.
     """
 
     tangential_chip_Pa: float
@@ -106,7 +110,7 @@ class CuttingCoefficients:
 def effective_chip(
     thickness_m: Array, exponent: ArrayLike, minimum_m: ArrayLike, reference_m: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return the effective chip thickness [m] and the share of the edge force, each shape (n,).
+    """Return effective chip thickness [m] and share of the edge force, each of shape (n,).
 
     The force per length of edge is the chip coefficient times the effective thickness, plus the
     edge coefficient times the share. See `kernels.cutting` for the law.
@@ -167,7 +171,7 @@ def thermal_material(layer: str) -> str:
 
 
 def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
-    """Add a material to the table of ``table.toml`` in this process. The file is not changed.
+    """Add a material to the table of ``table.toml`` in this process, but not in the file.
 
     Raises
     ------
@@ -190,7 +194,7 @@ def _table(table: str) -> dict[str, dict[str, Entry]]:
 def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:
     """Return the cutting coefficients of a material in SI units.
 
-    ``changes`` replace single constants. Their names include the unit, as in the file.
+    ``changes`` replace single constants. The names in ``changes`` include the unit, as in the file.
 
     Raises
     ------
@@ -251,19 +255,20 @@ BOUNDS = {
 """Smallest and largest value with which a scene can be built, by name of the constant.
 
 Only constants whose range is close to a limit are listed: Poisson's ratios of nearly incompressible
-solids, and relaxation shares, whose sum must be less than one. Cited ranges of Poisson's ratio end
-at 0.4999.
+solids, relaxation shares, whose sum must be less than one, and the share of heat. Cited ranges of
+Poisson's ratio end at 0.4999.
 """
 NEAR_ZERO = 0.05
-"""Threshold below which values are compressed, relative to the cited value; chosen.
+"""Threshold below which a prior compresses values, relative to the cited value; chosen.
 
-If a range begins at zero, values below this threshold are compressed. They then stay above zero.
+If the range of a constant begins at zero, small values are compressed so that they stay above zero,
+see `Prior`.
 """
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Distribution of a constant with median `value` and 5 and 95 % quantiles `low` and `high`.
+    """Distribution of a constant with the median `value`, and 5 and 95 % quantiles `low`, `high`.
 
     A number z ~ N(0, 1) is mapped to y = y_value + c (exp(g z) - 1). This is the shifted log-normal
     (or normal) distribution through the three quantiles. The constant x follows from y:
@@ -272,7 +277,8 @@ class Prior:
     - With a positive range: y = ln x.
     - With a range that contains negative numbers: y = x.
     - With a range that begins at zero: y = s ln(exp(x / s) - 1) with s = 0.05 value. Then y is
-      close to x if x is well above s, and x is always positive. The quantile `low` is 0.035 value.
+      close to x if x is well above s, and x is always positive. The 5 % quantile is then 0.035
+      value.
 
     If the value is one end of its range, the distribution is half-normal toward the other end, and
     95 % of the distribution lies inside the range.
@@ -280,7 +286,7 @@ class Prior:
     Attributes
     ----------
     value, low, high
-        Median and quantiles in the unit of the constant.
+        Median, 5 % quantile and 95 % quantile in the unit of the constant.
     bounds
         Smallest and largest value of the distribution; None without bounds.
 
@@ -323,7 +329,7 @@ class Prior:
 
     @property
     def fixed(self) -> bool:
-        """True if the range is a single number, so there is nothing to estimate."""
+        """True if the range is a single number, so that the constant cannot be estimated."""
         return self.low == self.high
 
     @property
@@ -332,7 +338,10 @@ class Prior:
         return not self.fixed and self.value in (self.low, self.high)
 
     def mirrored(self) -> "Prior":
-        """Return a two-sided prior: this one-sided prior and its reflection at the value."""
+        """Return the two-sided prior that joins this one-sided prior with its mirror image.
+
+        The prior is mirrored at `value`.
+        """
         low, value, high = self._knots
         outer = [min(low, 2.0 * value - high), max(high, 2.0 * value - low)]
         ends = self._from_y(np.array(outer)).tolist()
@@ -357,7 +366,10 @@ class Prior:
         return slope_y
 
     def z(self, x: ArrayLike) -> Array:
-        """Return the standard normal numbers of constant values; infinite outside the support."""
+        """Return the standard normal numbers of values x of the constant.
+
+        The numbers are infinite outside the support of the distribution.
+        """
         x = np.asarray(x, float)
         if self.fixed:
             return np.zeros(x.shape)
@@ -392,14 +404,14 @@ class Prior:
 
     @cached_property
     def _knots(self) -> tuple[float, float, float]:
-        """Coordinates y of low, value and high."""
+        """Coordinates y of `low`, `value` and `high`."""
         low, value, high = self._to_y(np.array([self.low, self.value, self.high])).tolist()
         # y is -inf at x = 0. At y = 0, the constant is 0.035 times its median.
         return (0.0 if self._is_near_zero else low), value, high
 
     @cached_property
     def _skewed(self) -> float:
-        """Ratio of the shift c to the span of the log-normal distribution, cached."""
+        """Factor (exp(s) - 1) / s with the skew s of `_skew`; cached because it is used often."""
         from scipy.special import exprel
 
         return float(exprel(self._skew))
@@ -415,7 +427,7 @@ class Prior:
 
     @cached_property
     def _skew(self) -> float:
-        """Logarithm of the ratio of the upper to the lower half of the range, in y."""
+        """Logarithm of (y_high - y_value) / (y_value - y_low)."""
         low, value, high = self._knots
         return float(np.log((high - value) / (value - low)))
 
@@ -460,7 +472,7 @@ class Prior:
 
 
 def _absolute(z: Array) -> Array:
-    """Convert standard normal numbers to absolute values of normal numbers with the same quantile.
+    """Convert standard normal numbers to half-normal numbers with equal cumulative probability.
 
     The result increases with z and is positive.
     """

@@ -1,8 +1,8 @@
 """Stiffness of linear elastic materials: isotropic, transversely isotropic, orthotropic, rotated.
 
-The Voigt order is xx, yy, zz, yz, xz, xy with engineering shear strains, which are twice the tensor
-components, so that stress = D strain. The material axes 1, 2, 3 are x, y, z until they are rotated.
-The fibre of a transversely isotropic material is axis 3.
+The Voigt order is xx, yy, zz, yz, xz, xy. Shear strains are engineering shear strains, twice the
+tensor components, so that stress = D strain. The material axes 1, 2, 3 are x, y, z until they are
+rotated. The fibre of a transversely isotropic material is axis 3.
 """
 
 import numpy as np
@@ -30,14 +30,15 @@ VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 SYMMETRIC = 1e-9
 """Allowed asymmetry of a stiffness matrix, relative to its largest entry.
 
-The value exceeds the rounding errors of a matrix inverse with a contrast of up to a million.
+The value exceeds the rounding errors of an inverted compliance matrix in which moduli differ by a
+factor of up to a million.
 """
 
 
 def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     """Return the Lamé constants lambda, mu [Pa], shape (..., 2).
 
-    The arguments are broadcast: Young's modulus [Pa] and Poisson's ratio.
+    Young's modulus [Pa] and Poisson's ratio are broadcast against each other.
 
     Raises
     ------
@@ -59,7 +60,10 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
 
 
 def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
-    """Convert Lamé constants, shape (..., 2), to stiffness matrices, shape (..., 6, 6), in [Pa]."""
+    """Convert Lamé constants [Pa] to stiffness matrices [Pa].
+
+    The constants have the shape (..., 2), and the matrices have the shape (..., 6, 6).
+    """
     pair = np.asarray(lame_Pa, np.float64)
     matrix = np.zeros((*pair.shape[:-1], 6, 6))
     matrix[..., :3, :3] = pair[..., 0, None, None]
@@ -154,7 +158,7 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
 
     A transversely isotropic material has the Young's moduli E across and r E along its fibres. Its
     Poisson's ratio is nu under tension along the fibres, and nu_across under tension across the
-    fibres. The bulk modulus K follows from the sum of its compliances::
+    fibres. The bulk modulus K follows from the sum of the compliances of the normal components::
 
         1 / K = (2 (1 - nu_across) + (1 - 4 nu) / r) / E
 
@@ -172,11 +176,12 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
 
 
 def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
-    """Compute the open range of modulus ratios for which `volume_preserving_ratio` is stable.
+    """Compute the open range of modulus ratios for which a fibre material is stable.
 
-    Stability requires 1 - nu_across > 2 nu^2 / r, which is equivalent to r > (1 - 2 nu) / 3, and
-    nu_across > -1. The second condition is a lower bound of r if nu > 1/4, and an upper bound if nu
-    < -1/6.
+    The material has the ratio nu_across of `volume_preserving_ratio`, Poisson's ratio nu and
+    modulus ratio r. Stability requires 1 - nu_across > 2 nu^2 / r, which is equivalent to r > (1 -
+    2 nu) / 3, and nu_across > -1. The second condition is a lower bound of r if nu > 1/4, and an
+    upper bound if nu < -1/6.
     """
     low = (1.0 - 2.0 * poisson_ratio) / 3.0
     high = np.inf
@@ -224,7 +229,9 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
 
 
 def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
-    """Rotate stiffness matrices [Pa] to a fibre field, shape (m, 6, 6) (Bond 1943).
+    """Rotate stiffness matrices to given fibre directions or axes (Bond 1943).
+
+    The result has the unit Pa and the shape (m, 6, 6).
 
     Parameters
     ----------
@@ -238,7 +245,7 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
     Raises
     ------
     InputError
-        If a direction has no length.
+        If a direction is a zero vector.
     """
     matrix = np.asarray(stiffness_Pa, np.float64)
     frame = np.asarray(axes, np.float64)
@@ -250,7 +257,8 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
 def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
     """Return an elasticity as rows: one row for all cells, or one row per cell.
 
-    The rows are Lamé constants, shape (1 | m, 2), or matrices, shape (1 | m, 6, 6) [Pa].
+    The rows are Lamé constants [Pa], shape (1, 2) or (m, 2), or stiffness matrices [Pa], shape (1,
+    6, 6) or (m, 6, 6), for m cells.
 
     Raises
     ------

@@ -37,11 +37,11 @@ class Hyperelastic:
     bulk_Pa
         Bulk modulus kappa at small strains [Pa].
     terms
-        Pairs (mu_p [Pa], alpha_p) of the terms with powers of stretches.
+        Pairs (mu_p [Pa], alpha_p), one for each term with powers of stretches.
     powers_Pa
         Coefficients c_2, c_3, ... of the powers of I1 - 3 [Pa].
     exponentials
-        Pairs (mu_e [Pa], b_e) of the exponential terms in I1 - 3.
+        Pairs (mu_e [Pa], b_e), one for each exponential term in I1 - 3.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class Hyperelastic:
     def stress(self, gradient: ArrayLike) -> Array:
         """Return the first Piola-Kirchhoff stress [Pa], shape (..., 3, 3).
 
-        The deformation gradients have the shape (..., 3, 3) and J > 0.
+        `gradient` holds deformation gradients F, shape (..., 3, 3), with a positive determinant J.
         """
         f = np.asarray(gradient, np.float64)
         if not (np.linalg.det(f) > 0.0).all():
@@ -117,10 +117,10 @@ class Hyperelastic:
         return (u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v
 
     def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
-        """Compute energy density and its derivatives by the logarithms of the stretches [Pa].
+        """Compute energy density, and its derivatives by the logarithms of the stretches [Pa].
 
         The stretches have shape (..., 3). The energy has the shape (...), the first derivatives
-        (..., 3), the second (..., 3, 3).
+        have the shape (..., 3), and the second derivatives have the shape (..., 3, 3).
         """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]

@@ -1,13 +1,13 @@
 """Prony series: stress relaxation and creep of a soft tissue.
 
-The relaxation modulus, divided by its instantaneous value, is
-``s(t) = g_inf + sum g_i exp(-t / tau_i)``, with ``s(0) = 1``. Stress is the hereditary integral of
-the strain rate with s. Strain is the hereditary integral of the stress rate with the creep
-compliance ``j(t) = 1 + sum j_k (1 - exp(-t / lambda_k))``, where ``p s~(p) p j~(p) = 1`` in Laplace
-space. If the dashpot strains y are the state, creep follows ``y' = -B y + c sigma``, where
-``B = diag(1 / tau) - c c^T`` and ``c_i = sqrt(g_i / tau_i)``. The retardation times are the
-reciprocals of the eigenvalues of the symmetric matrix B. One eigenvalue lies below each relaxation
-rate (Gross 1953, Mathematical Structure of the Theories of Viscoelasticity; Tschoegl 1989).
+The relaxation modulus, divided by its instantaneous value, is ``s(t) = g_inf + sum g_i exp(-t /
+tau_i)``, with ``s(0) = 1``. Stress is the hereditary integral of the strain rate with s. Strain is
+the hereditary integral of the stress rate with the creep compliance ``j(t) = 1 + sum j_k (1 -
+exp(-t / lambda_k))``. In Laplace space, ``p s~(p) p j~(p) = 1``. With the dashpot strains y as the
+state and the stress sigma, creep follows ``y' = -B y + c sigma``. Here ``B = diag(1 / tau) - c
+c^T`` and ``c_i = sqrt(g_i / tau_i)``. The retardation times are the reciprocals of the eigenvalues
+of the symmetric matrix B. One eigenvalue lies below each relaxation rate (Gross 1953, Mathematical
+Structure of the Theories of Viscoelasticity; Tschoegl 1989).
 
 The two integrals need one exponential per term and step. The integrals are exact if the input is
 linear within each step, and have second-order accuracy for a smooth input (Taylor, Pister and
@@ -35,7 +35,7 @@ class Spectrum:
     Attributes
     ----------
     amplitude
-        Delayed part of each term, shape (k,); negative for a relaxing response.
+        Amplitude of each delayed term, shape (k,); negative if the response relaxes.
     time_s
         Time of each term [s], shape (k,).
     """
@@ -98,11 +98,11 @@ class Prony:
 
 
 class HereditaryIntegral:
-    """Integral of a spectrum's step response over an input that is linear within each step.
+    """Hereditary integral of a spectrum's step response; the input is linear within each step.
 
     With the input ``x``, the response at the end of a step is ``y = instant_factor x + history``.
     The history is known before the step. A condition on y, such as a contact, therefore determines
-    x without iteration. Nothing is allocated after construction.
+    x without iteration. No memory is allocated after construction.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class HereditaryIntegral:
         """
 
     def advance(self, value: ArrayLike) -> None:
-        """Finish a step with this input at its end."""
+        """Complete a step at whose end the input is `value`."""
         for term, keep, gain in zip(self._terms, self._keep, self._gain, strict=True):
             term *= keep
             np.multiply(value, gain, out=self._scaled)
@@ -159,7 +159,7 @@ class HereditaryIntegral:
         other
             Integral of the same spectrum and step.
         of
-            Linear function that maps an input of the other integral to an input of this one.
+            Linear function that maps an input of the other integral to an input of this integral.
         """
         for term, known in zip(self._terms, other._terms, strict=True):
             term[:] = of(known)

@@ -1,4 +1,4 @@
-"""Constants of a scene: constants of this package, replaced by constants of a user's file.
+"""Constants of a scene: constants of this package, or of a user's file that replaces them.
 
 Constants of this package are called cited, because each has a source.
 """
@@ -35,7 +35,7 @@ TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 ENERGY = "tangential_chip_N_mm2"
 """Name of the constant that is the specific cutting energy."""
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Upper limit of a constant, by name.
+"""Upper limits of constants, by name of the constant.
 
 The equations cannot be solved for a Poisson's ratio of 0.5.
 """
@@ -52,8 +52,9 @@ class Materials:
         ``cutting``, the name of a layer may replace the name of the material. Constants of the
         layer take precedence over constants of the material.
     names, matrix
-        Names of constants in the file, and their correlation matrix. The correlation applies to the
-        standard normal numbers of `tissue.materials.constants.Prior`.
+        Names of the correlated constants in the file, and the correlation matrix of these
+        constants. The correlation applies to the standard normal numbers of
+        `tissue.materials.constants.Prior`.
     file
         Path of the file; empty if all constants are cited.
     """
@@ -85,7 +86,7 @@ class Materials:
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Return the constants of a file or a `Materials` object, or the cited constants for None.
+        """Return the constants of a file or of a `Materials` object; cited constants for None.
 
         Raises
         ------
@@ -106,7 +107,7 @@ class Materials:
         return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
-        """Return the constants of a material by name, with the constants of the file first.
+        """Return the constants of a material by name; constants of the file replace cited ones.
 
         The result contains all names of the cited constants. A layer of the table ``cutting`` is
         not a material, see `coefficients`. Raises the errors of
@@ -125,8 +126,8 @@ class Materials:
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
         """Return the cutting constants of a layer.
 
-        The constants of the layer's material, or of `bone`, are replaced by the constants of the
-        layer.
+        Constants of the layer in the file replace the constants of the layer's material. The
+        material of a layer of bone is `bone`.
         """
         found = self.constants("cutting", CUT_AS.get(layer, bone))
         return {name: self.given.get(f"cutting.{layer}.{name}", one) for name, one in found.items()}
@@ -157,10 +158,10 @@ class Materials:
     def numbers(
         self, table: str, numbers: Mapping[str, float], *materials: str
     ) -> dict[str, float]:
-        """Return the numbers of a device or a simulated hand, replaced by the numbers of the file.
+        """Return the numbers of a device or a simulated hand, updated with numbers of the file.
 
-        The numbers of a later material in `materials` take precedence over those of an earlier
-        material.
+        If the file has a number for several of the `materials`, the last of these materials is
+        used.
         """
         found = dict(numbers)
         for material in materials:
@@ -173,7 +174,7 @@ class Materials:
         return found
 
     def origin(self, table: str, material: str, name: str) -> str:
-        """Return the origin of a constant for a note of the run: its file, or "cited"."""
+        """Return the origin of a constant for a note of the run: name of the file, or "cited"."""
         return (
             f"of {Path(self.file).name}" if f"{table}.{material}.{name}" in self.given else "cited"
         )
@@ -347,8 +348,8 @@ def energy_note(
 ) -> str:
     """Describe the specific cutting energy of each layer, with range and origin.
 
-    The specific cutting energy is the tangential chip coefficient. It holds at the stated density
-    and chip thickness.
+    The specific cutting energy is the tangential chip coefficient. The energy holds at the density
+    and chip thickness that the text states.
 
     Parameters
     ----------

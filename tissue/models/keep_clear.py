@@ -1,4 +1,4 @@
-"""Distance of the tool from structures that it must not touch, at every tick.
+"""Distance of the tool from structures that the tool must not touch, at every tick.
 
 A breach, an overlap of tool and structure, is reported as an event.
 """
@@ -26,7 +26,7 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 __all__ = ["Distance", "KeepClear", "Structure"]
 
 Distance = Callable[[Array], Floats]
-"""Function from points [m], (n, 3), to signed distances [m], (n,), negative inside."""
+"""Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
 """Device of the search: one thread on the CPU, whatever the device of the tissue is."""
 
@@ -42,8 +42,8 @@ class Structure:
     faces
         Triangles wound outward, shape (m, 3).
     slack_m
-        Largest distance between the triangles and the surface that they approximate [m]. It is
-        subtracted from every distance.
+        Largest distance between the triangles and the surface that they approximate [m]. This value
+        is subtracted from every computed distance.
     """
 
     vertices_m: Array
@@ -53,7 +53,7 @@ class Structure:
 
 @dataclass
 class _Breach:
-    """Breaches of the tool into one structure."""
+    """Record of the breaches (overlaps with the tool) of one structure."""
 
     name: str
     least_m: float = inf
@@ -69,8 +69,9 @@ class KeepClear:
 
     The body is the simulated cutter, including peg, flank and back; the shaft behind the cutter is
     not included. At each point of space the signed distances from the tool and from the structure
-    are added. The distance is the smallest of these sums. It is the clearance if tool and structure
-    are apart. If they overlap it is negative, and its magnitude is the depth of the overlap.
+    are added. The distance is the smallest of these sums. If tool and structure are apart, the
+    distance is the clearance. If tool and structure overlap, the distance is negative, and its
+    magnitude is the depth of the overlap.
 
     Parameters
     ----------
@@ -82,17 +83,17 @@ class KeepClear:
         Functions that return the signed distance from a structure at any point, by name; for
         pictures.
     points_m
-        Points of the tool's body in its own frame [m], shape (n, 3), for pictures.
+        Points of the tool's body in the tool's frame [m], shape (n, 3), for pictures.
     box_m
         Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None if the
         box is not known.
     times_s
-        Times at which the tool is measured [s]; None to measure in every tick.
+        Times at which distances are measured [s]; None to measure in every tick.
 
     Attributes
     ----------
     points_m, distances
-        Values of the parameters.
+        Values of the parameters with these names.
     names
         Names of the columns in a trace: ``distance_NAME_mm``, negative inside.
     measures
@@ -100,7 +101,7 @@ class KeepClear:
         distance. The error is at most the slack of the structure plus 0.001 mm if tool and
         structure are apart, and at most the slack plus 0.01 mm if they overlap.
     notices
-        Events, a sentence each; the loop removes them as it logs them.
+        Events, one sentence each. The loop removes an event when it logs the event.
     """
 
     def __init__(
@@ -127,7 +128,11 @@ class KeepClear:
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
-        """Measure the distances at a tool's pose; set `placed` before the first tick."""
+        """Measure the distances at a tool's pose.
+
+        Set `placed` for the pose before the first tick, which counts neither as a tick nor as a
+        breach.
+        """
         for number, search in enumerate(self._structures):
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
@@ -151,7 +156,7 @@ class KeepClear:
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
 
     def _follow(self, breach: _Breach, distance_m: float) -> None:
-        """Record the tool's entry into a structure and its exit."""
+        """Update the record of a structure, and report the entry and the exit of the tool."""
         breach.least_m = min(breach.least_m, distance_m)
         if distance_m < 0.0:
             if breach.began_s is None:
@@ -175,7 +180,7 @@ class KeepClear:
         breach.began_s = None
 
     def stop_reporting(self) -> None:
-        """Close all breaches, and record no further distance or breach."""
+        """Close all breaches, and stop the records of smallest distances and breaches."""
         self.finish()
         self._follows = False
 
@@ -188,8 +193,8 @@ class KeepClear:
     def summary(self) -> dict[str, dict[str, float | None]]:
         """Return the smallest distance and the breaches of each structure, as a dictionary by name.
 
-        The values are the smallest distance [mm], and depth [mm], total duration [s] and first time
-        [s] of the breaches.
+        The values of a structure are the smallest distance [mm], the largest depth [mm] and total
+        duration [s] of the breaches, and the time of the first breach [s].
         """
         return {
             breach.name: {
@@ -204,7 +209,7 @@ class KeepClear:
 
 
 class _Search:
-    """Search for the distance between a tool and one structure, with all its buffers."""
+    """Search for the distance between a tool and one structure, with the memory of the search."""
 
     def __init__(
         self, outline: Any, medial: Any, structure: Structure, box_m: Array | None
@@ -276,7 +281,7 @@ def _medial(profile: Profile) -> Any:
 
 
 def _tree(made: BoxTree) -> Any:
-    """Return a tree in the format of the kernel."""
+    """Return a tree of bounding boxes in the format of the kernel."""
     return filled(
         Tree,
         DEVICE,

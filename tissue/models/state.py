@@ -21,7 +21,7 @@ State = dict[str, Any]
 def copied(owner: object, names: Iterable[str]) -> State:
     """Return copies of some attributes of an object.
 
-    The attributes are copied together: attributes that share an object share its copy.
+    Attributes that refer to the same object refer to one copy of this object in the result.
     """
     return deepcopy({name: getattr(owner, name) for name in names})
 
@@ -58,11 +58,12 @@ def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
 
 
 def fingerprint(*parts: object) -> str:
-    """Return a short text that is equal for equal parts, in another process too.
+    """Return a short text that is equal for equal parts, also in another process.
 
     Parts are numbers, texts, arrays, tables of a scene, dataclasses, and collections of these.
-    Numbers of different types, such as 1 and 1.0, are equal if their values are. For an absolute
-    path, the content of the file or folder is used. Of other objects, only the class is used.
+    Numbers of different types, such as 1 and 1.0, are treated as equal if their values are equal.
+    For an absolute path, the content of the file or folder is used. Of any other object, only the
+    name of the class is used.
     """
     digest = blake2b(digest_size=16)
     for known in _plain(parts):
@@ -73,7 +74,7 @@ def fingerprint(*parts: object) -> str:
 
 
 def _plain(part: object) -> Iterator[bytes]:
-    """Return the contents of a part."""
+    """Yield the contents of a part as bytes."""
     if isinstance(part, BaseModel):
         part = {name: getattr(part, name) for name in type(part).model_fields}
     elif is_dataclass(part) and not isinstance(part, type):
@@ -102,7 +103,7 @@ def _plain(part: object) -> Iterator[bytes]:
 
 
 def _contents(path: Path) -> Iterator[bytes]:
-    """Return the checksums of a file, or of the files directly in a folder."""
+    """Yield the checksum of a file, or of every file in a folder (without subfolders)."""
     for each in sorted(path.iterdir()) if path.is_dir() else [path]:
         if each.is_file():
             with each.open("rb") as file:

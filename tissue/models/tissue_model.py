@@ -36,9 +36,9 @@ __all__ = [
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Part of the notice that reports a background solve that took too long.
+"""Text in the notice about a background solve that took too long.
 
-The cause is a slow computer, not the tissue.
+The cause of such a notice is a slow computer, not the tissue.
 """
 
 
@@ -51,22 +51,22 @@ class ToolMotion:
     tip_m
         Position of the tool's tip in the world [m], shape (3,).
     rotation
-        Rotation from tool to world; its columns are the tool's axes, shape (3, 3). z is the tool's
-        axis, from tip to shank.
+        Rotation matrix from tool to world, shape (3, 3). The columns are the tool's axes x, y and
+        z; z runs from tip to shank.
     heading
-        Velocity of the tip at unit speed, shape (3,), and angular velocity of the pose at unit
-        speed [rad/m], shape (3,), in the world frame. The spin of the tool about its own axis is
-        not included.
+        Direction of motion, shape (2, 3), in the world frame: velocity of the tip at unit speed,
+        and angular velocity of the pose at unit speed [rad/m]. The spin of the tool about its own
+        axis is not included.
     speed_m_s
         Speed that scales `heading` [m/s].
     tangent_m_s
-        Speed at which the tissue linearises its force [m/s]; None for `speed_m_s`.
+        Speed at which the tissue linearises its force [m/s]; None means `speed_m_s`.
     pressed
         Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
         (about to cut).
     balanced
-        Force [N] and torque about the tip [N m] of the bone on a tool at its force balance, shape
-        (6,). None for a tool whose motion does not depend on them.
+        Force [N] and torque about the tip [N m] that the bone applies to a tool at its force
+        balance, shape (6,). None for a tool whose motion does not depend on forces.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -97,9 +97,9 @@ class Response:
     removal_rate_m3_s
         Rate at which the cutting elements of the tool sweep filled volume [m3/s].
     engaged_m2
-        Area of the tool in contact with tissue, by layer [m2], shape (layers,).
+        Area of the tool in contact with each layer of the tissue [m2], shape (layers,).
     measures
-        Further values of the tissue, in the order and units of its `measure_names`.
+        Further values of the tissue, in the order and units of `TissueModel.measure_names`.
     stiffness_N_m
         Stiffness at the position of a resting tool, -dF/dx [N/m], shape (3, 3). None if the tissue
         does not provide it.
@@ -181,7 +181,7 @@ class SchedulesBackground(Protocol):
 
     @property
     def scheduling(self) -> str:
-        """Description of the background work: priority and cores; empty without such work."""
+        """Description of the background work, with priority and cores; empty if there is none."""
         ...
 
 
@@ -190,7 +190,7 @@ class HasNotices(Protocol):
     """Tissue that reports events."""
 
     notices: list[str]
-    """Events, a sentence each; the loop removes them as it logs them."""
+    """Events, one sentence each. The loop removes an event when it logs the event."""
 
 
 @runtime_checkable
@@ -237,9 +237,9 @@ class HasHeat(Protocol):
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and its distribution [J], as a dictionary.
+        """Energy of cutting [J], and the parts into which it is divided, by name.
 
-        The value is None if the scene has no heat.
+        The value is None if the scene does not compute heat.
         """
 
 
@@ -256,7 +256,7 @@ class WaitsForBackground(Protocol):
     """Tissue with background work whose result is due at a certain tick."""
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for work whose result is due at a time; called before a tick, outside the tick."""
+        """Wait for work whose result is due at a given time; called before every tick."""
 
 
 @runtime_checkable
@@ -272,7 +272,7 @@ class StartsBackground(Protocol):
     """Tissue with work at a lower rate than the ticks."""
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Do the slower work, or start it in the background; called at the end of every tick."""
+        """Do the slower work, or start it as background work; called at the end of every tick."""
 
 
 @runtime_checkable
@@ -321,7 +321,7 @@ class WallModel(_Stateless):
 
     The measure of the model is the depth of the ball's lowest point [mm]. ``engaged_m2`` is the
     area of the circle in which the plane intersects the ball. The response includes the wall's
-    stiffness, so that the force balance of a tool on a device is found at once.
+    stiffness, so that the force balance of a tool on a device is found without iteration.
 
     Parameters
     ----------

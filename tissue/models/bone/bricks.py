@@ -29,17 +29,17 @@ NEVER_SWEPT = 65535
 STEPS = FULL // 255
 """Ratio of the stored 16-bit fraction to the 8-bit fraction of the volume."""
 CHANGED = ("remaining", "swept", "middle", "older", "alive")
-"""Arrays of the brick store that carving reads and changes."""
+"""Names of the arrays of `BrickStore` that carving reads and changes."""
 
 
 @dataclass(frozen=True, eq=False)
 class BrickGrid:
-    """Lattice of bricks (blocks of voxels) that covers a bone; most places may hold no brick yet.
+    """Lattice of bricks (blocks of voxels) that covers a bone; a lattice position may be empty.
 
     Attributes
     ----------
     origin_m
-        Corner of the first brick with the lowest coordinates [m], shape (3,).
+        Corner of the first brick [m], shape (3,): the corner with the lowest coordinates.
     spacing_m
         Edge of a voxel [m].
     counts
@@ -54,7 +54,7 @@ class BrickGrid:
     layer_names: tuple[str, ...]
 
     def agrees(self, other: "BrickGrid") -> bool:
-        """Return True if a brick position refers to the same point in space on another lattice."""
+        """Return True if equal brick positions on both lattices refer to equal points in space."""
         return (
             self.spacing_m == other.spacing_m
             and self.counts == other.counts
@@ -69,7 +69,7 @@ class BrickState:
     Attributes
     ----------
     grid
-        Lattice that the places refer to.
+        Lattice of the positions in `places`.
     places
         Grid position of each copied brick, shape (n, 3).
     rows
@@ -102,8 +102,8 @@ class BrickStore:
     grid
         Lattice of the bricks.
     volume
-        Volume from which the store was made; its fractions are the state before any cut. None if
-        parts were added.
+        Volume from which the store was made, with the filled fractions before any cut. None if the
+        store was filled part by part.
     start_steps
         Sum of `remaining` in each layer before any cut, shape (layers,).
     brick_of
@@ -114,11 +114,12 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     middle
-        Copy of `swept`, uint16, shape (capacity, 512). It is made when the cuts in a voxel's block
-        become older cuts, see `kernels.carving`.
-    older
-        Distance to the solid that older cuts have swept, uint16, shape (capacity, 512), see
+        Copy of `swept`, uint16, shape (capacity, 512). The copy is made when the cuts in a voxel's
+        block become older cuts. Older cuts are all cuts except the most recent ones, see
         `kernels.carving`.
+    older
+        Distance of each voxel's centre to the solid that older cuts have swept, uint16, shape
+        (capacity, 512).
     material
         Density and layer before any cut, packed in one word, uint32, shape (capacity, 512).
     nearby
@@ -128,8 +129,9 @@ class BrickStore:
         One bit for each block of 2 x 2 x 2 voxels: 1 if the block may hold bone or lies within two
         voxels of bone, uint64, shape (capacity,).
     touched
-        Flags of each brick, uint8, shape (capacity,): `kernels.bricks.LOST` if it lost material
-        since `take_touched`, and `kernels.bricks.REACHED` if a tool came near since `keep_base`.
+        Flags of each brick, uint8, shape (capacity,). `kernels.bricks.LOST` is set if the brick
+        lost material since the last call of `take_touched`. `kernels.bricks.REACHED` is set if a
+        tool came near the brick since the last call of `keep_base`.
     places
         Grid position of each stored brick, shape (bricks, 3).
     """
@@ -260,7 +262,7 @@ class BrickStore:
         return [self.brick_of, self.material, self.nearby, self.older, self.alive]
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
-        """Return row and remaining fraction of the bricks that lost material since the last call.
+        """Return rows and remaining fractions of the bricks that lost material since the last call.
 
         The cost is proportional to the number of these bricks, which is small in one tick.
         """
@@ -280,12 +282,18 @@ class BrickStore:
             array.assign(host)
 
     def begin(self, owner: object) -> None:
-        """Allow only this cutter to copy states; the next call of `state` stores a new base."""
+        """Allow only this cutter to copy states.
+
+        The next call of `state` stores a new base, see `keep_base`.
+        """
         self._owner = owner
         self._base = None
 
     def _require_owner(self, owner: object) -> None:
-        """Raise an error if another cutter has called `begin` later: it may have cut the bone."""
+        """Raise an error if a later cutter has called `begin`.
+
+        The later cutter may have cut the bone.
+        """
         if self._owner is not owner:
             raise InputError(
                 "bone",
@@ -295,7 +303,10 @@ class BrickStore:
             )
 
     def keep_base(self) -> None:
-        """Store the present bricks as the base from which states store the differences."""
+        """Store the present bricks as the base.
+
+        A state stores only the bricks that a tool has reached since the base was stored.
+        """
         count = len(self.places)
         self._base = {name: getattr(self, name).numpy()[:count].copy() for name in CHANGED}
         flags = self.touched.numpy()
@@ -305,12 +316,13 @@ class BrickStore:
     def state(self, owner: object) -> BrickState:
         """Copy the bricks that a cutter has reached since the base was stored.
 
-        The first call stores the base. The cost is proportional to the number of these bricks.
+        The first call stores the base, see `keep_base`. The cost is proportional to the number of
+        copied bricks.
 
         Raises
         ------
         InputError
-            If another cutter has called `begin` later.
+            If another cutter has called `begin` after this cutter.
         """
         self._require_owner(owner)
         if self._base is None:
@@ -326,8 +338,8 @@ class BrickStore:
         Raises
         ------
         InputError
-            If another cutter has called `begin` later, if the state belongs to another lattice of
-            voxels, or if it has bricks that this store does not hold.
+            If another cutter has called `begin` after this cutter, if the state belongs to another
+            lattice, or if the state has bricks that this store does not hold.
         """
         self._require_owner(owner)
         if not self.grid.agrees(state.grid):
@@ -359,9 +371,9 @@ class BrickStore:
         self._send("touched", flags)
 
     def write_fraction(self, fraction: Bytes, rows: Ints) -> None:
-        """Write the remaining fraction of some bricks into an array, 255 = full.
+        """Write the remaining fractions of some bricks into `fraction`, 255 = full.
 
-        The array has the volume's shape.
+        `fraction` has the shape of the volume. `rows` holds the row numbers of the bricks.
         """
         bricks = _bricks(_nearest(self.remaining.numpy()[rows]))
         for (x, y, z), brick in zip(BRICK * self.places[rows], bricks, strict=True):
@@ -379,14 +391,14 @@ class BrickStore:
         return np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
 
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> Bytes:
-        """Return the remaining fraction of the voxels of some bricks, 255 = full.
+        """Return the remaining fraction of every voxel in a box of bricks, 255 = full.
 
         The fraction is 0 where no brick is stored.
 
         Parameters
         ----------
         first, last
-            Position of the first brick, and the position one after the last brick.
+            Grid position of the first brick of the box, and the position one after the last brick.
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
@@ -409,8 +421,9 @@ class BrickStore:
 def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
     """Return the indices and values of the voxels whose values are not 0.
 
-    ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
-    positions of the store's bricks. ``rows`` are the row numbers of some of these bricks.
+    ``steps`` holds the values of some bricks, shape (bricks, 512). ``rows`` holds the row numbers
+    of these bricks in the store. ``places`` holds the grid positions of all bricks of the store.
+    The returned indices have shape (n, 3).
     """
     row, column = np.nonzero(steps)
     # A row holds block after block, see `_rows`.
@@ -431,7 +444,7 @@ def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored surface distance padded to whole bricks.
 
-    A padded voxel has the distance of the nearest voxel at the face plus the length of one voxel.
+    A padded voxel has the distance of the nearest voxel of the volume plus the length of one voxel.
     Padded voxels are always outside the bone.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]

@@ -22,17 +22,18 @@ Boxes = tuple[Array, Array]
 PATCH = 4
 """Number of bricks along the edge of a patch, the block of bricks made in one call; chosen."""
 MARGIN = 1
-"""Number of bricks around a patch that are voxelised but not kept.
+"""Number of layers of bricks around a patch that are voxelised but not stored.
 
 This margin is wider than the largest distance that a voxel of the patch stores.
 """
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Bytes of memory per voxel while a patch is made.
+"""Memory per voxel while a patch is made [bytes].
 
-The bytes hold the stored voxel, space for growth, and the source arrays.
+This memory includes the stored voxel, the spare length of the stored arrays, and the arrays from
+which the voxel is made.
 """
 MOST_BRICKS = 2.5e8
-"""Largest number of bricks of the lattice; its index array then takes 1 GB."""
+"""Largest number of positions on the lattice; `BrickStore.brick_of` then takes 1 GB."""
 
 
 class BricksOnDemand:
@@ -122,7 +123,7 @@ class BricksOnDemand:
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut: original bone, and remaining fraction (255 = full).
+        """Yield the uncut voxels and the remaining fraction (255 = full) of each part that was cut.
 
         The parts are boxes. Neighbouring boxes share one layer of voxels, so that a surface between
         voxel centres continues from one part to the next.
@@ -183,7 +184,7 @@ class BricksOnDemand:
 
 
 def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
-    """Return the error for a spacing that gives `share` times the largest number of voxels."""
+    """Return the error for a spacing with `share` times the largest allowed number of voxels."""
     # The suggestion is a tenth coarser than the largest number of voxels requires, rounded up to
     # 0.01 mm.
     fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
@@ -191,7 +192,7 @@ def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
 
 
 def _box_of(wanted: Flags) -> tuple[Ints, Ints]:
-    """Return the first patch of a box of wanted patches, and the patch one after its last.
+    """Return the positions of the first patch in a box of wanted patches, and one after the last.
 
     The box is grown from the first wanted patch along z, then y, then x.
     """

@@ -1,9 +1,9 @@
 """Removal of the bone that a moving tool reaches, during a run and in its replay.
 
-The bone at any tick of a run follows from the tool's poses. A replay carves these poses again with
-the kernel of the run. The bricks (blocks of 8 x 8 x 8 voxels) of run and replay are bitwise equal.
-The bricks are divided into groups. A tick visits some of the groups in turn: it carves their bricks
-at the present pose.
+The bone at any tick of a run follows from the tool's poses. A replay carves the bone at these poses
+again, with the kernel that the run uses. The bricks (blocks of 8 x 8 x 8 voxels) of run and replay
+are bitwise equal. The bricks are divided into groups, which are visited in turn. In a tick, the
+bricks of some groups are carved at the present pose.
 """
 
 from math import ceil, sqrt
@@ -53,22 +53,23 @@ STEADY_GROUPS = 16
 
 Carving one group takes 20 us in the scene `pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires
 25 groups a tick. The reference is the force with visits of all groups in every tick, in the first
-2.5 s of `pedicle` with a simulated expert on a Touch. The RMS difference from the reference is
-0.05 % with 25 groups, 0.12 % with 16 groups and 0.15 % with 12 groups. In `milling` the differences
-are 0.012, 0.007 and 0.006 %.
+2.5 s of `pedicle` with a simulated expert on a Touch. The RMS difference from the reference is 0.05
+% with 25 groups, 0.12 % with 16 groups and 0.15 % with 12 groups. In `milling` the differences are
+0.012, 0.007 and 0.006 %, in this order.
 """
 FAST_LAG_VOXELS = 0.4
 """Largest motion of a fast tool between two visits of a brick [voxel]; chosen.
 
-At this distance a ball with a radius of 10 voxels leaves ridges of 0.002 voxel, a fifth of
-`kernels.older_cuts.RAMP`.
+At this distance a ball with a radius of 10 voxels leaves ridges with a height of 0.002 voxel, a
+fifth of `kernels.older_cuts.RAMP`.
 """
 LONGEST_STEP_VOXELS = 0.5
 """Longest motion between two carved poses [voxel]; the motion of a faster tool is divided."""
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-The stored last poses of the tool cover a longer motion, see `tissue.models.bone.recent_poses`.
+Older cuts are all cuts except the most recent ones, see `kernels.carving`. The stored last poses of
+the tool cover a longer motion than this value, see `tissue.models.bone.recent_poses`.
 """
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
@@ -81,7 +82,7 @@ WORKERS_GPU = 2048
 
 
 STATE = ("_motions", "_marks", "_travelled", "_turned", "_next_group", "_debt", "_behind")
-"""Attributes of a carver's state between two motions, in addition to bricks and poses."""
+"""Names of the attributes that, with bricks and poses, form the state between two motions."""
 
 
 class Carver:
@@ -109,8 +110,8 @@ class Carver:
     removed_steps
         Decrease of the sum of `BrickStore.remaining` so far, by layer, shape (layers,).
     changes
-        Number of visits and restores so far. While this number is constant, the bone does not
-        change.
+        Number of visits of bricks and of calls of `restore` so far. While this number is constant,
+        the bone does not change.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class Carver:
         self.record()
 
     def record(self) -> None:
-        """Record the kernel launch on the present arrays of the store."""
+        """Record the kernel launch that carves the present arrays of the store."""
         store = self.store
         self._carve = SplitLaunch(
             carve,
@@ -201,7 +202,7 @@ class Carver:
     def advance(self, motion: ToolMotion) -> None:
         """Carve the bone that the tool reaches at its new pose.
 
-        A slow tool's carving is spread over ticks.
+        If the tool is slow, the carving is spread over several ticks.
         """
         now = self._pose_of(motion)
         step = self._distance(now, self._pose.host[0])
@@ -225,7 +226,11 @@ class Carver:
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _turns(self, group: int, motion: Array) -> bool:
-        """Return True if a motion deviates from the motion at the group's last turn."""
+        """Return True if a motion's direction differs from the stored direction of the group.
+
+        The stored direction is the direction after the group's last change of direction, see
+        `TURN`.
+        """
         before = self._motions[group]
         travelled = self._travelled - self._marks[group]
         return float(motion.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
@@ -310,14 +315,14 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
 
 
 class CarvingReplay:
-    """Bone at the end of any tick, bitwise equal to the bone of a run that ends then.
+    """Bone at the end of any tick of a run, bitwise equal to a run that ends in this tick.
 
     Parameters
     ----------
     volume
         The bone before the first cut.
     cutter, removal
-        The tool and its mode of removal.
+        The tool, and its mode of removal (see `Carver`).
     poses
         Poses of the run, see `tissue.simulation.loop.PoseLog`.
     device
@@ -327,8 +332,8 @@ class CarvingReplay:
     Attributes
     ----------
     fraction
-        Remaining fraction of every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz). The
-        next call of `at` overwrites it.
+        Remaining fraction of every voxel at the tick of the last call of `at`, 255 = full, uint8,
+        shape (nx, ny, nz). Every call of `at` overwrites the array.
     """
 
     def __init__(

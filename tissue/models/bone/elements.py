@@ -61,7 +61,7 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 def _in_lanes(rows: Array) -> Array:
     """Arrange values of cutting elements, shape (n, k), in lanes, shape (groups, k, LANES).
 
-    The last group is filled up with zeros. An element without a normal does not cut.
+    The last group is filled up with zeros. These elements do not cut, because their normal is zero.
     """
     padded = np.pad(rows, ((0, -len(rows) % LANES), (0, 0)))
     return padded.reshape(-1, LANES, rows.shape[1]).transpose(0, 2, 1)
@@ -148,11 +148,12 @@ class CuttingForces:
     Attributes
     ----------
     found
-        Bone in front of the cutting elements, shape (eights, FOUND, LANES).
+        Bone in front of the cutting elements, shape (groups, FOUND, LANES). A group has LANES
+        elements; `kernels.engagement.FOUND` is the number of values of an element.
     find_bone
-        Kernel launch of the search on the present arrays of the store.
+        Recorded kernel launch that searches the bone in front of the elements.
     slopes
-        Index of the first derivative in the sums, see `kernels.cutting.VALUE`.
+        Index of the first derivative in the result of `sums`, see `kernels.cutting.VALUE`.
     """
 
     def __init__(
@@ -203,7 +204,7 @@ class CuttingForces:
         self.record()
 
     def record(self) -> None:
-        """Record the kernel launch of the search on the present arrays of the store."""
+        """Record the kernel launch that searches the present arrays of the store."""
         self.find_bone = SplitLaunch(
             find_bone,
             self._chunks,
@@ -214,7 +215,10 @@ class CuttingForces:
         )
 
     def sums(self) -> Array:
-        """Return the sums over all elements at the present velocities."""
+        """Return forces and derivatives, summed over all elements, at the present velocities.
+
+        The order of the values is given at `kernels.cutting.VALUE`.
+        """
         self._engaged.pull()
         engaged = self._engaged.host
         rows = self.slopes + 6 * int(self._motion.host[4, 0])

@@ -2,14 +2,15 @@
 
 Every coefficient of a cutting element is multiplied by (density / reference) ** exponent. The sum
 f(p) = sum w rho**p over elements of density rho and weight w is therefore needed for any exponent
-p. Let c be the middle of the exponents. The factor rho**(p - c) is interpolated by polynomials L_j
-of ln rho. The nodes rho_j are Chebyshev points of ln rho. Then::
+p. Let c be the middle of the range of exponents. The factor rho**(p - c) is interpolated by
+polynomials L_j of ln rho. The nodes rho_j are Chebyshev points of ln rho. Then::
 
     f(p) = sum_j rho_j**(p - c) M_j,    M_j = sum w rho**c L_j(ln rho)
 
-The interpolation of exp(a x) on [-1, 1] by n points has an error of about 4 I_n(a) (Trefethen 2013,
-Approximation Theory and Approximation Practice, ch. 3). n is the smallest number of points whose
-error is below `ERROR` times the smallest value, exp(-a).
+The interpolation of exp(a x) on [-1, 1] by n points has an error of about 4 I_n(a), with the
+modified Bessel function I_n (Trefethen 2013, Approximation Theory and Approximation Practice, ch.
+3). n is the smallest number of points whose error is below `ERROR` times the smallest value,
+exp(-a).
 
 The force per length of edge depends on the chip thickness. This force is interpolated linearly
 between the nodes of chip thickness. The interpolation is exact for a law that is linear in the
@@ -47,14 +48,14 @@ __all__ = [
 HIGHEST_EXPONENT = 5.0
 """Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
-"""Middle c of the exponents: it minimises the magnitude of the interpolated exponents p - c."""
+"""Middle c of the range of exponents, which minimises the largest magnitude of p - c."""
 ERROR = 1e-8
 """Largest relative error of an element's interpolated density factor.
 
 The value is a hundredth of the tolerance for loads that are recomputed from stored nodes.
 """
 MOST_NODES = 64
-"""Upper limit of the search for n; densities of 1 to 20,000 kg/m3 need 38 nodes."""
+"""Upper limit of the number of nodes; densities of 1 to 20,000 kg/m3 need 38 nodes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +65,10 @@ class DensityNodes:
     Attributes
     ----------
     densities_kg_m3
-        Shape (k,).
+        Densities of the nodes [kg/m3], shape (k,).
     shares
-        M_j of a unit weight at each density of the strength table, shape (DENSITIES, k).
+        M_j / `middle_kg_m3` ** c of a single element with weight 1, for each density of the
+        strength table, shape (DENSITIES, k).
     """
 
     densities_kg_m3: Array
@@ -97,9 +99,9 @@ class DensityNodes:
         return float(np.exp(np.log(self.densities_kg_m3).mean()))
 
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Return the weights of the M_j for a density exponent, shape (k,).
+        """Return the weights of the nodes for a density exponent, shape (k,).
 
-        The weighted sum of the M_j is the sum of w (factor density / reference) ** exponent.
+        The sum of `shares` with these weights is (factor * density / reference) ** exponent.
         """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
         return (factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt
@@ -115,7 +117,7 @@ class DensityNodes:
 def _count(a: float) -> int:
     """Return the number of points needed to interpolate exp(a x) on [-1, 1].
 
-    The error of the interpolation is at most `ERROR` times the smallest value.
+    The error of the interpolation is at most `ERROR` times the smallest value of exp(a x).
     """
     counts = np.arange(2, MOST_NODES)
     return int(counts[np.argmax(4.0 * iv(counts, a) * np.exp(a) < ERROR)])
@@ -124,7 +126,8 @@ def _count(a: float) -> int:
 def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
     """Return the smallest and largest density in a layer of stored voxels [kg/m3].
 
-    `material` holds the words of the voxels. Without voxels both densities are zero.
+    `material` holds the words of the voxels, see `BrickStore.material`. Both densities are zero if
+    no voxel of the layer has a density.
     """
     density = (material[(material & 255) == layer] >> 16).astype(np.int64)
     density = density[density > 0]
@@ -132,7 +135,7 @@ def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
 
 
 DIRECTIONS = 3
-"""Directions of the loads on an element: tangential, radial and axial."""
+"""Number of directions of the loads on an element: tangential, radial and axial."""
 CHIP_RATIO = 1.3
 """Ratio between neighbouring nodes of chip thickness.
 
@@ -154,9 +157,10 @@ def chip_nodes(thickest_m: float) -> Array:
 
 
 def _interpolation(nodes_m: Array, thickness_m: Array, lengths: Array) -> csr_array:
-    """Return the matrix that interpolates n chips between nodes, shape (k, n).
+    """Return the matrix that distributes n chips to k nodes of chip thickness, shape (k, n).
 
-    Each chip is multiplied by its length. Chips thicker than the last node are extrapolated.
+    The column of a chip is multiplied by the length of the chip's cutting edge. Chips thicker than
+    the last node are extrapolated.
     """
     upper = np.clip(np.searchsorted(nodes_m, thickness_m), 1, len(nodes_m) - 1)
     lower = upper - 1
@@ -181,9 +185,10 @@ class EngagedElements:
         self._edges = edge_lengths_m(bone.shell, bone.cutter)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return the cutting share, advance per unit speed, layer and density of each element.
+        """Return the engaged share, advance per unit speed, layer and density of each element.
 
-        Each array has a value for every element.
+        Each array has a value for every element. The engaged share is the fraction of an element
+        that lies in bone. The advance is the motion along the element's outward normal.
         """
         shell = self.bone.shell
         found = self.bone.found_along(motion)[:, : len(shell.radii_m)]
@@ -196,7 +201,7 @@ class EngagedElements:
         return share, advance.sum(axis=1), found[LAYER].astype(int), found[DENSITY].astype(int)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
-        """Return the points where the cutter cuts, its outward normals and relative powers.
+        """Return the points where the cutter cuts, with outward normals and relative powers.
 
         Points [m] are in the world frame. The power of an element is its tangential force times its
         speed, which is the spin times its radius.
@@ -235,26 +240,27 @@ class EngagedElements:
 
 
 class EngagedBone(MilledTissue):
-    """Bone model that returns loads for any cutting law instead of a force.
+    """Bone model that returns unit loads, to which any cutting law can be applied, and no force.
 
-    It carves bone like the given model.
+    The given bone model carves the bone.
 
     Parameters
     ----------
     bone
-        The model; its own coefficients are not used.
+        The bone model that carves. Its cutting coefficients are not used.
     chips_m
         Nodes of chip thickness [m], shape (k,), see `chip_nodes`.
 
     Attributes
     ----------
     nodes
-        Densities of each layer at which loads are computed.
+        Nodes of density of each layer, at which `unit_loads` are computed.
     unit_loads
         Array of shape (nodes, 3 k, 6) for each layer, computed in the last `respond`: force [N] and
         torque about the tip [N m] on the tool, in the world frame. The loads result from a force of
         1 N per metre of cutting edge, at each node of chip thickness and in each of the
-        `DIRECTIONS`. `DensityNodes` gives the weights by density.
+        `DIRECTIONS`. `DensityNodes.strengths` returns the weights of the nodes for a density
+        exponent.
     asked
         True if `respond` computes `unit_loads`.
     """
@@ -315,8 +321,9 @@ class EngagedBone(MilledTissue):
 def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
     """Return the loads on cutting elements, summed for each density node, shape (nodes, 3 k, 6).
 
-    `weights` at the nodes of chip thickness have shape (k, n). `levers` have shape (n, 18).
-    `shares` at the nodes of density have shape (n, nodes).
+    `weights` is the matrix of `_interpolation` for the n elements, shape (k, n). `levers` is the
+    result of `levers_of`, shape (n, 18). `shares` has the weights of the density nodes for each
+    element, shape (n, nodes).
     """
     columns = shares[:, :, None] * levers[:, None, :]
     columns = columns.reshape(len(levers), shares.shape[1] * levers.shape[1])
@@ -331,7 +338,7 @@ PLUNGE_ELEMENTS = 40_000
 This is four times the number that gives an error of 0.1 % in a run.
 """
 LEAST_ADVANCE = 1e-6
-"""Advance per unit of feed below which a cutting element is part of the cutter's side."""
+"""Advance per unit of feed below which an element lies on the cutter's side and does not cut."""
 
 
 def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, Array]:

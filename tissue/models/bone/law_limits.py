@@ -48,7 +48,7 @@ class LawLimits:
         self.thickest_m = 0.0
 
     def restart(self) -> None:
-        """Reset the limits that were exceeded."""
+        """Clear the notices and the records of exceeded limits."""
         self.notices.clear()
         self.passed.clear()
         self.thickest_m = 0.0

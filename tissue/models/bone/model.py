@@ -56,8 +56,8 @@ class BoneModel:
     Attributes
     ----------
     limits
-        Check of the cutting law's validity. It reports smooth surfaces in bone, and chips that are
-        too thick.
+        Check of the cutting law's validity. The check reports smooth surfaces in bone, and chips
+        that are too thick.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class BoneModel:
     def advance(self, motion: ToolMotion) -> None:
         """Carve the bone that the tool reaches at its new pose.
 
-        A slow tool's carving is spread over ticks.
+        If the tool is slow, the carving is spread over several ticks.
         """
         self.carver.advance(motion)
         self._recent.add(motion)
@@ -225,14 +225,15 @@ class BoneModel:
             self._smooth.forces.find_bone()
 
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
-        """Return force and torque on the tool, linearised at a velocity in the step.
+        """Return force and torque on the tool, linearised at a velocity.
 
         The components of all vectors are along the axes of the tool at the pose of `find_bone`.
 
         Parameters
         ----------
         velocity
-            Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,).
+            Velocity of the tip [m/s] and angular velocity [rad/s] in the step of `find_bone`, shape
+            (6,).
         unknowns
             Number of velocity components with respect to which the derivatives are taken, 3 or 6.
 
@@ -241,8 +242,9 @@ class BoneModel:
         tuple
             Force [N] and torque about the tip [N m] of the linearised law at zero velocity, shape
             (6,), and their derivatives, shape (6, unknowns). The wrench at the given velocity is
-            this value plus the derivatives times the velocity. With 3 unknowns the torque has no
-            derivatives; the value is then the torque at the velocity.
+            the wrench at zero velocity plus the derivatives times the velocity. With 3 unknowns
+            only the force has derivatives. The returned torque is then the torque at the given
+            velocity.
         """
         rows = self._motion.host
         rows[:2] = velocity.reshape(2, 3)
@@ -283,7 +285,10 @@ class BoneModel:
         return response
 
     def _sum_along(self, motion: ToolMotion) -> bool:
-        """Find the bone and sum the forces along a direction; return True if the sums are new."""
+        """Find the bone and sum the forces for a motion.
+
+        Return True if the sums were computed anew.
+        """
         is_new = self._find_along(motion)
         speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
         rows = self._motion.host
@@ -312,8 +317,8 @@ class BoneModel:
     def found_along(self, motion: ToolMotion) -> Array:
         """Return the bone in front of the elements that advance, shape (FOUND, elements).
 
-        The rows are as in `kernels.engagement.DISTANCE`. The number of elements is a multiple of
-        `LANES`.
+        The rows are listed at `kernels.engagement.DISTANCE`. The number of elements is padded to a
+        multiple of `LANES`.
         """
         self._find_along(motion)
         found = self._forces.found.numpy()
@@ -329,7 +334,7 @@ class BoneModel:
 
 
 class MilledTissue:
-    """Tissue that is carved by a bone model and adds its own results.
+    """Base class of tissues that a bone model carves and that add further results.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Last poses of a tool that has cut."""
+"""Most recent poses of a cutting tool."""
 
 from itertools import pairwise
 from math import sqrt
@@ -16,10 +16,10 @@ RINGS = (
     (12, 4e-6),
     (24, 2.4e-5),
 )
-"""Rings of the tool's last poses: number of poses and their distance along the path [m]; chosen.
+"""Ring buffers of the last poses: number of poses, and distance of poses on the path [m]; chosen.
 
-Together the rings cover a longer path than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that
-returns on its path comes into contact too early by at most the distance between two poses. Between
+Together the ring buffers cover a longer path than `tissue.models.bone.carver.OLDER_LAG_M`. A tool
+that returns along its path meets bone too early by at most the distance between two poses. Between
 two poses 24 um apart, a ball of 1 mm radius appears to leave a ridge of 0.07 um of bone.
 """
 ROUNDING = 1e-9
@@ -28,7 +28,7 @@ KEPT_POSES = sum(count for count, _ in RINGS)
 
 
 class RecentPoses:
-    """Last poses of a tool that has cut.
+    """Most recent poses at which a tool has cut.
 
     The bone that the tool has cut at these poses is known exactly, except for rounding errors.
 
@@ -42,7 +42,8 @@ class RecentPoses:
     Attributes
     ----------
     mirror
-        Displacements and rotations, in the layout that `kernels.engagement.find_bone` reads.
+        Displacements and rotations of the stored poses relative to the pose of `seen_from`, in the
+        layout that `kernels.engagement.find_bone` reads.
     turns
         True if the tool's axis has changed direction since `place`.
     """
@@ -63,15 +64,15 @@ class RecentPoses:
         self.mirror = Mirror((1 + KEPT_POSES, 6), wp.float32, device)
 
     def place(self, motion: ToolMotion) -> None:
-        """Start at a pose."""
+        """Set all stored poses to a first pose."""
         self._poses[:] = self._pose_of(motion)
         self.turns = False
 
     def add(self, motion: ToolMotion) -> None:
         """Add a pose at which the tool has cut.
 
-        The present pose fills one place of each ring. The next pose replaces it, unless the present
-        pose is far enough from the pose before it.
+        In each ring buffer, the present pose takes one place. The next pose overwrites this place,
+        unless the present pose lies at least the distance in `RINGS` from the pose stored before.
         """
         pose = self._pose_of(motion)
         for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):

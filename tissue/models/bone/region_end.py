@@ -13,15 +13,17 @@ __all__ = ["RegionEnd"]
 MOST_POINTS = 1000
 """Largest number of points of the tool that are compared with the tissue.
 
-A ball burr has 805 points. A drill of 30 mm has 7593 points, which take 20 ms in the vertebra.
+Without this limit a ball burr has 805 points. A drill of 30 mm has 7593 points; their comparison
+takes 20 ms in the vertebra.
 """
 
 
 class RegionEnd:
-    """Watch on the end of the simulated region, beyond which voxels of the tissue are missing.
+    """Detector of a tool that leaves the simulated region of a tissue.
 
-    The region is made around the scripted motion. A hand can leave this region within the tissue.
-    The tool then meets no resistance, so that later results are not valid.
+    The region is made around the scripted motion. A tool that a hand moves can leave this region
+    where the tissue continues. Beyond the region there are no voxels and no forces, so later
+    results are not valid.
 
     Parameters
     ----------
@@ -30,10 +32,10 @@ class RegionEnd:
     cutter
         The tool.
     margin_mm
-        Value of ``voxels.margin_mm``, for the event.
+        Value of ``voxels.margin_mm`` in the scene, for the text of the event.
     tissue
         The whole anatomy, in the frame of the region. If None, tissue at the end of the region is
-        assumed to continue beyond it.
+        assumed to continue beyond the region.
     reporters
         Objects that stop reporting when the tool has left the region.
 

@@ -1,4 +1,4 @@
-"""Contact between bone and the surface of a tool that does not cut."""
+"""Contact between bone and the part of a tool's surface that does not cut."""
 
 from math import pi
 from typing import Any
@@ -18,7 +18,7 @@ __all__ = ["FRICTION", "SmoothSurface"]
 SMOOTH_ELEMENTS = 500
 """Number of elements on the surface that does not cut; chosen."""
 BLOCKED = 0.25
-"""Share of the smooth end's area in bone above which a warning is reported; chosen.
+"""Largest share of a smooth end's area that may lie in bone without a warning; chosen.
 
 The share is not zero, because a peg touches the rim of its pilot hole.
 """
@@ -43,10 +43,10 @@ Source: Shirazi-Adl et al., 1993, quoted from memory, so the confidence is L (lo
 
 
 class SmoothSurface:
-    """Surface of a tool that does not cut.
+    """Part of a tool's surface that does not cut.
 
     For a tool on a prescribed path, only the area of this surface in bone is computed. For a tool
-    on a haptic device, its contact with bone is rigid and perfectly plastic.
+    on a haptic device, the contact of this surface with bone is rigid and perfectly plastic.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ class SmoothSurface:
     Attributes
     ----------
     forces
-        Forces of the surface on the tool.
+        Forces of the bone on this surface.
     blocked_m2
-        Area in bone above which the surface is blocked [m2].
+        Area in bone above which `is_blocked` is True [m2].
     """
 
     def __init__(
@@ -107,6 +107,9 @@ class SmoothSurface:
 
     @property
     def is_blocked(self) -> bool:
-        """True if so much of the surface is in bone that its missing force matters."""
+        """True if more than `blocked_m2` of the surface lies in bone.
+
+        The missing force of this surface is then not negligible.
+        """
         self.forces.find_bone()
         return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2

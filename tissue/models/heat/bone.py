@@ -20,7 +20,7 @@ DOSE_LIMITS_MIN = {
     16.0: "the dose of 47 °C for 1 min, after which bone dies",
     240.0: "the usual lesion dose of soft tissue",
 }
-"""Limits of the thermal dose [min at 43 degC], each with its meaning.
+"""Limits of the thermal dose [minutes at 43 degC], and the meaning of each limit.
 
 Eriksson and Albrektsson 1983, doi 10.1016/0022-3913(83)90174-9: 47 degC for 1 min impairs the
 regeneration of bone. 240 min is the usual limit for soft tissue; the dose is defined by Sapareto
@@ -34,11 +34,11 @@ The dose rate at this temperature is 0.004 min/min.
 FRONT_M = 1e-3
 """Margin around the points where the tool cuts [m]; a dose inside the margin raises no event.
 
-The tool removes most of this bone next. Heat reaches ahead of the tool by a distance a / v, the
-thermal diffusivity divided by the feed speed. The distance is 0.5 mm at 0.5 mm/s.
+The tool removes most of this bone next. Heat reaches ahead of the tool by the distance a / v: the
+thermal diffusivity a divided by the feed speed v. This distance is 0.5 mm at 0.5 mm/s.
 """
 THERMOCOUPLE_M = 0.5e-3
-"""Distance from the cut surface at which the rise is reported [m].
+"""Distance from the cut surface at which the temperature rise is reported [m].
 
 Most published measurements use thermocouples at this distance.
 """
@@ -54,20 +54,21 @@ def dose_rate(temperature_C: Array) -> Array:
 
 
 class HeatedBone(MilledTissue):
-    """Bone under a cutter: carving and forces of the bone model, and the temperature of the bone.
+    """Bone that a cutter mills and heats: the bone model, extended by the temperature of the bone.
 
-    The trace has the largest present temperature rise of the bone. The summary describes the bone
-    that remains after the run. The summary has the largest temperature rise so far, and the largest
-    rise at 0.5 mm from the cut surface. For each limit of the dose, the summary has the volume
-    beyond the limit and the largest distance of this volume from the cut surface. An event reports
-    that the dose exceeds a limit in bone that the tool has left behind.
+    Every row of the trace has the largest temperature rise in the bone at that time. The summary
+    describes the bone that remains after the run. The summary has the largest temperature rise
+    during the run, and the largest rise at 0.5 mm from the cut surface. For each limit of the dose,
+    the summary has the volume of bone beyond the limit, and the largest distance of this bone from
+    the cut surface. An event reports that the dose exceeds a limit in bone that the tool has left
+    behind.
 
     Parameters
     ----------
     milling
         Voxels of the bone, and the cutter.
     heat
-        Temperature of this bone.
+        Computation of the temperature of this bone.
     """
 
     measure_names: tuple[str, ...] = ("bone_rise_K",)
@@ -91,11 +92,11 @@ class HeatedBone(MilledTissue):
 
     @property
     def heat_balance_J(self) -> dict[str, float]:
-        """Energy of cutting and its distribution [J]."""
+        """Energy of cutting [J], and its parts in chips, removed material and remaining tissue."""
         return self.heat.balance_J
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return force and torque on the tool, and the largest rise of the bone."""
+        """Return force and torque on the tool, and the largest temperature rise of the bone."""
         response = self.milling.respond(motion)
         if response is not self._response:
             self._response = response
@@ -124,11 +125,11 @@ class HeatedBone(MilledTissue):
         return self.milling.remaining()
 
     def summary(self) -> dict[str, object]:
-        """Return the numbers on the heated remaining bone for the summary of the run."""
+        """Return the temperatures and doses of the remaining bone for the summary of the run."""
         return {"bone_heat": self._summary}
 
     def _record(self) -> None:
-        """Update largest rise and dose with the temperature since the last call."""
+        """Update largest rise and dose of every cell with the present temperature."""
         field = self.heat.field
         rise = field.rise_K
         minutes = (field.time_s - self._time_s) / 60.0
@@ -162,7 +163,7 @@ class HeatedBone(MilledTissue):
                 )
 
     def _remaining_figures(self) -> dict[str, float]:
-        """Return the figures of the remaining bone."""
+        """Return the largest rises, and volume and depth of each dose, in the remaining bone."""
         field = self.heat.field
         is_left = field.filled > 0.0
         depth_m = self._depths_m()
@@ -181,7 +182,8 @@ class HeatedBone(MilledTissue):
     def _depths_m(self) -> Array:
         """Return the distance of each cell's centre from the material that was cut [m].
 
-        The distance is infinite outside the voxels, and everywhere if nothing was cut.
+        The distance is infinite for cells outside the voxel volume, and for all cells if nothing
+        was cut.
         """
         volume = self.milling.store.volume
         assert volume is not None, "the bone under a scene's cutter is one volume"
@@ -200,9 +202,9 @@ class HeatedBone(MilledTissue):
 
 
 def _largest_at(depth_m: Array, wanted_m: float, values: Array, is_left: Flags) -> float:
-    """Return the largest of the values at a depth, interpolated between neighbouring cells.
+    """Return the largest value at a given depth, interpolated between neighbouring cells.
 
-    The result is 0 if no two neighbours lie on opposite sides of the depth.
+    The result is 0 if no two neighbouring cells lie on opposite sides of this depth.
     """
     largest = 0.0
     is_known = is_left & np.isfinite(depth_m)

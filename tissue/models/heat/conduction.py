@@ -1,6 +1,6 @@
 """Heat conduction in bone or a tooth from which material is removed.
 
-The grid is rectilinear. It is fine within the reach of the tool and coarser outside.
+The grid is rectilinear. Its cells are small within the reach of the tool and larger outside.
 """
 
 from dataclasses import dataclass
@@ -20,13 +20,14 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Conduction", "HeatGrid"]
 
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
-"""Widths of the cells outside the fine part [voxel], in outward order; the last width repeats.
+"""Widths of the cells outside the fine part of the grid [voxel], from inside to outside.
 
 In the molar scene with cells of 0.25 mm, the peak temperature rise of the pulp is 9 % below the
-peak with cells of equal width. With (1, 1, 2, 2, 3, 4, 5, 6) it is 33 % below.
+peak with cells of equal width. With widths of (1, 1, 2, 2, 3, 4, 5, 6) the rise is 33 % below this
+peak. The last width is repeated up to the end of the grid.
 """
 LEAST_FILLED = 0.02
-"""Fraction of material below which a cell is left out or emptied.
+"""Fraction of material below which a cell is treated as empty.
 
 The heat capacity of such a cell is negligible. For values from 0.002 to 0.1, the peak temperature
 rise of the pulp in the molar scene changes by 0.4 %.
@@ -51,12 +52,12 @@ class HeatGrid:
     filled
         Fraction of each cell that holds material, shape (nx, ny, nz).
     conductivity_W_mK
-        Thermal conductivity of the material in each cell [W/(m K)], same shape; positive where a
-        cell holds material.
+        Thermal conductivity of the material in each cell [W/(m K)], shape (nx, ny, nz); positive
+        where a cell holds material.
     heat_capacity_J_m3K
-        Volumetric heat capacity of the material [J/(m3 K)], same shape; positive.
+        Volumetric heat capacity of the material [J/(m3 K)], shape (nx, ny, nz); positive.
     pulp
-        True where most of the material of a cell is pulp, same shape.
+        True where most of the material of a cell is pulp, shape (nx, ny, nz).
     """
 
     edges_m: tuple[Array, Array, Array]
@@ -71,16 +72,16 @@ class HeatGrid:
     ) -> "HeatGrid":
         """Merge the voxels of a tooth or of bone into cells.
 
-        The heat capacity of bone is the value for filled pores, and does not depend on the apparent
-        density.
+        The heat capacity of bone is the capacity of bone with filled pores. It does not depend on
+        the apparent density.
 
         Parameters
         ----------
         tissue
-            The whole tooth, or the bone around the tool, in voxels. The voxels become the cells of
-            the fine part.
+            The whole tooth, or the bone around the tool, in voxels. Within `reach_m`, every voxel
+            becomes a cell.
         reach_m
-            Lowest and highest corner of the fine box [m], shape (3,) each.
+            Lowest and highest corner of the box with small cells [m], shape (3,) each.
         constants
             Thermal constants of the layers.
         """
@@ -130,8 +131,9 @@ class HeatGrid:
         """Return the conductances between neighbouring full cells along x, y and z [W/K].
 
         Each array has the shape of the grid; an entry belongs to a cell and the next cell along the
-        axis. The two half cells are in series: area / (d / 2k + d' / 2k'). The last plane along
-        each axis is 0.
+        axis. The two half cells are in series: the conductance is area / (d / 2k + d' / 2k'), with
+        the widths d and d' and the conductivities k and k'. The last plane of an array along its
+        axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK
@@ -151,9 +153,10 @@ class HeatGrid:
 
         Returns
         -------
-        Flat index of the cell on the pulp side of each face, flat index of the cell on the other
-        side, and weight of the cell on the pulp side in the temperature of the face. At this
-        temperature the fluxes through the two half cells are equal.
+        Flat index of the pulp cell at each face, flat index of the cell on the other side of the
+        face, and weight w of the pulp cell. The temperature of a face is w times the temperature of
+        the pulp cell plus 1 - w times the temperature of the other cell. At this temperature the
+        fluxes through the two half cells are equal.
         """
         inner = []
         outer = []
@@ -178,7 +181,7 @@ class HeatGrid:
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
     def cells_at(self, points_m: Array) -> Ints:
-        """Return the flat indices of the cells that hold points, shape (n, 3).
+        """Return the flat indices of the cells that hold points [m], shape (n, 3).
 
         For a point outside the grid, the nearest cell is returned.
         """
@@ -186,12 +189,12 @@ class HeatGrid:
         return np.ravel_multi_index(at, self.filled.shape)
 
     def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
-        """Distribute the volumes of cubes among the cells, in proportion to their overlap.
+        """Distribute volumes of cubes among cells, in proportion to the overlap of cube and cell.
 
         Parameters
         ----------
         corners_m
-            Corners of the cubes with the lowest coordinates [m], shape (n, 3).
+            Corner of each cube with the lowest coordinates [m], shape (n, 3).
         size_m
             Edge of a cube [m], at most the edge of a cell.
         volumes_m3
@@ -199,7 +202,7 @@ class HeatGrid:
 
         Returns
         -------
-        Volume in each cell [m3], flat.
+        Volume in each cell [m3], as a flat array.
         """
         first = []
         share = []
@@ -233,9 +236,9 @@ def _index(names: tuple[str, ...], name: str) -> int:
 
 
 def _starts(count: int, low: float, high: float) -> Ints:
-    """Return the first voxel of each cell along an axis, fine from ``low`` to ``high``.
+    """Return the first voxel of each cell along an axis.
 
-    Both bounds are in voxels.
+    From ``low`` to ``high``, in units of voxels, every voxel is a cell of its own.
     """
     first = int(np.clip(np.floor(low + SAME_FACE), 0, count - 1))
     last = int(np.clip(np.ceil(high - SAME_FACE), first + 1, count))
@@ -247,7 +250,7 @@ def _starts(count: int, low: float, high: float) -> Ints:
 
 
 def _outward(count: int) -> Ints:
-    """Return the widths of the cells that fill a number of voxels, in outward order [voxel]."""
+    """Return the widths of the cells that fill `count` voxels [voxel], from inside to outside."""
     widths: list[int] = []
     while (left := count - sum(widths)) > 0:
         widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
@@ -264,7 +267,7 @@ def _merged(values: Array, starts: list[Ints]) -> Array:
 SAFETY = 0.9
 """Ratio of the time step to the longest stable time step; chosen.
 
-With 0.5, the peak temperature rise of the pulp in the molar scene is 0.8 % higher.
+With a ratio of 0.5, the peak temperature rise of the pulp in the molar scene is 0.8 % higher.
 """
 
 
@@ -307,7 +310,7 @@ class Conduction:
         self._step_s = 0.0
 
     def _stable_step_s(self, along: tuple[Array, ...]) -> float:
-        """Return the longest time step that is stable for any filling of the cells.
+        """Return the longest time step that is stable for any filled fractions of the cells [s].
 
         A face of a cell conducts at most `OPEN` times its filled fraction.
         """
@@ -322,7 +325,7 @@ class Conduction:
 
     @property
     def rise_K(self) -> Singles:
-        """Temperature rise of every cell [K], shape of the grid; 0 in an empty cell."""
+        """Temperature rise of every cell since the start [K], shape of the grid; 0 if empty."""
         return self._temperature[0].numpy()
 
     @property
@@ -335,7 +338,7 @@ class Conduction:
         self._power.assign(power_W.reshape(self.filled.shape).astype(np.float32))
 
     def plan(self, duration_s: float) -> int:
-        """Divide a duration into stable steps of equal length, and return their number."""
+        """Divide a duration into stable steps of equal length, and return the number of steps."""
         # 1e-9: a duration of whole steps gets no additional step.
         steps = max(ceil(duration_s / self.longest_step_s - 1e-9), 1)
         self._record(duration_s / steps)
@@ -349,7 +352,7 @@ class Conduction:
         self._launches.reverse()
 
     def advance(self, power_W: Array, duration_s: float) -> None:
-        """Heat the cells with a power [W], shape of the grid, for a duration."""
+        """Heat the cells for a duration with a power [W] that has the shape of the grid."""
         self.heat(power_W)
         for _ in range(self.plan(duration_s)):
             self.step()
@@ -365,7 +368,7 @@ class Conduction:
             Fraction of each cell that is removed, shape (n,).
         warmer_K
             Temperature of the removed material minus the mean temperature of its cell [K], shape
-            (n,). The removed heat is limited to the heat of the cell.
+            (n,). The removed heat is at most the heat in the cell.
         """
         rise = self.rise_K.reshape(-1)
         filled = self.filled.reshape(-1)
@@ -388,7 +391,7 @@ class Conduction:
         self._filled.assign(self.filled.astype(np.float32))
 
     def _record(self, step_s: float) -> None:
-        """Record the kernel launches of two steps, from the first buffer to the second and back."""
+        """Record the launches of two steps: from the first buffer to the second one, and back."""
         if step_s == self._step_s:
             return
         self._step_s = step_s

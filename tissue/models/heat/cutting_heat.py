@@ -21,26 +21,27 @@ __all__ = ["CuttingHeat", "TakeCuts"]
 TakeCuts = Callable[[], tuple[Ints, NDArray[np.uint16]]]
 """Function that returns the bricks (blocks of voxels) that lost material since its last call.
 
-It returns the rows of these bricks and the remaining fraction of their voxels, 65535 = full.
+The function returns the row numbers of these bricks and the remaining fractions of their voxels,
+65535 = full.
 """
 INTERVAL_TICKS = 20
 """Number of ticks in an interval of the heat computation.
 
 The peak temperature rise of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and
-40 ticks. The cutting elements in contact are searched once in an interval.
+40 ticks. The cutting elements in contact are searched once in each interval.
 """
 RECEIVES = 0.5
-"""Smallest filled fraction of a surface cell that receives heat.
+"""Smallest filled fraction at which a cell at the cut surface receives heat.
 
-An emptier cell would not conduct well. With cells of 0.25 mm, the peak temperature rise of the pulp
-in the molar scene is 0.52, 0.61 and 0.76 K for fractions of 0.1, 0.5 and 0.9. With two finer grids
-and a fraction of 0.5, the rise is 0.73 and 0.75 K (docs/models.md).
+A cell with less material would not conduct well. With cells of 0.25 mm, the peak temperature rise
+of the pulp in the molar scene is 0.52, 0.61 and 0.76 K for fractions of 0.1, 0.5 and 0.9. With two
+finer grids and a fraction of 0.5, the rise is 0.73 and 0.75 K (docs/models.md).
 """
 DEPTHS = 4
-"""Number of positions, half a cell apart, in the search for the cell that receives the heat.
+"""Number of positions, half a cell apart, that are tried to find a cell that receives heat.
 
-The search goes inward from the surface. The peak temperature rise of the pulp in the molar scene is
-0.50, 0.60, 0.61 and 0.61 K for 1, 2, 4 and 8 positions.
+The positions lie on the surface normal, from the surface inwards. The peak temperature rise of the
+pulp in the molar scene is 0.50, 0.60, 0.61 and 0.61 K for 1, 2, 4 and 8 positions.
 """
 
 
@@ -53,16 +54,16 @@ class CuttingHeat:
     the heat that it has received until its removal. The share is a prior of low confidence; the
     temperature rise is proportional to the share.
 
-    The heat is computed in intervals. `begin` takes the energy and the cuts of the last interval.
-    `go_to` spreads the time steps over the ticks of the next interval. The temperature therefore
-    lags by one interval. `add_tick` calls `begin` and `go_to` for a run in ticks. `end` completes
-    an interval.
+    Heat is computed in intervals of several ticks. `begin` takes the energy and the cuts of the
+    last interval. `go_to` spreads the time steps for this energy over the ticks of the next
+    interval. The temperature therefore lags by one interval. `add_tick` is called in every tick of
+    a run and calls `begin` and `go_to`. `end` completes an interval.
 
     Parameters
     ----------
     tissue
-        The whole tooth, or the bone around the tool, in voxels. The voxels are the cells of the
-        grid within the reach of the tool.
+        The whole tooth, or the bone around the tool, in voxels. Within the reach of the tool, every
+        voxel is a cell of the grid.
     milling
         Model with the finer voxels that are milled, and the tool.
     reach_m
@@ -118,7 +119,7 @@ class CuttingHeat:
 
     @property
     def pulp_rise_K(self) -> float:
-        """Highest temperature rise of the remaining pulp, at the pulp wall or inside [K]."""
+        """Highest temperature rise of the remaining pulp, inside it or at the pulp wall [K]."""
         rise = self.field.rise_K.reshape(-1)
         filled = self.field.filled.reshape(-1)
         inner, outer, weights = self._wall
@@ -134,10 +135,10 @@ class CuttingHeat:
 
     @property
     def balance_J(self) -> dict[str, float]:
-        """Energy of cutting and its distribution [J].
+        """Energy of cutting [J], and the parts into which it is divided.
 
-        The energy is divided into three parts: in chips and spray, in removed material, and in the
-        remaining tissue.
+        The three parts are the energy in chips and spray, in removed material, and in the remaining
+        tissue.
         """
         return {
             "cutting": self.cutting_J,
@@ -160,7 +161,7 @@ class CuttingHeat:
 
         Returns
         -------
-        True if the interval ended. `field` then has the temperature at its end.
+        True if the interval ended. `field` then has the temperature at the end of the interval.
         """
         self._motion = motion
         force = wrench[:3]
@@ -177,9 +178,9 @@ class CuttingHeat:
         return self.end(take_cuts)
 
     def end(self, take_cuts: TakeCuts) -> bool:
-        """Complete the present interval and begin the next one with its energy and cuts.
+        """Complete the present interval, and begin the next interval with the new energy and cuts.
 
-        If no tick was added since the last interval, do nothing and return False.
+        Return True. If no tick was added since the last interval, do nothing and return False.
         """
         if self._motion is None or self._ticks == 0:
             return False
@@ -222,7 +223,7 @@ class CuttingHeat:
         self._done = 0
 
     def go_to(self, share: float) -> None:
-        """Run the steps up to a share of the interval; remove the cut material halfway."""
+        """Run the time steps up to a share of the interval, and remove the cut material halfway."""
         until = ceil(share * self._steps)
         while self._done < until:
             # In the middle, because the tool cuts during the whole interval.
@@ -236,7 +237,7 @@ class CuttingHeat:
         self.go_to(1.0)
 
     def _lost_fraction(self, rows: Ints, left: NDArray[np.uint16]) -> Array:
-        """Return the fraction of each cell that was cut since the last interval, flat."""
+        """Return the fraction of each cell that was cut since the last call, as a flat array."""
         store = self._milling.store
         steps = self._before[rows].astype(np.int64) - left
         self._before[rows] = left
@@ -247,17 +248,18 @@ class CuttingHeat:
         return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
-        """Add the power to the cells at the surface, and store the surface's excess temperature.
+        """Add the heat power to the cells at the cut surface, and store the excess temperature.
 
-        The excess is the temperature of the surface minus the temperature of its cell.
+        The excess temperature is the temperature of the surface minus the temperature of its cell.
 
         Parameters
         ----------
         points_m, normals, weights
-            Points where the tool cuts [m], normals out of the tool there, and the relative powers.
+            Points where the tool cuts [m], normals out of the tool at these points, and relative
+            powers of the points.
         tip_m
-            Tip of the tool [m]. If the tool has left the tissue since the last cut, the heat goes
-            into the cell next to this point.
+            Tip of the tool [m]. If there are no points, the heat goes into the filled cell nearest
+            to the tip.
         """
         power = self._power
         warmer = self._warmer_K
@@ -302,7 +304,7 @@ class CuttingHeat:
         self._deposit(*(self._later if len(self._later[0]) else self._earlier), self._tip_m)
 
     def _nearest(self, point_m: Array) -> int:
-        """Return the filled cell nearest to a point, flat index."""
+        """Return the flat index of the filled cell nearest to a point."""
         cells = np.argwhere(self.field.filled > 0.0)
         centres = np.column_stack(
             [

@@ -1,4 +1,4 @@
-"""Plane cut by a straight edge: cut area, walls that part, and the force balance of the blade."""
+"""Plane cut by a straight edge: cut area, separation of the walls, force balance of the blade."""
 
 from math import floor, hypot
 
@@ -10,9 +10,9 @@ from tissue.models.incision.parameters import Blade, IncisedTissue
 __all__ = ["COLUMNS", "Cut"]
 
 COLUMNS = 512
-"""Number of columns across a blade that store the cut.
+"""Number of columns across the width of a blade that store the depth of the cut.
 
-A column stores one mean depth. The relative error of the area cut by a pointed blade is therefore
+A column stores one mean depth. For a pointed blade, the relative error of the cut area is therefore
 about half a column's width divided by the depth. The error is 0.2 % if the depth equals the blade's
 width.
 """
@@ -20,10 +20,10 @@ CHUNK = 4 * COLUMNS
 """Number of columns by which the stored part of a cut grows."""
 SWEEPS = 12
 SETTLED_N = 1e-8
-"""Largest number of sweeps in the search for the force balance, and allowed error [N].
+"""Allowed error [N] in the search for the force balance, with at most `SWEEPS` sweeps.
 
-A sweep solves for the edge and then for the sides. The search starts from the last balance. For an
-edge of 45 degrees each sweep halves the error.
+A sweep solves for the force of the edge and then for the force of the sides. The search starts from
+the last balance. For an edge of 45 degrees each sweep halves the error.
 """
 
 
@@ -33,30 +33,31 @@ class Cut:
     A point of the plane has the coordinates s along the surface and l along the blade's axis, into
     the tissue. The blade covers everything above its straight edge, so the cut is the region above
     a depth profile along s. Columns of equal width store the mean depth of the cut, and the mean
-    depth over which its walls still touch the blade. The walls touch the blade as soon as they are
-    cut. The walls part when the blade no longer covers them, and then stay apart.
+    depth over which the walls of the cut still touch the blade. New walls touch the blade. Walls
+    separate from the blade when the blade no longer covers them, and then stay apart.
 
-    Only the blade holds the tissue, as in `tissue.models.needle.model.Insertion`. Let q be the
-    position of the blade relative to the tissue, and u the vector from q to the tool, in the plane
-    of the cut. The tissue pulls the blade with the force -k u. Every step finds the q that
-    minimises the energy::
+    Only the blade acts on the tissue, so the pull of the tissue equals the force of the blade, as
+    in `tissue.models.needle.model.Insertion`. Let q be the position of the blade relative to the
+    tissue, and u the vector from q to the tool, in the plane of the cut. The tissue pulls the blade
+    with the force -k u, with the stiffness k. Every step finds the q that minimises the energy::
 
         k u²/2  +  J A(q)  +  2 tau M |q - q_before|
 
-    with A the cut area, M the area of each wall that touches the blade, and tau the friction per
+    Here A is the cut area, M the area of each wall that touches the blade, and tau the friction per
     area. J is the energy release rate at which the blade cuts (Francfort and Marigo 1998). A side
-    of the blade cuts when the force across it reaches J times its length in uncut tissue. Under a
-    smaller force the blade does not move in the tissue. Motion along the edge has no friction. The
-    work of the tool equals the change of k u²/2, plus the increase of J A, plus the work of
-    friction. The energy is convex in q, except for terms of second order in the step. Therefore q
-    moves by no more than the tool.
+    of the blade cuts when the force across this side reaches J times the length of the side in
+    uncut tissue. Under a smaller force the blade does not move in the tissue. The edge does not
+    resist motion along itself. The work of the tool equals the change of k u²/2, plus the increase
+    of J A, plus the work of friction. Except for terms of second order in the step, the energy is
+    convex in q. Therefore q moves by no more than the tool moves.
 
     Attributes
     ----------
     place_m
         Coordinates s and l of the blade's tip in the tissue [m].
     pull_N
-        Force of the tissue on the blade in the plane, along the surface and out of it [N].
+        Force of the tissue on the blade in the plane of the cut [N]: component along the surface,
+        and component out of the surface.
     area_m2
         Area cut so far [m2]; the two walls are counted once.
     touching_m2
@@ -100,7 +101,7 @@ class Cut:
         self.friction_J = 0.0
 
     def coordinates_m(self, tip_m: Array) -> tuple[float, float, float]:
-        """Return s and l of a point, and its distance from the plane [m]."""
+        """Return s and l of a point, and the distance of the point from the cut plane [m]."""
         arm = tip_m - self.origin_m
         depth = -float(arm @ self.up) / self._cosine
         return float(arm @ self.along) + depth * self._sine, depth, float(arm @ self.across)
@@ -110,14 +111,14 @@ class Cut:
         return depth_m + max(self._slope * self.width_m, 0.0)
 
     def enter(self, along_m: float) -> None:
-        """Put the blade onto the surface."""
+        """Put the deepest point of the blade onto the surface."""
         self.place_m = (along_m, -self.deepest_m(0.0))
         self.pull_N = (0.0, 0.0)
         self._forces_N = (0.0, 0.0)
         self._moved_m = 0.0
 
     def advance(self, along_m: float, depth_m: float) -> None:
-        """Move the tool to a position, and the blade in the tissue to its force balance."""
+        """Move the tool to a position, and move the blade in the tissue to its force balance."""
         start_s, start_l = self.place_m
         stiffness = self._tissue.stiffness_N_m
         # Components of u along the surface and out of the surface, which are orthogonal.
@@ -141,7 +142,7 @@ class Cut:
         self.pull_N = -stiffness * (across - moved_across), -stiffness * (out - moved_out)
 
     def profile_m(self) -> tuple[Array, Array]:
-        """Return the middles of the cut columns and the mean depths of the cut in them [m]."""
+        """Return coordinates s of the middles of the cut columns, and their mean depths [m]."""
         columns = np.arange(len(self._cut), dtype=np.float64)
         middles = self._spacing_m * (self._first + 0.5 + columns)
         cut = self._cut > 0.0
@@ -152,9 +153,10 @@ class Cut:
     ) -> tuple[float, float]:
         """Return the travel through the tissue that minimises the energy without friction [m].
 
-        The two values are the travel along the surface and out of it. The resistance of the edge
-        depends only on its travel into the tissue. The resistance of front and back depends on the
-        travel along the surface. The forces of edge and sides are solved for in turn.
+        The two values are the travel along the surface and the travel out of the surface. The
+        resistance of the edge depends only on the travel of the edge into the tissue. The
+        resistance of the two sides, front and back, depends on the travel along the surface. The
+        forces of edge and sides are computed in turn.
         """
         stiffness = self._tissue.stiffness_N_m
         scale = self._tissue.toughness_J_m2 * self._cosine / stiffness
@@ -191,11 +193,12 @@ class Cut:
         )
 
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
-        """Return the gaps, the travels of the edge to uncut tissue, in rising order [m].
+        """Return the gaps between the edge and uncut tissue, in rising order, and their widths [m].
 
-        The second array has the widths of the parts of the edge that have these gaps. The width is
-        zero for gaps beyond the reach. Columns that the tip or the end of the edge passes in this
-        step are left out. For this purpose, the blade is assumed to move as in the last step.
+        A gap is the travel at which a part of the edge reaches uncut tissue. The second array has
+        the widths of these parts. The width is zero for gaps beyond the reach. Columns that the tip
+        or the end of the edge passes in this step are left out. For this purpose, the blade is
+        assumed to move as in the last step.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -221,10 +224,10 @@ class Cut:
         return np.minimum(gaps[order], reach_m), widths[order]
 
     def _along_m(self, stretch_m: float, compliance: float) -> float:
-        """Return the travel along the surface at which front or back balances the stretch.
+        """Return the travel along the surface [m] at which front or back side balances the stretch.
 
         ``stretch_m`` is the component of u along the surface [m]. ``compliance`` is the stretch
-        that a side balances per length in uncut tissue.
+        that a side balances for each metre of its length in uncut tissue.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -249,7 +252,11 @@ class Cut:
             reached = bound
 
     def _part(self, along_m: float, depth_m: float) -> None:
-        """Put the blade at a position in the tissue; cut, and part the walls that it leaves."""
+        """Move the blade to a position in the tissue, with the cut and the walls that result.
+
+        Columns that the blade covers are cut. Walls that the blade no longer covers separate from
+        it.
+        """
         spacing = self._spacing_m
         first = floor(along_m / spacing)
         self._grow(first, first + COLUMNS + 1)
@@ -279,8 +286,9 @@ class Cut:
     def _passed(self, along_m: float, depth_m: float) -> float:
         """Cut the columns that the deepest point of the edge has passed.
 
-        The columns are cut down to the depth of this point, because the blade itself never covers a
-        whole column down to this depth. Return the sum of the added mean depths [m].
+        The columns are cut down to the depth of this point. This extra cut is needed because a
+        blade never covers a whole column down to the depth of its deepest point. Return the sum of
+        the added mean depths [m].
         """
         start_s, start_l = self.place_m
         deepest = self.width_m if self._slope > 0.0 else 0.0

@@ -1,12 +1,12 @@
 """Opening of a cut, for display: displacement, strain and stress of a block with this cut.
 
 The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
-not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free. On
-these faces the stress across the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a
-traction that pulls the faces apart. The tissue below the block and at its sides along the cut does
-not move. The opening of a long cut is then close to the opening of an edge crack, 5.8 times
-prestrain and depth (Tada, Paris and Irwin 2000). The pressure of the blade, other cuts and contact
-of the faces are not shown. No force depends on the block.
+not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free.
+There the stress across the cut, E / (1 - nu²) times the prestrain, is released. It acts as a
+traction that pulls the free faces apart. The bottom of the block, and its two sides parallel to the
+cut, do not move. The opening of a long cut is then close to the opening of an edge crack, which is
+5.8 times the prestrain times the depth (Tada, Paris and Irwin 2000). The pressure of the blade,
+other cuts and contact of the faces are not shown. No force depends on the block.
 """
 
 from collections.abc import Sequence
@@ -28,13 +28,16 @@ from tissue.models.organ.soft_organ import SoftOrgan
 __all__ = ["IncisionFields", "Track"]
 
 SIDE_M = 0.02
-"""Size of the tissue next to the cut, beyond its ends and below it [m].
+"""Thickness of the tissue next to the cut, beyond the ends of the cut and below the cut [m].
 
 The block is only for display. Its size and its mesh edges are chosen; no force depends on them.
 """
 ALONG = 40
 DEEP = 5
-"""Number of mesh edges along the length of a cut, and along its depth; chosen."""
+"""Number of mesh edges along the depth of a cut; chosen.
+
+`ALONG` is the number of mesh edges along the length of a cut.
+"""
 GROWTH = 1.4
 """Ratio of the length of a mesh edge to the length of the next edge towards the cut; chosen."""
 LARGEST_RATIO = 0.45
@@ -48,16 +51,16 @@ A cut within this distance is drawn at the position of the planned cut. The valu
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Planned cut: frame, ends along the surface, and depth along the blade's axis.
+    """Planned cut: coordinate frame, ends along the surface, and depth along the blade's axis.
 
     Attributes
     ----------
     cut
-        Cut at the first entry of the tool, before any motion in the tissue.
+        Cut at the first entry of the tool. It defines the plane and the coordinates s and l.
     ends_m
-        Smallest and largest coordinate s of the blade [m].
+        Smallest and largest coordinate s that the blade reaches [m].
     deepest_m
-        Largest depth coordinate l of the edge [m].
+        Largest depth coordinate l that the edge reaches [m].
     """
 
     cut: Cut
@@ -68,15 +71,15 @@ class Track:
     def first_of(
         cls, tissue: IncisedTissue, blade: Blade, tips_m: Array, rotations: Array
     ) -> "Track | None":
-        """Return the first cut of a motion; None if the tip of the blade stays outside.
+        """Return the first cut of a motion; None if the tip of the blade stays outside the tissue.
 
         Parameters
         ----------
         tissue, blade
             Tissue and blade.
         tips_m, rotations
-            Tip positions that outline the motion [m], shape (n, 3), and rotations of the blade
-            there, shape (n, 3, 3).
+            Tip positions along the motion [m], shape (n, 3), and rotations of the blade at these
+            positions, shape (n, 3, 3).
         """
         inside = np.flatnonzero(tips_m[:, 2] < 0.0)
         if not len(inside) or rotations[inside[0], 2, 2] <= 0.0:
@@ -89,10 +92,10 @@ class Track:
 
 
 def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Return the half of a block on one side of a cut, its nodes on the cut plane, and their areas.
+    """Return the half block on one side of a cut, the nodes on the cut plane, and their areas.
 
-    In this half, x runs along the surface from the cut's origin, y away from the plane, and z out
-    of the tissue. The areas are in m2.
+    In the half block, x runs along the surface from the cut's origin, y away from the cut plane,
+    and z out of the tissue. The area of a node is its share of the cut plane [m2].
     """
     low, high = track.ends_m
     deep = track.deepest_m * float(track.cut.axis[2])
@@ -115,10 +118,10 @@ def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
 
 
 class IncisionFields:
-    """Displacement, strain and stress of a block that the first cut of a motion opens.
+    """Displacement, strain and stress of a tissue block that is split by the first cut of a motion.
 
-    For a frame, a tick only copies the profile of the cut. The fields are computed after the end of
-    the run. Because of mirror symmetry, only half of the block is solved.
+    In a tick in which a frame is due, only the profile of the cut is copied. The fields are
+    computed after the end of the run. Because of mirror symmetry, only half of the block is solved.
 
     Parameters
     ----------
@@ -187,7 +190,7 @@ class IncisionFields:
             self.series.frames.append(self._mirrored(frame))
 
     def _open(self, middles: Array, depths: Array) -> Flags:
-        """Return a mask of the nodes of the plane that lie in the cut, shape (k,)."""
+        """Return a mask of the nodes on the cut plane that lie in the cut, shape (k,)."""
         at = self._fields.series.nodes_m[self._nodes]
         if not len(middles):
             return np.zeros(len(at), bool)
@@ -199,7 +202,7 @@ class IncisionFields:
         return -at[:, 2] < depth.min(axis=0) * float(self._track.cut.axis[2]) - 1e-9
 
     def _forces_N(self, is_open: Flags) -> Array:
-        """Return the normal forces [N] that open the cut and keep the rest of the plane closed."""
+        """Return the normal nodal forces [N] that open the cut and keep the other nodes closed."""
         forces = self._traction_Pa * self._areas * is_open
         closed = ~is_open
         compliance = self._compliance
@@ -229,7 +232,7 @@ class IncisionFields:
         )
 
     def _mirrored(self, frame: Frame) -> Frame:
-        """Return the displacement of the whole block at one time from that of its half."""
+        """Return the frame of the whole block, computed from the frame of the half block."""
 
         def both(values: Singles) -> Singles:
             mirrored = values * np.array([1.0, -1.0, 1.0], np.float32)

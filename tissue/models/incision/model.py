@@ -16,33 +16,34 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["IncisionModel"]
 
 PLAY_M = 1e-3
-"""Distance from a cut's plane within which a blade enters the cut without a sideways force [m].
+"""Distance from a cut's plane up to which a blade in the cut feels no sideways force [m].
 
-The distance is about half the width of an open cut; chosen. With a larger distance the blade can
-move further sideways without a force. With a smaller distance, a second pass by a simulated hand
-starts another cut next to the first.
+The distance is about half the width of an open cut; chosen. A blade that enters within this
+distance moves in the existing cut. With a larger distance the blade can move further sideways
+without a force. With a smaller distance, a second pass by a simulated hand starts another cut next
+to the first cut.
 """
 
 
 class IncisionModel:
     """Tissue under the plane z = 0 that a blade cuts.
 
-    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. A cut keeps the
-    plane and the direction of the blade at its entry. Rotation of a blade inside the tissue has no
-    resistance and no effect. A blade does not cut across its plane. If it is farther than `PLAY_M`
-    from the plane, the tissue pushes it back elastically. The stiffness of this force increases
-    with the depth, up to a depth equal to the blade's width. A blade moves in an earlier cut if it
-    enters within `PLAY_M` of that cut along its whole width, and points in the direction of the
-    cut. Elsewhere the tissue is intact, also where cuts cross. The force acts at the tip, without a
-    torque.
+    The force in the plane of the blade is computed by `tissue.models.incision.cut.Cut`. The plane
+    and the direction of a cut are those of the blade at its entry. Rotation of a blade inside the
+    tissue has no resistance and no effect. A blade does not cut across its plane. If the blade is
+    farther than `PLAY_M` from the plane of the cut, the tissue pushes the blade back elastically.
+    The stiffness of this force increases with the depth, up to a depth equal to the blade's width.
+    A blade moves in an earlier cut if its whole width enters within `PLAY_M` of the plane of this
+    cut, and if the blade points in the direction of the cut. Elsewhere the tissue is intact, also
+    where cuts cross. The force acts at the tip, without a torque.
 
-    Relaxation, dependence on speed, weight, a blade whose back does not cut, fibres and layers are
-    not modelled.
+    Not modelled are relaxation, dependence on speed, weight, blades with a blunt back, fibres and
+    layers.
 
-    ``edge`` of the response is the force, which does not depend on speed. ``engaged_m2`` is the
-    area of the two walls that touch the blade, plus the area of the edge. The measures are the
-    depth of the tip in the tissue [mm], the deflection of the tissue [mm], the cut area [mm2] and
-    the work of friction [mJ].
+    The force does not depend on speed, and is returned as ``edge`` of the response. ``engaged_m2``
+    is the area of the two walls that touch the blade, plus the area of the edge. The measures are
+    the depth of the tip in the tissue [mm], the deflection of the tissue [mm], the cut area [mm2]
+    and the work of friction [mJ].
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ class IncisionModel:
         self._in = None
 
     def advance(self, motion: ToolMotion) -> None:
-        """Press, cut and slide to the blade's new pose."""
+        """Move the blade to its new pose, with elastic deflection, cutting and friction."""
         below = self._below_m(motion)
         if self._in is None:
             if below <= 0.0:
@@ -178,7 +179,7 @@ class IncisionModel:
         return -tip - min(self.blade.width_m * edge, 0.0)
 
     def _entered(self, motion: ToolMotion) -> Cut:
-        """Return the cut, earlier or new, at the point where the blade intersects the surface."""
+        """Return the earlier or new cut at the point where the blade enters the surface."""
         # The axis lies in the blade's plane, so the plane is steep if the axis is steep.
         rise = float(motion.rotation[2, 2])
         if rise < LEAST_COSINE:

@@ -47,7 +47,7 @@ class Blade:
 
     @property
     def rise(self) -> float:
-        """Height of the edge above the tip, per distance along x."""
+        """Slope of the edge: height above the tip, along z, per distance along x."""
         return 1.0 / tan(self.edge_rad)
 
 
@@ -68,8 +68,8 @@ class IncisedTissue:
     young_Pa, poisson_ratio
         Young's modulus [Pa] and Poisson's ratio of the drawn block.
     prestrain
-        Strain of the uncut tissue across the plane of the cut. It relaxes when the cut opens, and
-        only widens the drawn cut.
+        Strain of the uncut tissue across the plane of the cut. The strain relaxes when the cut
+        opens. It affects only the width of the drawn cut.
     """
 
     name: str
@@ -89,10 +89,11 @@ class IncisedTissue:
 
 
 def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) -> float:
-    """Return the stiffness of a half space under the blade's lower end [N/m].
+    """Return the stiffness of an elastic half space under the blade's lower end [N/m].
 
-    The end is modelled as a rigid elliptical punch with half axes a and b. Its stiffness is pi E* a
-    / K(e), with e² = 1 - b²/a² and K the complete elliptic integral (Johnson 1985).
+    The lower end is modelled as a rigid elliptical punch with half axes a and b. The stiffness
+    under the punch is pi E* a / K(e), with E* = E / (1 - nu²), e² = 1 - b²/a² and K the complete
+    elliptic integral (Johnson 1985).
     """
     modulus = young_Pa / (1.0 - poisson_ratio**2)
     flat = 1.0 - (blade.thickness_m / blade.width_m) ** 2
@@ -100,9 +101,9 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
 
 
 def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
-    """Return the secant stiffness, at a force, of the liver of the needle model [N/m].
+    """Return the secant stiffness [N/m] of the needle model's liver at a force.
 
-    The small-strain modulus of liver is not used. Under a blade, a half space with this modulus
+    The small-strain modulus of liver is not used. With this modulus, a half space under a blade
     would deflect by centimetres, several times as much as the liver under the needle.
     """
     liver = constants.values("needle", "liver")
@@ -115,8 +116,9 @@ def incised_tissue(
 ) -> IncisedTissue:
     """Return a tissue with the constants of `soft.toml`.
 
-    Skin has the stiffness of a half space. Liver has the stiffness of the liver in the needle
-    model, at the force that cuts along the whole width of the blade.
+    The stiffness of skin is the stiffness of a half space, see `punch_stiffness_N_m`. The stiffness
+    of liver is taken from the needle model, at the force that cuts along the whole width of the
+    blade.
     """
     found = constants.values("soft", name)
     young = 1e3 * found["modulus_kPa"]

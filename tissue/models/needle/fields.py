@@ -2,10 +2,10 @@
 
 The needle's own model (`tissue.models.needle.model`) is one-dimensional. It computes the deflection
 of the organ at the needle and the inserted length. Here this deflection is applied to a
-linear-elastic block around the first track. The nodes along the inserted shaft are displaced by the
-deflection along the needle's axis; before the puncture, only the node at the entry is displaced.
-The solver finds the nodal forces that cause these displacements. The force on the needle never
-comes from this block.
+linear-elastic block around the first track. The nodes along the inserted shaft are displaced along
+the needle's axis by the deflection. Before the puncture, only the node at the entry is displaced.
+The solver finds the nodal forces that cause these displacements. The force on the needle does not
+depend on this block.
 """
 
 from dataclasses import dataclass, replace
@@ -29,21 +29,21 @@ __all__ = ["NeedleFields", "Track", "needle_block"]
 
 
 SIDE_M = 0.08
-"""Side of the block across the needle [m].
+"""Width of the block across the needle [m].
 
 The block is only for display. Its size and its mesh edges are chosen; no force depends on them.
 """
 BELOW_M = 0.03
-"""Thickness of the tissue between the deepest position of the tip and the base [m]."""
+"""Thickness of the block between the deepest position of the tip and the base of the block [m]."""
 COARSE_M = 0.01
 FINE_M = 2.2e-3
 GROWTH = 0.75
-"""Longest edge of the block [m], longest edge on the track [m], and growth of edges.
+"""Increase of the length of mesh edges, per distance from the track.
 
-The growth is the increase of the edge length per distance from the track.
+Mesh edges have at most the length `FINE_M` [m] on the track, and `COARSE_M` [m] elsewhere.
 """
 ON_TRACK_M = 1e-9
-"""Rounding error of a node's position [m]."""
+"""Largest distance from the track at which a node is treated as lying on the track [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,8 @@ class Track:
         Parameters
         ----------
         tips_m, outward
-            Tip positions that outline the motion [m], and the direction of the needle's axis there,
-            each of shape (n, 3).
+            Tip positions along the motion [m], and directions of the needle's axis at these
+            positions, each of shape (n, 3).
         diameter_m
             Distance within which two entries are treated as the same entry [m].
         """
@@ -93,9 +93,9 @@ class Track:
 def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
     """Return a block of tissue around a track, the nodes on the track and their depths [m].
 
-    The nodes are ordered from the surface down; nodes and depths have shape (k,). The block is a
-    slab that is sheared so that its middle line is the needle's axis. Depths are measured along the
-    axis. The top face is at z = 0.
+    The nodes are in the order of their depths; nodes and depths have shape (k,). The block is a
+    sheared slab whose middle line is the needle's axis. Depths are measured along the axis. The top
+    face is at z = 0.
     """
     drop = track.deepest_m * float(track.outward[2])
     block = slab(size_m=(SIDE_M, SIDE_M, drop + BELOW_M), spacing_m=COARSE_M)
@@ -121,13 +121,14 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
 class NeedleFields:
     """Displacement, strain, stress and reaction of a block around a needle's first track.
 
-    For a frame, a tick only copies three numbers. The fields are computed after the end of the run.
-    Other tracks are not shown: the block is at rest while the needle is in another track.
+    In a tick in which a frame is due, only time, deflection and inserted length are copied. The
+    fields are computed after the end of the run. Other tracks are not shown: while the needle is in
+    another track, the block is undeformed.
 
     The finite elements are linear, so Poisson's ratio should not be near 0.5. Next to the shaft,
-    strain and stress depend on the length of the mesh edges. The reason is that the solution for a
-    displaced line in an elastic body does not converge when the mesh is refined. The force on the
-    line does not converge either.
+    strain and stress depend on the length of the mesh edges, because the displacement of a line in
+    an elastic body has no converged solution. The force on the line does not converge either when
+    the mesh is refined.
 
     Parameters
     ----------
@@ -136,8 +137,8 @@ class NeedleFields:
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        An entry belongs to the track if its distance from the track's entry is at most this length
-        [m], for example the needle's diameter.
+        Largest distance of an entry point from the track's entry point at which the entry belongs
+        to the track [m], for example the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -170,7 +171,7 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Return the fields in a liver with the modulus from the cited sources.
+        """Return the fields of a liver block with the Young's modulus of the cited sources.
 
         Poisson's ratio is the smallest value in the cited sources, because linear finite elements
         lock at larger values.
@@ -214,9 +215,10 @@ class NeedleFields:
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
-        """Return the axial forces [N], inwards, that displace the track's nodes by a deflection.
+        """Return the axial nodal forces [N], positive inwards, that cause a deflection.
 
-        The nodes down to the inserted length are displaced. The forces have shape (k,).
+        The track's nodes down to the inserted length are displaced by the deflection. The forces on
+        the track's k nodes have shape (k,).
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros(len(self.nodes))

@@ -18,33 +18,35 @@ class Insertion:
     """One track of a needle, in one dimension.
 
     Let z be the travel of the tip beyond the undeformed surface, u the deflection of the organ and
-    L the inserted length of the needle. Then z = u + L. Only the needle holds the organ, so the
+    L the inserted length of the needle. Then z = u + L. Only the needle acts on the organ, so the
     pull of the organ equals the force of the needle::
 
         a1 u + a2 u|u|  =  tip + hold + friction
 
-    The cutting force of the tip is constant. It acts only where the tip goes deeper than before.
-    The edges of the holes in the membranes hold the shaft with a constant force. Friction increases
-    with L. While the pull is smaller than the sum of these forces, needle and organ move together:
-    the shaft sticks and L is constant. The pull is then the applied force that Karnopp's law
-    compares with the static friction. If the pull exceeds the static friction, the shaft slides.
-    Then u follows from the balance in closed form, and L from z. An intact membrane stops the tip
-    until the pull also exceeds the puncture force. Then the organ springs back along the shaft at
-    once, to the u of the new balance. Before the puncture the force is therefore Okamura's
-    polynomial. After the puncture the deflection, its elastic force and the inserted length are all
-    larger than zero.
+    Here a1 and a2 are the coefficients of the organ's elastic force. ``tip`` is the cutting force,
+    which is constant and acts only where the tip goes deeper than before. ``hold`` is the constant
+    force with which the holes in the membranes hold the shaft. ``friction`` increases with L. While
+    the pull is smaller than the sum of these forces, needle and organ move together: the shaft
+    sticks and L is constant. In Karnopp's friction law, this pull is the applied force that is
+    compared with the static friction. If the pull exceeds the sum of the forces, computed with the
+    static friction, the shaft slides. Then u follows from the balance in closed form, and L from z.
+    An intact membrane stops the tip until the pull also exceeds the puncture force. Then the organ
+    springs back along the shaft at once, to the deflection u of the new balance. Before the
+    puncture the force is therefore the polynomial of Okamura (2004) in u. After the puncture the
+    deflection, its elastic force and the inserted length are all larger than zero.
 
     A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
     sticks when its speed falls below half of `ShaftFriction.stick_band_m_s`. Viscous friction acts
-    on the needle but does not deflect the organ. The state therefore depends on the path of the
-    needle, and not on the number of steps of the path. The tissue does not heal. The work of
+    on the needle but does not deflect the organ. The state therefore depends only on the path of
+    the needle, and not on the number of steps along it. The tissue does not heal. The work of
     puncture, cutting and friction is lost. Only the elastic energy of the organ is recovered.
 
     Relaxation at rest, the mass of the organ, forces across the axis, bending, and a stiffness that
     changes with depth are not modelled. The organ moves as one piece with its surface. An inner
     membrane moves with the organ: it has a puncture force but no stiffness of its own. Behind a
     membrane the tissue is parenchyma again. The polynomial was fitted to deflections of up to 17 mm
-    inwards. The response to outward deflection is assumed to be equal.
+    inwards. The response to outward deflection is assumed to be the same polynomial with the
+    opposite sign.
 
     Attributes
     ----------
@@ -55,7 +57,8 @@ class Insertion:
     punctured
         Number of broken membranes, from the surface downwards.
     sliding
-        1 while the shaft slides inwards, -1 while it slides outwards, 0 while it sticks or creeps.
+        1 while the shaft slides inwards, -1 while the shaft slides outwards, 0 while the shaft
+        sticks or creeps.
     punctures
         Travel [m] and force [N] of every puncture; the force does not include viscous friction.
     """
@@ -73,7 +76,7 @@ class Insertion:
         self._holds = tuple(membrane.hold_N for membrane in tissue.membranes)
 
     def advance(self, travel_m: float, speed_m_s: float) -> None:
-        """Move the tip to a travel with a speed; the sign of the speed has no effect."""
+        """Move the tip to the travel z at a speed; the sign of the speed has no effect."""
         moved = travel_m - self.travel_m
         self.travel_m = travel_m
         quick = abs(speed_m_s) >= 0.5 * self.tissue.friction.stick_band_m_s
@@ -109,13 +112,13 @@ class Insertion:
         )
 
     def shares_N(self) -> tuple[float, float, float]:
-        """Return the elastic, cutting and friction part of the pull [N]; they add up to the pull.
+        """Return the elastic, cutting and friction parts of the pull [N], whose sum is the pull.
 
         While the shaft slides, these parts are the holding force of the membranes, the cutting
         force of the tip and the friction of the shaft. While the shaft sticks, only the pull is
-        known. Up to the sliding force, the pull is divided in the proportions of the sliding case.
-        A pull beyond the sliding force is reported as elastic before an intact membrane, and as
-        friction elsewhere.
+        known. The sliding force is the pull at which the shaft would slide. A pull up to the
+        sliding force is divided in the proportions of the sliding case. The excess of a larger pull
+        is reported as elastic if an intact membrane stops the tip, and as friction otherwise.
         """
         pull = self.pull_N
         length = self.inserted_m
@@ -148,7 +151,7 @@ class Insertion:
     def _hold_N(self, *, inwards: bool) -> float:
         """Return the holding force of the holes around the shaft [N].
 
-        A hole whose edge lies at the tip resists only inward motion.
+        A hole at the depth of the tip resists only inward motion.
         """
         length = self.inserted_m
         held = 0.0
@@ -158,7 +161,10 @@ class Insertion:
         return held
 
     def _push(self, quick: bool) -> None:
-        """Slide inwards while the pull exceeds the resistance, from one stop to the next."""
+        """Slide inwards while the pull exceeds the resistance.
+
+        The motion is computed from one depth at which the resistance rises to the next such depth.
+        """
         tissue = self.tissue
         friction = self.tissue.friction
         while True:
@@ -191,14 +197,17 @@ class Insertion:
             self.sliding = 0
 
     def _next_stop_m(self) -> float:
-        """Return the inserted length [m] at the next rise of resistance: track end or membrane."""
+        """Return the inserted length [m] at the next rise of the resistance.
+
+        The resistance rises at a membrane, and at the end of the track that is already cut.
+        """
         deeper = [depth for depth in self._depths if depth > self.inserted_m]
         if self.cut_m > self.inserted_m:
             deeper.append(self.cut_m)
         return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
-        """Slide outwards while the pull of the deflected organ exceeds the holding force."""
+        """Slide outwards while the pull of the organ exceeds holding force and friction."""
         tissue = self.tissue
         friction = self.tissue.friction
         while self.inserted_m > 0.0:
@@ -230,26 +239,26 @@ class Insertion:
 class NeedleModel:
     """Organ under the plane z = 0 with a needle that moves in and out along its axis.
 
-    The force follows `tissue.models.needle.model.Insertion` and acts along the needle's axis.
-    Sideways motion or rotation of the needle inside the organ has no resistance. Depths are
+    The force is computed by `tissue.models.needle.model.Insertion` and acts along the needle's
+    axis. Sideways motion or rotation of the needle inside the organ has no resistance. Depths are
     measured along the axis, from its intersection with the undeformed surface. Only the latest
-    track is stored. A needle that leaves the organ and re-enters within a diameter of its last
-    entry moves in the open track. Elsewhere the organ is intact.
+    track is stored. A needle that leaves the organ and re-enters within one needle diameter of its
+    last entry point moves in the open track. At other points the organ is treated as intact.
 
     The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
     depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is
-    the cross-section of the tip, in the layer that it touches. The measures are the inserted length
-    [mm], the deflection of the organ [mm] and three parts of the axial force [N]: the holding force
-    of membranes, the cutting force of the tip and the friction along the shaft. These parts add up
-    to the axial force, positive against insertion.
+    the cross-section of the tip, in the column of the layer that the tip touches. The measures are
+    the inserted length [mm], the deflection of the organ [mm] and three parts of the axial force
+    [N]: elastic, cutting and friction, see `Insertion.shares_N`. The sum of the parts is the axial
+    force, positive against insertion.
 
     Parameters
     ----------
     tissue
         Tissue along the needle's axis.
     diameter_m
-        Diameter of the needle [m]. It determines the area of the tip, and the distance from the
-        last track beyond which a new track begins.
+        Diameter of the needle [m]. The diameter determines the area of the tip. An entry farther
+        than one diameter from the last entry begins a new track.
     fields
         Displacement and stress around the needle for display, or None for no display. The force
         does not depend on them.
@@ -257,8 +266,9 @@ class NeedleModel:
     Raises
     ------
     InputError
-        If the needle's diameter is not plausible. `place` and `advance` raise it if the needle
-        starts inside the organ, lies almost flat on it, or has a pose that is not finite.
+        If the needle's diameter is not plausible. `place` and `advance` raise the error if the
+        needle starts inside the organ, lies almost flat on the organ, or has a pose that is not
+        finite.
     """
 
     measure_names: tuple[str, ...] = (
@@ -309,7 +319,7 @@ class NeedleModel:
         self._entry_m[:] = np.nan
 
     def advance(self, motion: ToolMotion) -> None:
-        """Push, cut and slide to the needle's new pose."""
+        """Move the needle to its new pose, with elastic deflection, cutting and friction."""
         travel = self._travel_m(motion)
         insertion = self.insertion
         if travel > 0.0 and insertion.travel_m <= 0.0 and insertion.inserted_m == 0.0:
@@ -406,9 +416,10 @@ class NeedleModel:
         return below
 
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
-        """Return the track at the point where the needle intersects the surface.
+        """Return the track at the point where the needle enters the surface.
 
-        The last track is returned if it starts at this point, otherwise a new track.
+        The last track is returned if it starts within one needle diameter of this point. Otherwise
+        a new track is returned.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         # The comparison is also true for the first entry, because the entry before it is NaN.
@@ -418,7 +429,7 @@ class NeedleModel:
         return self.insertion
 
     def _layer(self) -> int:
-        """Return the layer that the tip touches."""
+        """Return the index of the layer that the tip touches."""
         insertion = self.insertion
         if insertion.blocked:
             number = insertion.punctured

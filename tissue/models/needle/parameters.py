@@ -11,9 +11,9 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
 LARGEST_N = 1e4
-"""Largest force that a parameter may have [N]; a larger value has a wrong unit."""
+"""Largest allowed value of a force parameter [N]; a larger value is taken for a wrong unit."""
 LARGEST_N_M = 1e6
-"""Largest force per length [N/m], or viscous coefficient [N s/m2], of a parameter."""
+"""Largest allowed force per length [N/m], and largest allowed viscous coefficient [N s/m2]."""
 LEAST_COSINE = 0.17
 """Smallest cosine between the needle's axis and the surface normal.
 
@@ -24,19 +24,19 @@ axis.
 
 @dataclass(frozen=True, kw_only=True)
 class Membrane:
-    """Thin layer that a needle's tip punctures and does not cut.
+    """Thin layer that a needle's tip does not cut gradually, but punctures at a certain force.
 
     Attributes
     ----------
     name
-        Name in events and layers.
+        Name of the membrane in events and in the list of layers.
     depth_m
         Depth [m] along the needle's axis from the undeformed surface; 0 for the organ's capsule.
     puncture_N
         Force of the tip at which the membrane breaks [N].
     hold_N
-        Force with which the edge of the hole holds the shaft [N], inwards or outwards. It is the
-        elastic force that remains after the puncture.
+        Force with which the edge of the hole holds the shaft [N], inwards or outwards. This elastic
+        force remains after the puncture.
     """
 
     name: str
@@ -68,19 +68,21 @@ class Membrane:
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftFriction:
-    """Karnopp's friction along the inserted length, as modified by Okamura (2004).
+    """Karnopp's friction law along the inserted length, as modified by Okamura (2004).
 
     The coefficients differ between insertion and withdrawal.
 
     Attributes
     ----------
     sliding_in_N_m, sliding_out_N_m
-        Coulomb friction per length while the shaft slides, C_p and the magnitude of C_n [N/m].
+        Coulomb friction per length while the shaft slides [N/m]: Okamura's C_p and the magnitude of
+        his C_n.
     viscous_in_N_s_m2, viscous_out_N_s_m2
-        Viscous friction coefficients per length, b_p and the magnitude of b_n [N s/m2].
+        Viscous friction coefficients per length [N s/m2]: Okamura's b_p and the magnitude of his
+        b_n.
     static_in_N_m, static_out_N_m
-        Friction per length at which a shaft at rest breaks away, D_p and the magnitude of D_n
-        [N/m].
+        Friction per length at which a shaft at rest starts to move [N/m]: Okamura's D_p and the
+        magnitude of his D_n.
     stick_band_m_s
         Width of the range of speeds around zero that is treated as rest [m/s]. Below half of this
         width the shaft creeps under the static friction.
@@ -122,8 +124,8 @@ class NeedleTissue:
     Attributes
     ----------
     linear_N_m, quadratic_N_m2
-        Force of the organ on the needle at a deflection u of its surface, a1 u + a2 u² (Okamura
-        2004) [N/m], [N/m2].
+        Coefficients a1 [N/m] and a2 [N/m2] of the organ's force on the needle, a1 u + a2 u², at a
+        deflection u of the organ's surface (Okamura 2004).
     cutting_N
         Force of the tip that cuts the tissue between membranes [N].
     friction
@@ -134,9 +136,9 @@ class NeedleTissue:
     Raises
     ------
     InputError
-        If a number is not plausible, if membranes are out of order, or if friction increases faster
-        with the inserted length than the organ's pull. In the last case a needle that is withdrawn
-        would jump out.
+        If a number is not plausible, if membranes are not ordered by depth, or if the static
+        friction per length is not smaller than `linear_N_m`. In the last case a needle would jump
+        out of the organ during withdrawal.
     """
 
     linear_N_m: float
@@ -195,12 +197,12 @@ class NeedleTissue:
         return (self.linear_N_m + self.quadratic_N_m2 * abs(deflection_m)) * deflection_m
 
     def deflection_m(self, pull_N: float) -> float:
-        """Return the deflection [m] at which the organ pulls with a force (0 or larger)."""
+        """Return the deflection [m] at which the organ pulls with a given force (0 or larger)."""
         return positive_root(self.quadratic_N_m2, self.linear_N_m, pull_N)
 
 
 def positive_root(a: float, b: float, c: float) -> float:
-    """Return the x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
+    """Return the root x >= 0 of a x² + b x = c for a >= 0 and b > 0, or 0 if c is negative."""
     # This form of the solution loses no digits for a small a.
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
@@ -215,7 +217,7 @@ def vessel_wall(
 ) -> Membrane:
     """Return the wall of a vessel, or another membrane inside an organ, at a depth [m].
 
-    Forces that are None are taken from the constants. The constants of a vessel's wall have no
+    A force that is None is replaced by the constant of a vessel's wall. These constants have no
     source.
     """
     wall = constants.values("needle", "vessel_wall")

@@ -35,15 +35,15 @@ __all__ = [
 
 CONDENSING = "condensing the compliance to the surface that can be touched"
 FACTOR_UNKNOWNS = 200_000
-"""Largest number of unknowns for which frames are solved by a sparse factorisation.
+"""Largest number of unknowns for which an organ is solved by a sparse factorisation.
 
-For larger meshes multigrid is used, because a factor would take gigabytes of memory.
+For larger organs multigrid is used, because a factor would take gigabytes of memory.
 """
 CompliancePath = Literal["condensed", "lazy", "reduced"]
 """Method used to compute the compliance.
 
-``condensed``: computed completely with a factorisation of its own, and kept on disk. ``lazy``:
-computed column by column while the tool moves. ``reduced``: computed from a reduced basis.
+``condensed``: the complete matrix is computed by a factorisation, and cached on disk. ``lazy``:
+columns are computed while the tool moves. ``reduced``: the matrix is computed from a reduced basis.
 """
 
 
@@ -65,7 +65,7 @@ class Factor:
         return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
-        """Request the compliance between some nodes, to be read from the factor.
+        """Request a factor from which the compliance between the given nodes can be read directly.
 
         The request has an effect only if the factor is not made yet and is not too large.
         """
@@ -91,8 +91,8 @@ def compliance_of(
 ) -> tuple[Array, LazyCompliance | None]:
     """Return the compliance of the touchable nodes [m/N] and the object that fills it.
 
-    The compliance has shape (3t, 3t). The object fills it while the tool moves; the object is None
-    if the compliance is complete.
+    The compliance of the t nodes has shape (3t, 3t). The object is None if the compliance is
+    complete. Otherwise missing entries are NaN, and the object fills them while the tool moves.
     """
     if path == "condensed":
         found = surface_compliance_m_N(
@@ -126,7 +126,7 @@ class KeptColumns:
     Parameters
     ----------
     factor
-        The organ's factor. It is made when the first compliance is needed.
+        The organ's factor, which is made when the first compliance is needed.
     surface
         Nodes of the surface in rising order, shape (s,).
     """
@@ -138,7 +138,7 @@ class KeptColumns:
         self._columns: dict[int, Array] = {}
 
     def between(self, nodes: Ints) -> Array:
-        """Return the compliance between some surface nodes [m/N], symmetric, shape (3t, 3t)."""
+        """Return the symmetric compliance matrix of t surface nodes [m/N], shape (3t, 3t)."""
         solver = self._factor.solver
         if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
             return solver.compliance_between(nodes)

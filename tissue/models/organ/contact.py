@@ -51,7 +51,8 @@ MOST_DIVISIONS = 16
 def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
     """Return contact points on triangles: the corners, and a lattice inside large triangles.
 
-    If the longest edge spans n > 1 spacings, the centres of n^2 equal parts are added.
+    If the longest edge of a triangle spans n > 1 spacings, the triangle is divided into n^2 equal
+    parts, and their centres are added.
 
     Parameters
     ----------
@@ -60,16 +61,18 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
     faces
         Triangles, shape (f, 3).
     spacing_m
-        Widest allowed spacing [m].
+        Largest allowed distance between neighbouring contact points [m].
 
     Returns
     -------
     face
-        Triangle of each point, shape (p,), rising. Every node is a point of one of its triangles.
+        Index of the triangle of each point, shape (p,), in rising order. Every node is a contact
+        point once, in one of the triangles around the node.
     weights
         Barycentric weights, shape (p, 3).
     areas_m2
-        Area that a point represents [m2], shape (p,); 0 for corners of divided triangles.
+        Area that a point represents [m2], shape (p,); 0 for nodes at which all triangles are
+        divided.
 
     Raises
     ------
@@ -144,7 +147,8 @@ def point_arrays(
 ) -> Points:
     """Return contact points without force, in one linked list for each triangle.
 
-    The points are a shell's own points, or lie at most ``spacing_m`` apart on the triangles.
+    For a shell, the contact points are the points of the shell. For other tools, the points lie on
+    the triangles, at most ``spacing_m`` apart.
     """
     if isinstance(probe, ShellProbe):
         face = np.zeros(0, np.int32)
@@ -172,7 +176,7 @@ def point_arrays(
 
 
 class ContactOutcome(Enum):
-    """Outcome of a contact solve. The value describes the remedy."""
+    """Outcome of a contact solve. The value of a failure describes its remedy."""
 
     CONVERGED = "the forces have converged within the tolerance"
     NOT_CONVERGED = (
@@ -203,11 +207,11 @@ class ContactResult:
     outcome
         Outcome of the solve.
     iterations
-        Gauss-Seidel sweeps.
+        Number of Gauss-Seidel sweeps.
     contacts
         Number of contact points that carry force.
     area_m2
-        Area that the points with force represent, on the organ or on the shell [m2].
+        Area that the contact points with force represent, on the organ or on a shell [m2].
     penetration_m
         Deepest remaining penetration [m].
     """
@@ -226,7 +230,7 @@ class ContactResult:
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes under the contact forces [m].
 
-        The shape is (s, 3). The result is for drawing.
+        The shape is (s, 3). A displacement set by `SurfaceContact.shift` is not included.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = components_of(loaded)
@@ -240,7 +244,7 @@ STATE_ARRAYS = {
     "lists": ("count", "working", "working_mark"),
     "patch": ("count", "node", "slot", "near_mark", "loaded_mark", "moved"),
 }
-"""Names of the device arrays that later solves depend on, by part of the contact."""
+"""Names of the device arrays that later solves depend on, by group of arrays."""
 OUTCOMES = tuple(ContactOutcome)
 """Outcomes in the order of the kernel's state numbers."""
 START_M = 1e-6
@@ -263,24 +267,26 @@ class SurfaceContact:
     nodes_m
         Touchable nodes at rest [m], shape (s, 3).
     faces
-        Triangles between them, counter-clockwise seen from outside, shape (f, 3).
+        Triangles between these nodes, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
         W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU the matrix is not copied.
-        It may then be filled block by block during contacts, with NaN in missing blocks. Filled
-        blocks must not change.
+        The caller may then fill the matrix block by block during contacts. Missing blocks hold NaN,
+        and filled blocks must not change.
     probe
         The tool.
     friction
         Coulomb's coefficient.
     tolerance
-        Allowed change in the last sweep, relative to the largest displacement. On a slab under a
-        sphere the error of the force is 1 % with 1e-3 and 0.2 % with 1e-4.
+        Allowed change of a point's displacement in the last sweep, relative to the largest
+        displacement. On a slab under a sphere the error of the force is 1 % with 1e-3 and 0.2 %
+        with 1e-4.
     sweeps
         Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
         Largest spacing of contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores
-        Warp device name, and number of cores that share a shell's projection (default: all cores).
+        Warp device name, and number of processor cores that share the projection of a shell's
+        points onto the organ (default: all cores).
 
     Raises
     ------
@@ -372,7 +378,7 @@ class SurfaceContact:
         return stages
 
     def place(self, tip_m: Array, rotation: Array) -> None:
-        """Put the tool at its first pose, outside the organ, without force or sticking contact.
+        """Put the tool at its first pose, outside the organ and without contact.
 
         Raises
         ------
@@ -451,11 +457,12 @@ class SurfaceContact:
         self._stages = self._recorded()
 
     def change_compliance(self, compliance_m_N: Array) -> None:
-        """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
+        """Replace the compliance [m/N], shape (3s, 3s), in place, from the next solve on.
 
         With the new compliance the present forces displace the nodes by a different amount. This
-        difference is added to the positions without contact, so that the friction law registers no
-        motion of the nodes. Include this difference in the next call of `shift`.
+        difference is added to the positions that the nodes had without contact in the last solve.
+        The friction law therefore registers no motion of the nodes. Include this difference in the
+        next call of `shift`.
         """
         before = self.result.displacement_m()
         self.use_compliance(compliance_m_N)
@@ -471,7 +478,7 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacement that nodes have without contact in the next solve [m], (s, 3)."""
+        """Set the displacements without contact [m], shape (s, 3), for the next solve."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
@@ -481,7 +488,8 @@ class SurfaceContact:
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
         """Return the touchable nodes of triangles that are near the tool when the organ is at rest.
 
-        Near means within a margin [m]. The compliance of these nodes is needed first.
+        Near means within the distance `margin_m` of the tool. A contact needs the compliance of
+        these nodes first.
         """
         distance = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])

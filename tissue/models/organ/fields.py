@@ -18,24 +18,24 @@ __all__ = ["OrganFields", "cauchy_stress"]
 
 TOLERANCE = 1e-3
 STEPS = 100
-"""Allowed residual, and allowed number of steps, of a frame under a hyperelastic law.
+"""Allowed number of solver steps of a frame under a hyperelastic law.
 
-The residual is the largest unbalanced force divided by the largest force of the load. The allowed
-residual is smaller than in the solves between ticks (`tissue.models.organ.law`), because frames are
-solved after the run.
+A solve ends earlier if its residual is at most `TOLERANCE`. The residual is the largest unbalanced
+force divided by the largest force of the load. The number of steps is larger than in the solves
+between ticks (`tissue.models.organ.law`), because frames are solved after the run.
 """
 
 
 class OrganFields:
     """Displacement, strain, stress and reaction of a whole organ under its contact forces.
 
-    For a frame, a tick only copies the contact forces. The fields are computed after the end of the
-    run.
+    In a tick in which a frame is due, only the contact forces and displacements are copied. The
+    fields are computed after the end of the run.
 
     Parameters
     ----------
     organ
-        The organ. With a hyperelastic law it has no weight.
+        The organ. An organ with a hyperelastic law has no weight.
     touchable
         Nodes on which forces act, shape (t,).
     interval_s
@@ -77,8 +77,8 @@ class OrganFields:
         time_s, force_N
             Time [s] and forces on the touchable nodes [N], shape (t, 3).
         crept_N
-            Crept forces [N], shape (t, 3): the displacement is the elastic response to these
-            forces. In an organ that does not relax they equal the acting forces.
+            Crept forces [N], shape (t, 3): forces whose elastic response is the displacement. In an
+            organ that does not relax, the crept forces equal `force_N`.
         moved_m
             Displacements of the touchable nodes [m], shape (t, 3); None for a linear organ.
         """
@@ -99,8 +99,9 @@ class OrganFields:
         """Solve the stored frames of an organ with a hyperelastic law, which may creep.
 
         Displacement and strain are the response of the law to the crept forces (see `keep`). Stress
-        and reaction are multiplied by the ratio of the acting resultant to the crept resultant.
-        This is exact if acting and crept forces have the same distribution.
+        and reaction are this response times a ratio: the resultant of the contact forces divided by
+        the resultant of the crept forces. The ratio is exact if contact forces and crept forces
+        have equal distributions.
         """
         unsettled = 0
         for time_s, forces, crept, moved_m in self._kept:
@@ -138,8 +139,8 @@ class OrganFields:
     ) -> tuple[Array, StressState, Array]:
         """Return displacement [m], stress and reaction [N] of the organ at a window's equilibrium.
 
-        Outside a region the organ is linear. It is loaded by the contact forces and by the
-        difference between the linear forces of the region and the forces of its law.
+        Outside a region the organ is linear. The loads on the organ are the contact forces, and the
+        difference between the forces of the linear law and of the hyperelastic law in the region.
         """
         organ = self._organ
         law = organ.law
@@ -170,7 +171,8 @@ class OrganFields:
     def _compute_linear(self, time_s: float, force_N: Array, crept_N: Array) -> None:
         """Solve a frame of a linear organ that may creep.
 
-        Stress is computed from the acting forces, strain and displacement from the crept forces.
+        Stress is computed from the contact forces. Strain and displacement are computed from the
+        crept forces, see `keep`.
         """
         organ = self._organ
         rest_load, rest = organ.rest
@@ -210,7 +212,7 @@ class OrganFields:
 
 
 def _compliance_at_rest(window: LawWindow, loaded: Ints) -> Array:
-    """Return the compliance at rest between the loaded nodes of a window [m/N], (3l, 3l)."""
+    """Return the compliance at rest [m/N], shape (3l, 3l), of l loaded nodes of a window."""
     return window.follower.at_rest.compliance_between(window.places[loaded])
 
 
@@ -224,13 +226,13 @@ def cauchy_stress(
 ) -> StressState:
     """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
 
-    The means are taken over the quadrature points, because no cell is inverted there in an
-    equilibrium. A quadratic cell may be inverted at its centre.
+    The means are taken over the quadrature points: in an equilibrium, no cell is inverted at these
+    points. A quadratic cell may be inverted at its centre.
 
     Parameters
     ----------
     space, displacement_m
-        Nodes and cells, and the displacement of the nodes [m], shape (n, 3).
+        Finite elements, and displacement of their nodes [m], shape (n, 3).
     law, cell_factors
         The law, and the factor of its moduli in each cell, shape (m,).
     """
@@ -270,9 +272,10 @@ def _edge_ends(space: Space) -> Ints:
 
 
 def _equivalent_strain(strain: Array) -> Array:
-    """Return the von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6).
+    """Return the von Mises equivalent strain of strain tensors, shape (n, 6).
 
-    The result is sqrt(2/3 e : e), with e the deviator.
+    The components are xx, yy, zz, yz, xz, xy. The result is sqrt(2/3 e : e), with e the deviator of
+    the strain tensor.
     """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean

@@ -2,27 +2,29 @@
 
 Every tick uses a compliance and an offset; the offset is solved between ticks.
 
-Under nodal forces f the surface of the organ moves by u(f). With a compliance W, near an
-equilibrium u_k, f_k::
+Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium with displacement
+u_k and forces f_k, this function is approximated with a compliance W::
 
     u(f) = W f + offset_k,    offset_k = u_k - W f_k
 
 A contact that is solved with W and this offset is therefore in equilibrium with the law when the
 acting forces are f_k. At the end of every interval the equilibrium under the present forces is
 solved. The offset then changes to the new offset during the next interval, without a jump. The
-offset also depends linearly on the depth of the tool: the slope is computed from the last two
-equilibria. W is the compliance at rest as long as the equilibria are close to its prediction. After
-that, W is the compliance of the tangent stiffness at the present displacement (Newton's method).
+offset also depends linearly on the depth of the tool. The slope of this dependence is computed from
+the last two equilibria. W is the compliance at rest as long as the equilibria are close to the
+prediction by W. After that, W is the compliance of the tangent stiffness at the present
+displacement (Newton's method).
 
-A run without a real device waits for a solve. With a real device a second thread solves, and the
-ticks continue with the last offset until the solve is done.
+A run without a real device waits until a solve is done. With a real device, a second thread
+computes the solve, and the ticks continue with the last offset until the solve is done.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
 7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
-reduced relaxation function. The inverse integral of the nodal forces f, with the creep function, is
-called the crept forces (`tissue.models.organ.model`). The displacement is the response of the
-elastic law to the crept forces. In the equations above, f then stands for the crept forces. The
-integral keeps the directions of the forces fixed, so tissue must not rotate much while it relaxes.
+reduced relaxation function. The inverse of this integral, with the creep function, is applied to
+the nodal forces f. The result is called the crept forces (`tissue.models.organ.model`). The
+displacement is the response of the elastic law to the crept forces. In the equations above, f then
+stands for the crept forces. The integral keeps the directions of the forces fixed, so tissue must
+not rotate much while it relaxes.
 """
 
 from collections.abc import Callable
@@ -46,15 +48,15 @@ __all__ = ["LawOffset", "TickState"]
 
 TOLERANCE = 1e-3
 STEPS = 30
-"""Allowed unbalanced force relative to the largest nodal force, and allowed number of steps.
+"""Allowed number of steps of a solve.
 
-With a tolerance of 0.02 or 0.005, a change of an Ogden exponent from 18 to 18.1 changes the force
-of a deep press by up to 3.8 %; with 0.001 it changes the force by 0.4 %. The solves in
-docs/decisions.md need at most 9 steps. With a limit of 5 steps, one solve in eight does not reach
-the tolerance.
+A solve ends when the unbalanced force is at most `TOLERANCE` times the largest nodal force. With a
+tolerance of 0.02 or 0.005, a change of an Ogden exponent from 18 to 18.1 changes the force of a
+deep press by up to 3.8 %. With 0.001 this change is 0.4 %. The solves in docs/decisions.md need at
+most 9 steps. With a limit of 5 steps, one solve in eight does not reach the tolerance.
 """
 MISSED = 0.01
-"""Deviation from the predicted equilibrium above which the compliance is computed anew.
+"""Deviation of an equilibrium from its prediction above which the compliance is computed anew.
 
 The deviation is relative to the displacement. If a compliance is kept too long, the force depends
 on the interval in which the compliance was computed. With 0.05 the force of a deep press decreases
@@ -113,7 +115,8 @@ class _Equilibrium:
     Attributes
     ----------
     depth_m, tip_m
-        Travel of the tool in contact [m], and position of its tip [m], shape (3,); NaN at rest.
+        Travel of the tool in contact [m], and position of the tool's tip [m], shape (3,). The
+        position is NaN if the equilibrium is the state of rest.
     moved_m, forces_N
         Displacement of the window's touchable nodes [m], shape (w, 3), and forces on all touchable
         nodes [N], shape (t, 3).
@@ -144,8 +147,8 @@ class TickState:
         Contact forces, and crept forces (contact forces after creep of the tissue, see the module)
         [N], each of shape (t, 3).
     offset_m
-        Offset that the law adds to the displacement by the compliance in that tick [m], shape (t,
-        3).
+        Offset in that tick [m], shape (t, 3): displacement by the law minus displacement by the
+        compliance.
     compliance_m_N
         Compliance of the contact [m/N], shape (3t, 3t). A solve may replace it.
     tip_m
@@ -168,12 +171,12 @@ class TickState:
 
 
 def _displaced(contact: TickState, forces_N: Array) -> Array:
-    """Return the displacement [m] of the touchable nodes by the contact's compliance, (t, 3)."""
+    """Return the displacement [m], shape (t, 3), that forces cause by the contact's compliance."""
     return (contact.compliance_m_N @ forces_N.ravel()).reshape(-1, 3)
 
 
 class LawOffset:
-    """Difference between the displacement of an organ by its law and by a compliance.
+    """Offset of an organ: displacement by its law minus displacement by a compliance.
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ class LawOffset:
     touchable
         Nodes of the contact, shape (t,).
     tool
-        The tool and its poses. They determine the windows in which the law is solved.
+        The tool and its poses. The poses determine the windows in which the law is solved.
 
     Attributes
     ----------
@@ -227,7 +230,7 @@ class LawOffset:
         return self.latest_m
 
     def _share(self, time_s: float) -> float:
-        """Return the completed share, 0 to 1, of the change to the last solution."""
+        """Return the completed share, 0 to 1, of the change to the last computed offset."""
         if self.interval_s == 0.0:
             return 1.0
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
@@ -253,7 +256,8 @@ class LawOffset:
     ) -> TickState | None:
         """Solve for the equilibrium under the crept forces at the end of an interval.
 
-        Return the state that was solved, or None if no solve is done. Call `show` next.
+        Return the state of a completed solve, or None if no solve was completed. After a completed
+        solve, the caller calls `show`.
 
         Parameters
         ----------
@@ -281,15 +285,15 @@ class LawOffset:
         return None
 
     def show(self, time_s: float, depth_m: float, held_m: Array | None) -> None:
-        """Start to change to the offset of the last solve, within one interval.
+        """Start the gradual change to the offset of the last solve.
 
         Parameters
         ----------
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset with which the change of the compliance moves no node [m], shape (t, 3); None if
-            the compliance was not replaced.
+            Offset [m], shape (t, 3), with which no node moves when the compliance is replaced. The
+            change starts from this offset. None if the compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -307,8 +311,8 @@ class LawOffset:
         """Solve for the equilibrium under the crept forces of a state, and return the state.
 
         Crept forces are the contact forces after creep of the tissue. If the organ does not relax,
-        they are the contact forces. The linear algebra always uses one thread, so the forces do not
-        depend on the number of available threads.
+        the crept forces equal the contact forces. The linear algebra always uses one thread, so the
+        forces do not depend on the number of available threads.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -374,8 +378,9 @@ class LawOffset:
         The springs have the compliance of the contact. Let w be the stiffness of the contact, k the
         stiffness of the tissue and s the stiffness of the springs. Each solve multiplies the error
         of the contact force by a factor. The factor is (k - w) / (k + s) if the tool prescribes the
-        displacement, and s (k - w) / w (k + s) if the tool prescribes the force. With s = w the two
-        factors are equal: (k - w) / (k + w). Their magnitude is below 1 for any tissue.
+        displacement, and s (k - w) / (w (k + s)) if the tool prescribes the force. With s = w the
+        two factors are equal: (k - w) / (k + w). The magnitude of this factor is below 1 for any
+        tissue.
         """
         window = self.windows.now
         inside_N = np.zeros_like(crept_N)
@@ -402,7 +407,11 @@ class LawOffset:
         contact.change_compliance(self._compliance(contact.compliance_m_N))
 
     def _compliance(self, present_m_N: Array) -> Array:
-        """Return the compliance [m/N] of the factor in use, based on the present compliance."""
+        """Return the contact's compliance [m/N] for the factor in use.
+
+        Entries outside the window are those of the compliance at rest, which is `present_m_N` in
+        the first call.
+        """
         if self._at_rest is None:
             self._at_rest = present_m_N.copy()
         window = self.windows.now
@@ -414,7 +423,10 @@ class LawOffset:
         return compliance
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on, between two solves without a thread."""
+        """Copy the state that later ticks depend on.
+
+        Call this function between two solves, and only if the second thread is not used.
+        """
         return {"own": copied(self, STATE), "windows": self.windows.state()}
 
     def restore(self, state: State, present_m_N: Array) -> Array | None:
@@ -434,8 +446,8 @@ class LawOffset:
     def older(self) -> float:
         """Share of the time in which the offset was older than an interval.
 
-        A solve that takes longer than its interval delays the next solve. The time is the sum over
-        all solves, with at least one interval for each.
+        A solve that takes longer than its interval delays the next solve. The total time is the sum
+        over all solves; a solve that is shorter than an interval counts as one interval.
         """
         if not self.took_s or self.interval_s == 0.0:
             return 0.0
@@ -443,7 +455,7 @@ class LawOffset:
         return float(late.sum() / (late + self.interval_s).sum())
 
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
-        """Count the solve, and add a notice for events that happen for the first time."""
+        """Count the solve, and add a notice for each kind of problem that is new."""
         self.solves += 1
         self.took_s.append(took_s)
         missed = found.residual > TOLERANCE

@@ -1,8 +1,8 @@
 """Windows on an organ in which its hyperelastic law is solved.
 
 A window is the whole organ, or a region around a point on its surface. Outside the region the organ
-is linear (`tissue.fem.region`). When a tool slides, the window changes. Crept forces are the
-contact forces after creep of the tissue, see `tissue.models.organ.law`.
+is linear (`tissue.fem.region`). When a tool slides out of one window, another window is used. Crept
+forces are the contact forces after creep of the tissue, see `tissue.models.organ.law`.
 """
 
 from collections.abc import Callable
@@ -35,34 +35,36 @@ stiffens to twice the linear force, the error of the force at rest is 3.3 % with
 0.5.
 """
 LOADED = 1e-3
-"""Smallest crept force of a node that gets a spring, relative to the largest force; chosen.
+"""Smallest crept force of a node that gets a spring, relative to the largest crept force.
 
-Crept forces are the contact forces after creep of the tissue. At earlier contacts of a tool, they
-decay but never reach zero.
+Crept forces are the contact forces after creep of the tissue. At places that the tool has left, the
+crept forces decay but never reach zero. The value is chosen.
 """
 
 TOUCHED = 2.0 / 3.0
-"""Largest distance of a node in contact from the window's centre, divided by its radius.
+"""Largest distance of a node in contact from a window's centre, relative to the window's radius.
 
-The radius of a window is three radii of the ball. A contact extends over one radius of the ball,
-and its centre is at most one radius from the centre of the window.
+For a ball-shaped tool in a scene, the radius of a window is three radii of the ball. A contact
+extends over one radius of the ball. The centre of the contact is at most one radius of the ball
+from the centre of the window.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LawWindow:
-    """Solver of a law in the whole organ or in a region of it.
+    """Solver of a hyperelastic law in the whole organ or in a region of the organ.
 
     Attributes
     ----------
     follower
         Solver of the window's equilibria.
     inside
-        Touchable nodes in the window, as indices into all touchable nodes, rising, shape (w,).
+        Touchable nodes in the window, as indices into all touchable nodes, in rising order, shape
+        (w,).
     places
-        Indices of these nodes among the nodes of the window, shape (w,).
+        Indices of the nodes in `inside` among the nodes of the window, shape (w,).
     fixed
-        Unknowns of the window that are zero, shape (n, 3).
+        Mask of the unknowns of the window that are held at zero, shape (n, 3).
     region
         Region of the window; None for the whole organ.
     """
@@ -74,20 +76,27 @@ class LawWindow:
     region: RegionBody | None = None
 
     def spread(self, forces_N: Array) -> Array:
-        """Convert forces on all touchable nodes to forces on the window's nodes [N], (n, 3)."""
+        """Convert forces on all touchable nodes to loads [N], shape (n, 3), of this window."""
         load = np.zeros(self.fixed.shape)
         load[self.places] = forces_N[self.inside]
         return load
 
     def nodal_into(self, nodal_m: Array, unknowns_m: Array) -> None:
-        """Copy the displacements of the window's nodes [m] into the organ's array, (nodes, 3)."""
+        """Write the displacements of this window's nodes [m] to `nodal_m`.
+
+        `nodal_m` has a row for every node of the organ. `unknowns_m` are the unknowns of the
+        window, shape (n, 3).
+        """
         if self.region is None:
             nodal_m[:] = unknowns_m
         else:
             nodal_m[self.region.all_nodes] = self.region.nodal_m(unknowns_m)
 
     def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns that best fit displacements of the organ's nodes [m], (n, 3)."""
+        """Return the unknowns of this window [m], shape (n, 3), that best fit nodal displacements.
+
+        `nodal_m` are the displacements of all nodes of the organ.
+        """
         return nodal_m if self.region is None else self.region.gathered(nodal_m)
 
     def springs(
@@ -128,7 +137,7 @@ class LawWindows:
     touchable
         Nodes of the contact, shape (t,).
     tool
-        The tool and its poses. They determine the windows.
+        The tool and its poses. The poses determine the windows.
 
     Attributes
     ----------
@@ -184,7 +193,8 @@ class LawWindows:
     def state(self) -> State:
         """Copy the state that later solves depend on.
 
-        A window that is not in use restarts when a tool passes to it.
+        Windows that are not in use need no solution in the state, because they restart when the
+        tool reaches them.
         """
         return {
             "place": self._windows.index(self.now),
@@ -208,7 +218,7 @@ class LawWindows:
 def _follower_of(
     organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
 ) -> QuasiNewton:
-    """Return the solver that follows the equilibria of an organ.
+    """Return the solver for consecutive equilibria of an organ.
 
     The compliance between ``nodes`` can be read from the factors of this solver.
 
@@ -246,10 +256,10 @@ def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
 
 
 def window_centres(points_m: Array, apart_m: float) -> Array:
-    """Return some of the points [m], shape (k, 3).
+    """Return a subset of points [m], shape (k, 3), as centres of windows.
 
-    Every point is at most `apart_m` from one of the returned points. The points, shape (p, 3), are
-    taken in their order along a path.
+    Every one of the p given points is at most `apart_m` from one of the k returned points. The
+    given points are processed in their order along a path.
     """
     centres = points_m[:1]
     for point in points_m[1:]:

@@ -29,11 +29,11 @@ history of the forces.
 
 A usual shortcut is to relax the elastic contact force. It is correct only while the contact grows
 (Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool
-retreats, the surface rises slowly and separates from the tool, but this shortcut still pulls on the
-tool. The method here and the shortcut are valid for small strains without inertia. They are not
-valid if parts relax with different series, or if only the shear modulus relaxes. The second case is
-allowed if the bulk modulus is so large that its relaxation has no effect (Poisson's ratio near
-0.5).
+retreats, the surface rises slowly and separates from the tool, but with this shortcut the surface
+still pulls on the tool. The method here and the shortcut are valid for small strains without
+inertia. Both methods are not valid if parts of the organ relax with different series, or if only
+the shear modulus relaxes. The second case is allowed if the bulk modulus is so large that its
+relaxation has no effect (Poisson's ratio near 0.5).
 """  # noqa: E501 a table
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ from tissue.system.blas_threads import one_blas_thread
 __all__ = ["ContactSolution", "LiverModel"]
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
-"""Depths relative to the ball's radius, and error of the linear force at each depth.
+"""Depths relative to the radius of a ball, and relative error of the linear force at each depth.
 
 The reference is a neo-Hookean force. The depths were measured on a block, a procedural liver and a
 scanned liver (0.36-0.39 and 0.56-0.585): `python tests/bench/chart_liver.py`.
@@ -67,7 +67,7 @@ scanned liver (0.36-0.39 and 0.56-0.585): `python tests/bench/chart_liver.py`.
 SETTLED = 1e-3
 """Relative change of the force between two solves at which contact and law have converged."""
 STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
-"""Attributes that later ticks depend on, in addition to contact, law and creep."""
+"""Names of the attributes that later ticks depend on, besides contact, law and creep."""
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed; see `LOOK_M`."""
 LOOK_M = 5e-3
@@ -126,9 +126,9 @@ class LiverModel:
     touchable
         Nodes that the tool can touch, shape (t,).
     waits
-        True if a tick waits for a solve of a hyperelastic law that is due. Set it to False for a
-        real device, if possible before `place`. A device holds its last force while it waits. The
-        stability check of the loop does not include this wait.
+        True if a tick waits for a solve of a hyperelastic law that is due. Set the attribute to
+        False for a real device, if possible before `place`. While a tick waits, a device holds its
+        last force, and the stability check of the loop does not include this wait.
 
     Raises
     ------
@@ -247,7 +247,8 @@ class LiverModel:
     def state(self) -> State:
         """Copy the state that later ticks depend on.
 
-        The factor of a hyperelastic law is shared, not copied. A pickled state does not contain it.
+        The factor of a hyperelastic law is shared, not copied. A pickled state does not contain the
+        factor.
         """
         creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
         crept = self._crept_N.copy()
@@ -361,7 +362,7 @@ class LiverModel:
             self._fields.keep(time_s, forces, self._crept_N, moved)
 
     def finish(self) -> None:
-        """Compute the fields of the frames."""
+        """Stop the background work, and compute the fields of the stored frames."""
         if self._lazy is not None:
             self._lazy.stop()
         if self._law is not None:
@@ -372,7 +373,7 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return the figures of a hyperelastic law for the run's summary.
+        """Return the statistics of a hyperelastic law's solves for the run's summary.
 
         The dictionary is empty for a linear organ.
         """
@@ -394,7 +395,7 @@ class LiverModel:
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
 
-        The displacement is NaN at nodes where it is not known.
+        The displacement is NaN at nodes whose compliance is not computed yet.
         """
         return self.contact.result.displacement_m() + self._offset_m
 
@@ -429,7 +430,7 @@ class LiverModel:
         )
 
     def _take(self, found: TickState, time_s: float) -> None:
-        """Use the offset and the compliance of a solve, so that no node jumps."""
+        """Use the offset and the compliance of a solve, without a jump of the displacement."""
         law = self._law
         assert law is not None
         held = None

@@ -20,24 +20,27 @@ __all__ = ["PressCurve", "press"]
 STEPS = 100
 """Smallest number of steps from the first touch to the depth.
 
-The steps are the rows of the curve. Even with friction, 10 or 400 steps change the force of a
+Every step gives one row of `PressCurve`. Even with friction, 10 or 400 steps change the force of a
 slanted press by only 0.01 %.
 """
 TOLERANCE = 1e-5
 SWEEPS = 5000
-"""Largest number of sweeps of the contact solver. A press has no time limit of a tick.
+"""Largest number of sweeps of the contact solver; a press need not keep to the time of a tick.
 
 With this limit, the error of the stress in a rod under a flat punch is below 1 %.
 """
 PER_RELAXATION = 5
-"""Number of steps within the shortest relaxation time of an organ that relaxes; chosen."""
+"""Smallest number of steps per shortest relaxation time of an organ that relaxes; chosen."""
 LAW_STEPS = 25
 """Number of steps of a press under a hyperelastic law, each solved until contact and law agree."""
 SOLVES = 3
 LAST_SOLVES = 20
-"""Largest numbers of alternating solves of contact and law, in a step and at the end."""
+"""Largest number of alternating solves of contact and law in the last step of a press.
+
+In the steps before, the largest number is `SOLVES`.
+"""
 UNSETTLED = 0.01
-"""Relative change of the force in the last solve above which a notice is added."""
+"""Relative change of the force in the last solve above which a notice is reported."""
 POSES = 60
 """Number of poses along the press at which the touchable surface is searched.
 
@@ -49,7 +52,7 @@ CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
 The first distance at which the tool is clear of the organ is used.
 """
 SLANTED = 0.5
-"""Largest distance of the first touch before the target, relative to the tool's size.
+"""Largest distance from the first touch to the target, relative to the tool's size.
 
 The distance is 0.41 for a ball that approaches at 45 degrees.
 """
@@ -59,7 +62,7 @@ HALVINGS = 30
 
 @dataclass(frozen=True, eq=False)
 class PressCurve:
-    """Result of a press, a row for each step from the first touch.
+    """Result of a press. The arrays have one row for each step from the first touch.
 
     Attributes
     ----------
@@ -77,7 +80,7 @@ class PressCurve:
     frame
         Displacement and stress of the organ at the end.
     notices
-        Events, a sentence each.
+        Events, one sentence each.
     """
 
     time_s: Array
@@ -114,7 +117,8 @@ def press(
     depth_m
         Travel of the tool after its first touch [m].
     speed_m_s, hold_s
-        Speed of the tool [m/s] and duration of the hold [s]; they affect an organ that relaxes.
+        Speed of the tool [m/s] and duration of the hold [s]. Both matter only for an organ that
+        relaxes.
     report
         Function that is called with the name of the present task and its completed share (0 to 1).
 
@@ -212,7 +216,8 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
     """Return the tip position at the first touch [m], shape (3,).
 
-    The tool has contact at this position and no contact just before it.
+    At this position the tool is still clear of the organ. A contact begins within the last interval
+    of `HALVINGS`, about 1 nm farther along the path.
     """
 
     def touches(share: float) -> bool:

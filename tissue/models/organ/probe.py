@@ -2,8 +2,8 @@
 
 A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. Each tool
 has the kind and the parameters of the distance function in the contact kernels (`kind`, `size_m`).
-It has a spacing of the organ's contact points at which the tool does not slip between them
-(`spacing_m`). It also has a ball that bounds the part of the tool that may touch first.
+`spacing_m` is the spacing of the organ's contact points at which the tool cannot slip between these
+points.
 """
 
 from abc import ABC, abstractmethod
@@ -22,21 +22,22 @@ __all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
 
 SPACINGS = 2.0
-"""Number of contact points along a tool's radius; the tool then cannot slip between them."""
+"""Number of contact points along a tool's radius, so that the tool cannot slip between points."""
 
 
 class ProbeShape(ABC):
     """Interface of a tool in contact."""
 
     kind: int
-    """Kind of distance, see `kernels.contact_state`."""
+    """Index of the tool's distance function, see `kernels.contact_state`."""
 
     @property
     @abstractmethod
     def size_m(self) -> tuple[float, float]:
-        """Two lengths [m]: radius, and radius of the rounded edge.
+        """Two lengths [m]: radius of the tool, and radius of its rounded edge.
 
-        For a shell they are the radius of the ball around it and the ball's height above the tip.
+        For a shell the lengths are the radius of a ball around the shell, and the height of the
+        ball's centre above the tip.
         """
 
     @property
@@ -46,7 +47,11 @@ class ProbeShape(ABC):
 
     @abstractmethod
     def distance(self, points_m: Array) -> Array:
-        """Return the signed distance of points in the tool's frame [m], shape (n,)."""
+        """Return the signed distance of points from the tool's surface [m], shape (n,).
+
+        The points are given in the tool's frame, shape (n, 3). The distance is negative inside the
+        tool.
+        """
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class SphereProbe(ProbeShape):
     Attributes
     ----------
     radius_m
-        Radius [m].
+        Radius of the ball [m].
     """
 
     radius_m: float
@@ -67,11 +72,11 @@ class SphereProbe(ProbeShape):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Radius of the ball, and 0 because it has no edge [m]."""
+        """Radius of the ball [m], and 0 because a ball has no edge."""
         return self.radius_m, 0.0
 
     def distance(self, points_m: Array) -> Array:
-        """Return the distance to the ball [m]."""
+        """Return the signed distance to the ball [m]."""
         return np.linalg.norm(points_m - [0.0, 0.0, self.radius_m], axis=1) - self.radius_m
 
 
@@ -110,7 +115,7 @@ class CylinderProbe(ProbeShape):
         return self.radius_m, self.edge_m
 
     def distance(self, points_m: Array) -> Array:
-        """Return the distance to the rounded cylinder [m]."""
+        """Return the signed distance to the rounded cylinder [m]."""
         outside = np.hypot(points_m[:, 0], points_m[:, 1]) - self.radius_m + self.edge_m
         below = self.edge_m - points_m[:, 2]
         corner = np.hypot(np.maximum(outside, 0.0), np.maximum(below, 0.0))
@@ -121,7 +126,7 @@ class CylinderProbe(ProbeShape):
 class ShellProbe(ProbeShape):
     """Tool of any shape, as points on its surface.
 
-    The distance between the points should be at most the length of the organ's edges.
+    The distance between the points should be at most the length of the mesh edges of the organ.
 
     Attributes
     ----------
@@ -146,17 +151,18 @@ class ShellProbe(ProbeShape):
     ) -> "ShellProbe":
         """Return points spread over the surface of a mesh.
 
-        They are the centres of its triangles, divided or thinned to about the given number.
+        The points are centres of the mesh's triangles. Large triangles are divided, and points that
+        lie too close together are left out, to get about the given number of points.
 
         Parameters
         ----------
         mesh
-            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh. Its origin is
-            the tip, and its z axis runs to the shank.
+            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh. The origin of
+            the mesh is the tip, and the z axis of the mesh runs to the shank.
         points
             Approximate number of points. A tick projects every point onto the organ.
         scale
-            Metres in a unit of the mesh; 1e-3 for millimetres.
+            Length of one unit of the mesh [m]; 1e-3 for millimetres.
 
         Raises
         ------
@@ -202,9 +208,10 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """Return one sample for each cube and each direction of the surface within it, and the areas.
+    """Return one point per cube and direction of the surface, and the area of each point.
 
-    `side` is the edge of a cube. The samples are indices into `centres`, shape (k,).
+    Space is divided into cubes with the edge `side`. The direction of the surface is one of six:
+    along or against x, y or z. The points are returned as indices into `centres`, shape (k,).
     """
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)

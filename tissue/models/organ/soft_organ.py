@@ -1,4 +1,4 @@
-"""Soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
+"""Soft organ at rest: mesh, materials, supports, weight, and a solver that all tools share."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,7 +49,7 @@ class ToolPath:
     probe
         The tool.
     tips_m, rotations
-        Tips [m], shape (p, 3), and rotations from tool to world, shape (p, 3, 3).
+        Positions of the tip [m], shape (p, 3), and rotations from tool to world, shape (p, 3, 3).
     """
 
     probe: ProbeShape
@@ -58,7 +58,7 @@ class ToolPath:
 
 
 def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
-    """Return surface nodes near a tool's path, and the triangles between them.
+    """Return surface nodes near a tool's path, and the triangles between these nodes.
 
     The nodes have shape (t,), the triangles (f, 3). The triangles are indices into
     the array of nodes.
@@ -98,7 +98,10 @@ def linear_triangles(faces: Ints) -> Ints:
 
 _spaces: Kept[Space] = Kept(2)
 _patches: Kept[tuple[Ints, Ints]] = Kept(2)
-"""Cache of patches by mesh, order, tool and path: a study presses one mesh in every trial."""
+"""Cache of touchable patches by mesh, element order, tool and path.
+
+The cache saves time in a study, which presses one mesh in every trial.
+"""
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class Membrane:
     poisson_ratio: float
 
     def stiffness(self, space: Space, faces: Ints) -> bsr_array:
-        """Return the stiffness of the membrane on faces of a space [N/m]."""
+        """Return the stiffness matrix of the membrane on the given faces [N/m]."""
         return capsule_stiffness(
             space,
             thickness_m=self.thickness_m,
@@ -150,14 +153,14 @@ class OrganLaw:
 
 
 class SoftOrgan:
-    """Elastic organ that any number of tools may press; all tools share one factor.
+    """Elastic organ that any number of tools may press; all tools share one factorisation.
 
     Parameters
     ----------
     mesh
         Mesh of tetrahedra.
     elasticity
-        Elasticity of each cell, as for `tissue.fem.assembly.assemble` [Pa].
+        Elasticity of each cell [Pa], in the format of `tissue.fem.assembly.assemble`.
     held
         Nodes of the mesh that do not move.
     order
@@ -251,11 +254,11 @@ class SoftOrgan:
         return KeptColumns(self.factor, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Request the compliance of the surface near some points [m], shape (k, 3), together.
+        """Request one factor from which the compliance of the surface near some points can be read.
 
-        Nodes within the distance `within_m` of a point are near. If the factor is not made yet,
-        their compliance will be read from it. A press at another place first needs
-        back-substitutions.
+        Nodes within the distance `within_m` of a point in `near_m` [m], shape (k, 3), are near. The
+        request has no effect if the factor is already made. A press at another place needs
+        additional back-substitutions before its first step.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -263,7 +266,7 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Load of the organ's weight [N] and displacement by it [m], each of shape (n, 3).
+        """Nodal load of the weight [N] and displacement under this load [m], each of shape (n, 3).
 
         Load and displacement are zero without a density.
         """
@@ -274,7 +277,7 @@ class SoftOrgan:
         return load, self.factor.solve(load)
 
     def touchable(self, tool: ToolPath) -> tuple[Ints, Ints]:
-        """Return surface nodes near a tool's path, and the triangles between them.
+        """Return surface nodes near a tool's path, and the triangles between these nodes.
 
         The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
         nodes.
@@ -296,7 +299,7 @@ class SoftOrgan:
         return touchable, faces
 
     def compliance_between(self, nodes: Ints) -> Array:
-        """Return the compliance between nodes of the surface [m/N], shape (3 n, 3 n)."""
+        """Return the compliance matrix of n surface nodes [m/N], shape (3n, 3n)."""
         self.factor.expect(nodes)
         return self._columns.between(nodes)
 
@@ -305,7 +308,7 @@ class SoftOrgan:
     ) -> tuple[Array, LazyCompliance | None]:
         """Return the compliance of touchable nodes [m/N], and the object that fills it.
 
-        See `compliance_of`. Without a path, the columns are computed from the organ's factor and
+        See `compliance_of`. If `path` is None, the columns are computed from the organ's factor and
         kept for the next tool.
 
         Raises

@@ -1,4 +1,4 @@
-"""Elastic body of material particles in a grid of finite elements, updated during removal."""
+"""Elastic body of particles in a grid of finite elements, updated when material is removed."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -36,15 +36,16 @@ LEAST_CURVATURE = 1e-12
 """Fraction of ``p . D p`` below which ``p . K p`` is a rounding error; D is the diagonal of K.
 
 Below this fraction, p is a motion without resistance. For a tooth of 1e5 nodes in a ligament a
-million times softer than the tooth, the fraction is 1e-8.
+million times softer than the tooth, the smallest ratio of ``p . K p`` to ``p . D p`` is 1e-8.
 """
 
 
 LEAST_RESTRAINT = 1e-9
-"""Eigenvalue of a part's restraint, relative to the largest, below which the part can move.
+"""Relative eigenvalue of a part's restraint below which the part can move.
 
-The restraint is the stiffness against rigid motions. Rounding errors give a ratio of 1e-16. A part
-that is held at three corners of a cell has a ratio of 1e-2.
+The restraint is the stiffness against rigid motions. Its smallest eigenvalue is divided by its
+largest eigenvalue. Rounding errors give a ratio of 1e-16. A part that is held at three corners of a
+cell has a ratio of 1e-2.
 """
 
 
@@ -57,11 +58,11 @@ def supported_cells(
 ) -> Flags:
     """Return a mask of the cells that the supports hold against all six rigid motions.
 
-    ``filled`` has shape (c,). ``springs_cell`` holds the cell of each spring. Cells that share a
-    face form a part. A part is supported if its supports, and the nodes that it shares with
-    supported parts, prevent every rigid motion. A part that is connected to the rest only by one
-    node or one edge is not supported: it would rotate freely about this node or edge, and the
-    stiffness would be singular.
+    ``filled`` is a mask of the cells with material, shape (c,). ``springs_cell`` holds the cell of
+    each spring. Filled cells that are connected by faces form a part. A part is supported if its
+    supports, and the nodes that it shares with supported parts, prevent every rigid motion. A part
+    that is connected to the rest only by one node or one edge is not supported. The part would
+    rotate freely about this node or edge, and the stiffness would be singular.
     """
     at = tuple(grid.cell_place.T)
     box = np.zeros(grid.cell_place.max(axis=0) + 1, np.bool_)
@@ -115,20 +116,21 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
 
 
 INNER_STRENGTH = 0.1
-"""Strength of the inner stabilisation.
+"""Strength of the stabilisation of cells with few particles.
 
-It is the smallest value with which no cell is singular. The error is close to the error without
-stabilisation (table in test_tooth_sphere.py).
+The value is the smallest with which no cell has a singular stiffness. The error of the solution is
+close to the error without stabilisation (table in test_tooth_sphere.py).
 """
 LEAST_FILL = 1e-3
-"""Filled fraction below which a cell carries no load.
+"""Filled fraction below which a cell is treated as if it carried no load.
 
-The stiffness of such a cell is smaller than the effect of a change of one particle's position.
+The stiffness of such a cell is smaller than the change of stiffness by a shift of one particle.
 """
 MORE_ITERATIONS = 1.5
-"""Growth factor of the iteration count at which the coarsest grid is factorised anew; chosen.
+"""Growth factor of the number of iterations at which the coarsest grid is factorised anew.
 
-In the molar scene with cells of 0.6 mm, 25 solves take 58 iterations for any factor from 1 to 3.
+The value is chosen. In the molar scene with cells of 0.6 mm, 25 solves take 58 iterations for any
+factor from 1 to 3.
 """
 TOLERANCE = 1e-4
 
@@ -140,10 +142,10 @@ class Change:
     Attributes
     ----------
     cells
-        Cells whose stiffness changed, shape (k,).
+        Indices of the cells whose stiffness changed, shape (k,).
     debris
-        Particles that have lost their connection to a support, numbered in the caller's order,
-        shape (d,).
+        Indices, in the caller's order, of the particles that have lost their connection to a
+        support, shape (d,).
     """
 
     cells: Int32s
@@ -151,7 +153,7 @@ class Change:
 
 
 class ParticleBody:
-    """Small-strain, quasi-static elasticity of a particle set.
+    """Elastic body made of particles, for small strains and quasi-static loads.
 
     Parameters
     ----------
@@ -160,8 +162,8 @@ class ParticleBody:
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
     supports, springs
-        Supports of the grid's nodes, and springs from points in its cells to the ground. A spring
-        is removed with its cell.
+        Supports of the grid's nodes, and springs from points in the grid's cells to the ground. A
+        spring is removed together with the cell that holds its point.
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
         it off.
@@ -215,13 +217,13 @@ class ParticleBody:
 
     @property
     def debris(self) -> Ints:
-        """Particles without support that still have volume, numbered in the caller's order."""
+        """Indices, in the caller's order, of the unsupported particles that still have volume."""
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: Integers, steps: Integers) -> None:
-        """Set the remaining fraction of some particles, in steps of 1/65535.
+        """Set the remaining fractions of some particles, in steps of 1/65535.
 
-        ``particles`` are numbered in the caller's order. `update` applies the change to the
+        ``particles`` are indices in the caller's order. `update` applies the change to the
         stiffness.
         """
         rows = self.cells.rank[particles]
@@ -231,9 +233,9 @@ class ParticleBody:
         self._touched[self.cells.particle_cell[rows[changed]]] = True
 
     def update(self) -> Change:
-        """Update stiffness, islands and preconditioner after changes of the remaining particles.
+        """Update stiffness, unsupported cells and preconditioner after changes of particles.
 
-        Only cells with changed particles are summed again.
+        The stiffness is summed again only for cells with changed particles.
         """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
@@ -267,7 +269,7 @@ class ParticleBody:
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
     def _particles_in(self, cells: Flags) -> Ints:
-        """Return the remaining particles of these cells, numbered in the caller's order."""
+        """Return the indices, in the caller's order, of the remaining particles of some cells."""
         if not cells.any():
             return np.zeros(0, np.int64)
         return np.sort(
@@ -275,10 +277,10 @@ class ParticleBody:
         )
 
     def spread(self, point_m: Array, force_N: Array) -> Array:
-        """Return nodal forces [N], shape (n, 3), of forces at points.
+        """Return nodal forces [N], shape (n, 3), that represent forces at points.
 
-        Each force acts on the load-carrying cell that holds its point, or on the nearest
-        load-carrying cell.
+        Each force acts on the cell that holds its point. If this cell carries no load, or if no
+        cell holds the point, the force acts on the nearest cell that carries load.
 
         Parameters
         ----------
@@ -311,13 +313,13 @@ class ParticleBody:
         return np.stack(load, axis=1)
 
     def spread_over(self, point_m: Array, force_N: Array, *, radius_m: float) -> Array:
-        """Return nodal forces [N], shape (n, 3), of a force spread over particles near a point.
+        """Return nodal forces [N], shape (n, 3), that represent a force spread around a point.
 
-        The particles lie within a radius of the point. The share of a particle is proportional to
-        its remaining volume times `ball_weight`. The stress of a force on a patch of fixed size
-        converges when the cells are refined, whereas the stress of a point force increases without
-        bound. If no particle lies within the radius, as in a grid much coarser than the patch, the
-        force acts at the point.
+        The force is spread over the particles within a radius of the point. The share of a particle
+        is proportional to its remaining volume times its `ball_weight`. The stress of a force on a
+        patch of fixed size converges when the cells are refined, whereas the stress of a point
+        force increases without bound. If no particle lies within the radius, as in a grid much
+        coarser than the patch, the force acts at the point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
@@ -332,7 +334,7 @@ class ParticleBody:
         )
 
     def product(self, displacement_m: Array) -> Array:
-        """Return nodal forces [N] for nodal displacements [m], shapes (n, 3).
+        """Return nodal forces [N] for nodal displacements [m], each of shape (n, 3).
 
         The forces of the springs are included. The forces of the supports are not included.
         """
@@ -350,19 +352,19 @@ class ParticleBody:
         """Solve for the displacement under nodal forces [N], shape (n, 3).
 
         The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is
-        estimated as the larger of two values. The first value is ``sqrt(r . B r)``, the estimate of
-        the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)`` with the diagonal D. It
-        is a lower bound, because a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to
-        24. The second value detects a load on a motion without resistance, which the preconditioner
-        leaves out.
+        estimated as the larger of two values. The first value is ``sqrt(r . B r)``, with the
+        residual r and the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)``, with the
+        diagonal D of the stiffness K. The second value is a lower bound of the error: a cell's 24
+        eigenvalues of ``D^-1 K`` are not negative, and their sum is 24. This value detects a load
+        on a motion without resistance, which the preconditioner leaves out.
 
         Parameters
         ----------
         load_N
-            Forces at the nodes. A force on a held component acts on the support.
+            Forces at the nodes. A force in the direction of a held component acts on the support.
         tolerance
-            Allowed relative error in the energy norm. The error of the stress in the whole body is
-            about as large.
+            Allowed relative error in the energy norm. The relative error of the stress, averaged
+            over the whole body, is about as large.
         limit
             Largest number of iterations.
         cold

@@ -1,4 +1,4 @@
-"""Stress and displacement of a tooth during drilling, solved less often than every tick."""
+"""Stress and displacement of a tooth during drilling, solved at intervals of many ticks."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -33,12 +33,12 @@ from tissue.models.tooth.recovery import (
 __all__ = ["SolveRecord", "StressField"]
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
-"""Layers that are filled with particles.
+"""Names of the layers that are filled with particles.
 
 The ligament is modelled as springs, and the bone behind it does not move.
 """
 VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
-"""Corners of a cell in VTK's order for a hexahedron."""
+"""Corners of a cell in the order of VTK's hexahedron."""
 INFECTED_SHARE = 0.05
 """Modulus of fully softened dentin, divided by the modulus of sound dentin.
 
@@ -49,8 +49,8 @@ The moduli are about 1 GPa and 18.6 GPa. Measured values of carious dentin are 0
 TOLERANCE = 7e-4
 """Relative error in the energy norm at which a solve ends.
 
-The last correction then reduces the error to a third. The discretisation error next to a cut is a
-hundred times larger with cells of 0.3 mm.
+A last correction then reduces the error to a third of this value. The discretisation error next to
+a cut is a hundred times larger with cells of 0.3 mm.
 """
 _MARGIN = 6
 """Voxels of air added around a tooth, because the tooth may fill its voxel volume.
@@ -83,7 +83,7 @@ class StressField:
     ligament_thickness_m
         Thickness of the ligament [m].
     contact_m
-        Radius within which the cutter's force is spread [m]: the radius of the cutter.
+        Radius within which the cutter's force is spread [m], such as the radius of the cutter.
     constants
         Elastic constants of the layers.
     device, cores
@@ -92,14 +92,14 @@ class StressField:
     Attributes
     ----------
     series
-        Mesh and frames.
+        Mesh of the tooth, and the solved frames.
     compliance
         Compliance of the tooth in its ligament.
     records
         Duration and outcome of every solve.
     root_guessed
         True if the data hold neither ligament nor bone. The lower third of the tooth is then
-        treated as the root and held.
+        treated as the root, which springs hold.
     """
 
     def __init__(
@@ -176,16 +176,16 @@ class StressField:
     def remove(
         self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
-        """Subtract from the particles the volume that the finer voxels lost since the last call.
+        """Subtract from the particles the volume that the finer, drilled voxels have lost.
 
         Parameters
         ----------
         voxels, steps
-            Indices of the finer voxels, shape (n, 3), and the loss of each voxel in steps of
-            1/65535, shape (n,).
+            Indices of finer voxels, shape (n, 3), and the fraction that each voxel lost since the
+            last call, in steps of 1/65535, shape (n,).
         origin_m, spacing_m
-            Corner of the finer voxel (0, 0, 0), and edge of the finer voxels [m]. The planes of the
-            two voxel grids lie on multiples of this edge.
+            Corner of the finer voxel (0, 0, 0), and edge of the finer voxels [m]. In both voxel
+            grids, the faces of the voxels lie at multiples of this edge.
         """
         ratio = round(self._volume.spacing_m / spacing_m)
         first = np.rint(origin_m / spacing_m).astype(int)
@@ -204,7 +204,8 @@ class StressField:
     def solve(self, time_s: float, force_N: Array, point_m: Array) -> Frame:
         """Solve for displacement and stress under a force on the tooth at a point.
 
-        The solve starts from earlier solutions. The frame is recorded and returned.
+        The first guess is computed from earlier solutions. The frame is added to `series` and
+        returned.
         """
         begun = perf_counter()
         change = self.body.update()
@@ -236,13 +237,14 @@ class StressField:
         return frame
 
     def load(self, force_N: Array, point_m: Array) -> Array:
-        """Return nodal forces [N], shape (n, 3), of the cutter's force at a point."""
+        """Return nodal forces [N], shape (n, 3), for the cutter's force at a point."""
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
     def recover(self, displacement_m: Array) -> tuple[Array, Array]:
         """Return the recovered von Mises and principal stresses at the cell centres [Pa].
 
-        Their shapes are (c,) and (c, 3).
+        The shapes are (c,) for the von Mises stress and (c, 3) for the principal stresses, with c
+        cells.
         """
         return stress_invariants(
             np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
@@ -252,7 +254,7 @@ class StressField:
 def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:
     """Return one particle for each voxel, with the elastic constants of its layer.
 
-    The constants are those of the built-in sources. The modulus of caries depends on its softness.
+    The Young's modulus of a particle of caries depends on the softness at its voxel.
     """
     at = tuple(places.T)
     layer = tooth.layer[at]
@@ -277,7 +279,7 @@ def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> Partic
 
 
 def _bed_layers(tooth: VoxelVolume) -> list[int]:
-    """Return the layers that support the tooth."""
+    """Return the indices of the layers that support the tooth."""
     return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
 
 
@@ -286,7 +288,7 @@ def _ligament_springs(
 ) -> PointSprings:
     """Return springs where the tooth borders on ligament or bone.
 
-    If the data hold neither ligament nor bone, the springs act on the tooth's lower third.
+    If the voxels contain neither ligament nor bone, the springs act on the tooth's lower third.
     """
     table = constants.values("tooth", "ligament")
     across, along = bed_stiffness(1e9 * table["modulus_GPa"], table["poisson_ratio"], thickness_m)
@@ -318,7 +320,7 @@ def _ligament_springs(
 
 
 def _cell_layers(body: ParticleBody) -> Bytes:
-    """Return the layer with the largest volume in each cell."""
+    """Return the index of the layer with the largest volume in each cell."""
     cells = body.cells
     particles = body.particles
     names = int(particles.layer.max()) + 1

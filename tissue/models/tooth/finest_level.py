@@ -1,7 +1,7 @@
-"""Multigrid smoothing on the finest grid, without assembled rows, and rows of the coarser grids.
+"""Multigrid smoothing on the finest grid, and assembled stiffness rows of the coarser grids.
 
-On the finest grid the products with the stiffness run over strips of eight cells. The stiffness of
-the coarser grids is assembled.
+On the finest grid the stiffness is not assembled: products with the stiffness are computed over
+strips of eight cells. The stiffness of the coarser grids is assembled in rows.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ __all__ = ["FinestLevel", "NodeBlocks"]
 
 
 class NodeBlocks:
-    """Rows of 3 x 3 blocks of K for nodes that are not held.
+    """Assembled stiffness K of a grid whose nodes are not held, in rows of 3 x 3 blocks.
 
     Parameters
     ----------
@@ -33,19 +33,19 @@ class NodeBlocks:
         The grid.
     cell_nodes, live, stiffness
         Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`. Every
-        `update` reads them.
+        `update` reads these arrays.
     device
         Warp device.
 
     Attributes
     ----------
     row_start, column, block
-        Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]. Blocks of lower
-        colours come first.
+        Matrix in block compressed row format: int32, shape (n + 1,); int32, shape (b,); 3 x 3
+        float64 [N/m], shape (b,). In a row, blocks of nodes with lower colours come first.
     diagonal_block
         Index of each node's diagonal block, int32 (n,).
     single, inverse
-        Blocks in single precision, and inverse of each node's diagonal block, for smoothing.
+        Blocks in single precision, and inverses of the nodes' diagonal blocks; both for smoothing.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class NodeBlocks:
         ]
 
     def update(self, nodes: Int32s) -> None:
-        """Compute the rows of these nodes again from their cells."""
+        """Compute the rows of some nodes again from the cells around these nodes."""
         if len(nodes) == 0:
             return
         outputs = [self.block, self.single, self.inverse]
@@ -100,32 +100,33 @@ class NodeBlocks:
 
 
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
-"""Coefficients of the smoothing steps: factor of the last direction, gain of the residual.
+"""Coefficients of each smoothing step: factor of the last direction, factor of the residual.
 
-The polynomial is Chebyshev's of the fourth kind, of degree 2. It needs only the largest eigenvalue
-(Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). With degree 1 the solves take 1.3 times as many
-iterations. Degree 3 saves no iteration.
+The polynomial is Chebyshev's of the fourth kind, of degree 2. This polynomial needs only the
+largest eigenvalue (Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). With degree 1 the solves
+take 1.3 times as many iterations. Degree 3 saves no iteration.
 """
 POWER_STEPS = 30
-"""Steps of the power method. On the molar the result is 3 % below the result of 100 steps."""
+"""Number of steps of the power method; for the molar, the result is 3 % below that of 100 steps."""
 MARGIN = 1.15
-"""Factor on the computed largest eigenvalue.
+"""Factor by which the computed largest eigenvalue is multiplied.
 
-It allows for the error of the power method, and for the increase caused by cuts until the
-eigenvalue is computed anew. The smoother diverges if the true eigenvalue is 1.25 times the assumed
-value.
+The factor allows for the error of the power method, and for the increase of the eigenvalue by cuts
+until the eigenvalue is computed anew. The smoother diverges if the true eigenvalue is 1.25 times
+the assumed value.
 """
 
 
 class FinestLevel:
     """Smoothing on the finest grid, in single precision and with SIMD lanes.
 
-    The product leaves out the springs on cells of the strips. Their stiffness is below a hundredth
-    of the stiffness of their cells, and the coarser grids include them. In the molar and in caries,
-    including them would save no iteration; with a ligament 100 times as stiff it would save one of
-    ten iterations. All other terms are exact. Particles that do not lie at the points of the strips
-    are not moved to these points. With moved particles, the solves of the molar on a rotated grid
-    take 31 to 44 iterations instead of 14 to 15.
+    The product with the stiffness leaves out springs on cells of the strips. The stiffness of these
+    springs is below a hundredth of the stiffness of their cells, and the coarser grids include the
+    springs. In the molar and in caries, springs in the product would save no iteration. With a
+    ligament 100 times as stiff, they would save one of ten iterations. All other terms of the
+    product are exact: particles that do not lie at the points of the strips are not moved to these
+    points. If such particles were moved, the solves of the molar on a rotated grid would take 31 to
+    44 iterations instead of 14 to 15.
 
     Parameters
     ----------
@@ -137,8 +138,8 @@ class FinestLevel:
     diagonal
         Diagonal of the stiffness [N/m], 1 at held components, Warp array of vec3d, shape (n,).
     vector, residual
-        Correction by the coarser grids [m], and residual load after smoothing [N], Warp vec3f,
-        shape (n,).
+        Correction by the coarser grids [m], and residual load after smoothing [N], Warp arrays of
+        vec3f, shape (n,).
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
@@ -189,7 +190,7 @@ class FinestLevel:
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
     def update(self, nodes: Int32s) -> None:
-        """Update the diagonal of these nodes."""
+        """Update the diagonal of the stiffness at some nodes."""
         if len(nodes) == 0:
             return
         inputs = [
@@ -205,9 +206,9 @@ class FinestLevel:
         run_once(node_diagonals, len(nodes), inputs, outputs)
 
     def bound_eigenvalues(self) -> None:
-        """Compute the largest eigenvalue of D^-1 K by the power method.
+        """Estimate the largest eigenvalue of D^-1 K by the power method, with the factor `MARGIN`.
 
-        The inverse of the diagonal is divided by this eigenvalue.
+        D is the diagonal of the stiffness K. The stored inverse of D is divided by this eigenvalue.
         """
         layout = self._cells.strips.layout
         inverse = self._inverse.single.numpy()
@@ -262,7 +263,7 @@ class FinestLevel:
         self._steps[1]()
 
     def _multiply(self) -> None:
-        """Add the product of stiffness and direction to the force.
+        """Add the product of the stiffness and the present direction to the force.
 
         If some cells are not in strips, the force must be zero before the call.
         """

@@ -33,27 +33,28 @@ __all__ = [
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """Corners of a cell, in units of its edge, shape (8, 3)."""
 CORNER_PAIRS = list(combinations_with_replacement(range(8), 2))
-"""Pairs a <= b of corners, in the order of the blocks of a cell's stiffness."""
+"""Pairs (a, b) of corners, a <= b, in the order of the blocks of a cell's packed stiffness."""
 NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
-"""Offsets to the nodes around a node; the node itself is in the middle, shape (27, 3)."""
+"""Offsets from a node to the 27 nodes around it, shape (27, 3); row 13 is the node itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class HexGrid:
-    """Active cells and their nodes, each in lexicographic order of (x, y, z).
+    """Cells that exist in a Cartesian grid, and their nodes, in lexicographic order of (x, y, z).
 
     Attributes
     ----------
     origin_m
-        Corner of the box of cells [m], shape (3,).
+        Corner of the grid with the lowest coordinates [m], shape (3,).
     edge_m
         Edge of a cell [m].
     cell_place
-        Integer position of each cell in the box, int32, shape (c, 3).
+        Integer position of each cell in the grid, int32, shape (c, 3).
     node_place
-        Integer position of each node in the box, int32, shape (n, 3).
+        Integer position of each node in the grid, int32, shape (n, 3).
     cell_nodes
-        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k lies at (i, j, k).
+        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k lies at (i, j, k), in cell
+        edges from the cell's lowest corner.
     """
 
     origin_m: Array
@@ -64,7 +65,10 @@ class HexGrid:
 
     @classmethod
     def of_cells(cls, cell_place: Integers, *, origin_m: Array, edge_m: float) -> "HexGrid":
-        """Return the grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
+        """Return the grid of the cells at the integer positions ``cell_place``, shape (c, 3).
+
+        A position may occur more than once in ``cell_place``.
+        """
         low = cell_place.min(axis=0)
         origin = np.asarray(origin_m, np.float64) + edge_m * low
         shape = cell_place.max(axis=0) - low + 1
@@ -80,7 +84,7 @@ class HexGrid:
     ) -> "HexGrid":
         """Return the grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
 
-        The cells' corners lie at ``origin_m`` plus multiples of the edge. By default ``origin_m``
+        The cells' corners lie at ``origin_m`` plus multiples of ``edge_m``. By default ``origin_m``
         is half an edge below the lowest point.
         """
         origin = (
@@ -113,7 +117,10 @@ class HexGrid:
 
     @cached_property
     def node_cells(self) -> Int32s:
-        """Cell that has each node as its corner a, or -1 for no cell, int32, shape (n, 8)."""
+        """Cells around each node, int32, shape (n, 8).
+
+        Column a holds the cell whose corner a is the node, or -1 if there is no such cell.
+        """
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
             cells[self.cell_nodes[:, corner], corner] = np.arange(self.cell_count, dtype=np.int32)
@@ -121,9 +128,9 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Int32s:
-        """Nodes that share a cell with each node, or -1 for no node, int32, shape (n, 27).
+        """Nodes that share a cell with each node, int32, shape (n, 27).
 
-        The neighbours are in the order of `NEIGHBOURS`.
+        The columns are in the order of `NEIGHBOURS`; -1 means that there is no such node.
         """
         found = np.full((self.node_count, 27), -1, dtype=np.int32)
         for corner in range(8):
@@ -135,8 +142,9 @@ class HexGrid:
 
     @property
     def node_colour(self) -> Ints:
-        """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
-        colour.
+        """Colour of each node, 0 to 7, shape (n,).
+
+        The nodes of a cell have eight different colours.
         """
         # The colour depends on whether the position is even or odd along each axis.
         return (self.node_place & 1) @ (4, 2, 1)
@@ -152,7 +160,7 @@ class HexGrid:
         return np.concatenate(pairs).astype(np.int32)
 
     def find_cells(self, place: Integers) -> Int32s:
-        """Return the cells at integer positions in the box, shape (n, 3), or -1."""
+        """Return the cells at integer positions, shape (n, 3), or -1 where there is no cell."""
         shape, keys = self._cell_keys
         return _find_keys(keys, place, shape)
 
@@ -162,22 +170,23 @@ class HexGrid:
         return shape, _keys(self.cell_place, shape)
 
     def find_nodes(self, place: Integers) -> Int32s:
-        """Return the nodes at integer positions in the box, shape (n, 3), or -1."""
+        """Return the nodes at integer positions, shape (n, 3), or -1 where there is no node."""
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
     def locate(self, position_m: Array) -> tuple[Int32s, Array]:
-        """Return the cell that holds each point, or -1, and the position in that cell.
+        """Return the cell that holds each point, and the position of the point in that cell.
 
-        The cells have shape (n,). The positions are 0 to 1 along each edge, shape (n, 3).
+        The cells have shape (n,); -1 means that no cell holds the point. The positions are 0 to 1
+        along each edge of the cell, shape (n, 3).
         """
         scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Int32s]:
-        """Return the grid with twice the edge, and the coarse cell of each cell.
+        """Return a grid with twice the edge, and the cell of that grid that holds each cell.
 
-        The coarse cells are int32, shape (c,).
+        The indices of the coarse cells are int32, shape (c,).
         """
         grid = HexGrid.of_cells(
             self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m
@@ -186,14 +195,15 @@ class HexGrid:
 
 
 def ball_weight(distance_m: Array, reach_m: float) -> Array:
-    """Return the weight 1 - (d / R)^2 of points in a ball, 0 outside."""
+    """Return the weight 1 - (d / R)^2 of points at distances d < R from a centre, 0 elsewhere."""
     return np.maximum(1.0 - (distance_m / reach_m) ** 2, 0.0)
 
 
 def shape_values(place: Array) -> Array:
     """Return the trilinear shape functions of the eight corners at points in a cell.
 
-    Points of shape (n, 3) give values of shape (n, 8).
+    The points, shape (n, 3), have coordinates of 0 to 1 along each edge. The values have shape (n,
+    8).
     """
     factors = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
     return factors.prod(axis=2)
@@ -209,7 +219,7 @@ def _unique_places(place: Integers, shape: Integers) -> Int32s:
 
 
 def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
-    """Return the row of each position in the sorted positions ``known``, or -1."""
+    """Return the row of each position in the sorted positions ``known``, or -1 if not found."""
     return _find_keys(_keys(known, shape), place, shape)
 
 
@@ -221,7 +231,7 @@ def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
 
 
 FULL_STEPS = 65535
-"""Remaining fraction of a whole particle, in steps, as for a whole voxel."""
+"""Remaining fraction of a whole particle, in steps of 1/65535, as for a whole voxel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +247,7 @@ class ParticleSet:
     modulus_Pa
         Young's modulus [Pa], shape (n,).
     poisson_ratio
-        Poisson's ratio, shape (n,). Trilinear cells lock if it is near 0.5.
+        Poisson's ratio, shape (n,). Trilinear cells lock if the ratio is near 0.5.
     layer
         Index of the layer, uint8, shape (n,).
     remaining
@@ -279,7 +289,7 @@ class ParticleSet:
 
 @dataclass(frozen=True, eq=False)
 class NodeSupports:
-    """Supports of a grid: the displacement components of nodes that are held.
+    """Supports of a grid: displacement components of the nodes that are held at given values.
 
     Attributes
     ----------
@@ -296,9 +306,10 @@ class NodeSupports:
     def of(
         cls, node_count: int, *, held: Flags | None = None, displacement_m: Array | None = None
     ) -> "NodeSupports":
-        """Return supports that hold whole nodes (``held``, shape (n,)) or components ((n, 3)).
+        """Return supports that hold whole nodes or single displacement components.
 
-        The displacement there is zero unless ``displacement_m`` is given.
+        ``held`` is a mask of nodes, shape (n,), or of components, shape (n, 3). The held
+        displacement is zero unless ``displacement_m`` is given.
         """
         fixed = np.zeros((node_count, 3), np.bool_)
         if held is not None:
@@ -308,14 +319,14 @@ class NodeSupports:
 
 @dataclass(frozen=True, eq=False)
 class PointSprings:
-    """Springs to the ground at points of a body, in any direction.
+    """Springs from points of a body to the ground, with a stiffness matrix each.
 
     If a point moves by u, the restoring force is S u.
 
     Attributes
     ----------
     position_m
-        The points [m], shape (k, 3).
+        Positions of the k points [m], shape (k, 3).
     stiffness_N_m
         Stiffness S of each spring, symmetric [N/m], shape (k, 3, 3).
     """
@@ -328,17 +339,20 @@ class PointSprings:
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
     def restraint(self, centre_m: Array, length_m: float) -> Array:
-        """Return the stiffness [N/m] against rigid motion about a point, shape (6, 6).
+        """Return the stiffness of the springs against rigid motion about a point, shape (6, 6).
 
-        Rotations are multiplied by ``length_m``.
+        Rotations are multiplied by ``length_m``, so that all entries have the unit N/m. The order
+        is three translations, three rotations.
         """
         motion = rigid_modes((self.position_m - centre_m) / length_m, np.zeros(3))
         return np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion)
 
     def by_cell(self, grid: HexGrid) -> tuple[Int32s, Array]:
-        """Return the cells with springs, int32, (m,), and the stiffness of their springs.
+        """Return the m cells that hold springs, and the stiffness of the springs in each cell.
 
-        The stiffness is ``sum N_a N_b S``, in blocks a <= b of shape (m, 36, 3, 3).
+        The cells are int32, shape (m,). The stiffness is the sum of ``N_a N_b S`` over the springs
+        of a cell, with the shape functions N of corners a and b. The 36 blocks with a <= b have
+        shape (m, 36, 3, 3).
         """
         cell, place = grid.locate(self.position_m)
         order = np.argsort(cell, kind="stable")
@@ -361,10 +375,11 @@ def bed_stiffness(
 ) -> tuple[float, float]:
     """Return the stiffness of a thin bonded layer, across and along the layer [N/m3].
 
-    The layer is bonded on both sides. If it is much thinner than wide, it cannot bulge. Its modulus
-    is then the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)) across the layer, and the shear
-    modulus along the layer. This is a Winkler foundation. Its error is of the order of thickness
-    divided by width.
+    The layer is bonded on both sides. If the layer is much thinner than wide, it cannot bulge at
+    its edges. The stiffness per area is then a modulus divided by the thickness. This modulus is
+    the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)) across the layer, and the shear modulus
+    along the layer. Such a layer is a Winkler foundation. The relative error is of the order of
+    thickness divided by width.
     """
     confined = (
         modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
@@ -387,9 +402,9 @@ def bed_springs(
     normal n has the stiffness ``A (k_t I + (k_n - k_t) n n^T)``. k_n is the stiffness of the bed
     across the face, k_t the stiffness along the face.
 
-    The voxel faces form a staircase. The weight of a face is the component of the smoothed surface
-    normal along the normal of the face. The weighted areas therefore sum to the area of the surface
-    and not to the area of the staircase.
+    The voxel faces form a staircase. The area of each face is therefore multiplied by a weight: the
+    component of the smoothed surface normal along the normal of the face. The weighted areas sum to
+    the area of the smooth surface, and not to the area of the staircase.
 
     Parameters
     ----------
@@ -402,7 +417,7 @@ def bed_springs(
 
     Returns
     -------
-    The springs, and the area of the tooth on the bed [m2].
+    The springs, and the area of the surface between tooth and bed [m2].
     """
     # The filter width is chosen. With it, the area of a sphere is 0.3 % too large; it is 1.2 % too
     # large with 1 voxel and 7 % with 0.5 voxel. A wider filter rounds edges.

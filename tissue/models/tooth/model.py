@@ -1,4 +1,4 @@
-"""Tooth under a bur: removal as in bone, distance to the pulp, and optional stress and heat."""
+"""Tooth under a bur: removal as in bone, distance to the pulp, and optionally stress and heat."""
 
 import numpy as np
 import warp as wp
@@ -22,9 +22,9 @@ __all__ = ["ToothModel"]
 
 
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
-"""Columns of the translation of the rigid tooth at the centroid of its stiff material."""
+"""Trace columns of the tooth's rigid translation, at the centroid of the tooth's material."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
-"""Columns of the displacement of the rigid tooth at the bur.
+"""Trace columns of the rigid tooth's displacement at the bur.
 
 The columns hold the displacement of the point that the bur touches. This displacement includes the
 translation and the rotation of the tooth.
@@ -32,7 +32,7 @@ translation and the rotation of the tooth.
 PULP_LIMIT_K = 5.5
 """Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Thicknesses of dentin over the pulp at which an event is reported [m].
+"""Thicknesses of the dentin over the pulp below which an event is reported [m].
 
 Below 0.5 mm the pulp is at risk (from the literature, quoted from memory).
 """
@@ -44,14 +44,14 @@ class ToothModel(MilledTissue):
     The bone model computes removal and forces. The distance of the bur from the pulp is measured to
     the voxels that the pulp filled at the start. The smallest distance so far is the thickness of
     the remaining dentin at its thinnest point. The error of the distance is half a voxel. If the
-    voxels hold no pulp, the distance is not measured: the pulp is then farther away than the margin
-    around the bur's reach.
+    voxels contain no pulp, the distance is not measured. The pulp is then farther away than the
+    margin of the voxels around the bur's reach.
 
-    In every tick the tooth moves as a rigid body under the force, with the compliance of its
-    ligament. The motion is reported at the centroid of the stiff material, and at the point that
-    the bur touches. Stress is solved in the background, from a copy of voxels and force that is
-    made every ``interval_s``. The result is recorded one interval later. The record therefore does
-    not depend on the duration of the solve.
+    If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
+    compliance of its ligament. The motion is reported at the centroid of the tooth's material, and
+    at the point that the bur touches. Stress is solved in the background, from a copy of voxels and
+    force that is made every ``interval_s``. The result is recorded one interval later, so the
+    record does not depend on the duration of the solve.
 
     Parameters
     ----------
@@ -162,8 +162,8 @@ class ToothModel(MilledTissue):
         Raises
         ------
         InputError
-            If stress or heat is computed: their state is in another process, or on a grid that is
-            not copied.
+            If stress or heat is computed. The state of the stress is in another process, and the
+            state of the heat is on a grid that is not copied.
         """
         if self.stress is not None or self.heat is not None:
             raise InputError(
@@ -186,7 +186,10 @@ class ToothModel(MilledTissue):
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and its distribution [J]; None if the scene has no heat."""
+        """Energy of cutting [J], and the parts into which it is divided.
+
+        None if the scene does not compute heat.
+        """
         return self.heat.balance_J if self.heat is not None else None
 
     @property
@@ -204,7 +207,7 @@ class ToothModel(MilledTissue):
             self._await()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Begin the next solve at the end of an interval, on a copy of the changes."""
+        """Begin the next solve at the end of an interval, with a copy of the changes."""
         if self.heat is not None:
             assert self._response is not None
             if self.heat.add_tick(self._response.wrench, motion, self._take_touched):
@@ -228,9 +231,10 @@ class ToothModel(MilledTissue):
         return rows, left
 
     def _contact(self, motion: ToolMotion) -> Array:
-        """Return the contact point of the bur's head and the tooth [m].
+        """Return the point at which the bur's head touches the tooth [m].
 
-        The point lies on the side from which the force acts. Without force, the tip is returned.
+        The point lies on the side of the head from which the tooth's force acts on the bur. Without
+        force, the tip is returned.
         """
         force = float(np.linalg.norm(self._load[:3]))
         radius = self._radius_m
@@ -238,7 +242,7 @@ class ToothModel(MilledTissue):
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _see_pulp(self, heat: CuttingHeat) -> None:
-        """Read the pulp's temperature at the end of an interval of the heat; report limits."""
+        """Read the pulp's temperature after an interval of the heat; report an exceeded limit."""
         before = self._pulp_rise_K
         self._pulp_rise_K = heat.pulp_rise_K
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
@@ -285,9 +289,9 @@ class ToothModel(MilledTissue):
             self.heat.finish()
 
     def _lose_stress(self, lost: HelperLostError) -> None:
-        """Continue the run without stress after its process was lost.
+        """Continue the run without stress after the process that solves the stress was lost.
 
-        The run can continue, because the tooth's compliance, which it needs, was received at the
+        The run needs only the tooth's compliance, which was received from this process at the
         start.
         """
         self._stress_lost = True
@@ -300,9 +304,9 @@ class ToothModel(MilledTissue):
         return self.milling.remaining()
 
     def _measure_pulp(self, motion: ToolMotion) -> None:
-        """Measure the distance to the pulp at a pose where the bur cuts.
+        """Measure the distance from the bur to the pulp at a pose where the bur cuts.
 
-        A trial pose is not measured.
+        Trial poses of a force balance are not measured.
         """
         if not (self._pulp_near and self._reports_pulp):
             return
@@ -318,7 +322,7 @@ class ToothModel(MilledTissue):
         self._reports_pulp = False
 
     def _report_pulp(self, near_m: float) -> None:
-        """Update the smallest distance; report when it falls below a limit or reaches the pulp."""
+        """Update the smallest distance to the pulp; report a distance below a limit, or zero."""
         before = self._least_m
         self._least_m = min(self._least_m, near_m)
         for limit in WARN_M:
@@ -329,7 +333,7 @@ class ToothModel(MilledTissue):
 
 
 def _cross(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the cross product of the first three entries of two vectors, faster than NumPy."""
+    """Return the cross product of the first three entries of two vectors; faster than np.cross."""
     (ax, ay, az) = a.tolist()[:3]
     (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

@@ -1,11 +1,11 @@
 """Multigrid preconditioner: each coarser grid has twice the edge (exact Galerkin projection).
 
-After a change of a few cells, only the few coarse cells that contain them are computed again. The
-hierarchy therefore always belongs to the present body. One symmetric V-cycle in single precision is
-the preconditioner of conjugate gradients. On the finest grid, which has no assembled rows, the
-smoother is Chebyshev's polynomial. On the coarser grids it is Gauss-Seidel over eight colours.
-After the coarse correction the colours run in reverse order. (Trottenberg, Oosterlee, Schueller
-2001, Multigrid, ch. 2.)
+After a change of a few cells, only the few coarse cells that contain these cells are computed
+again. The hierarchy of grids therefore always matches the present body. One symmetric V-cycle in
+single precision is the preconditioner of conjugate gradients. On the finest grid, which has no
+assembled rows, the smoother is Chebyshev's polynomial. On the coarser grids the smoother is
+Gauss-Seidel over eight colours of nodes. After the correction from the next coarser grid, the
+colours are processed in reverse order. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ __all__ = ["GridHierarchy", "GridTransfer"]
 
 
 class GridTransfer:
-    """Recorded kernel launches between two levels.
+    """Recorded kernel launches for the transfer between a fine and a coarse level.
 
     Parameters
     ----------
@@ -93,7 +93,10 @@ class GridTransfer:
         self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
 
     def project(self, changed: Int32s) -> Int32s:
-        """Sum the coarse cells that contain changed cells again, and return these coarse cells."""
+        """Update the stiffness of the coarse cells that contain changed cells.
+
+        Return the indices of these coarse cells.
+        """
         cells = np.unique(self._parent[changed])
         run_once(coarse_stiffness, len(cells), [*self._inputs, cells], self._outputs)
         return cells
@@ -102,18 +105,20 @@ class GridTransfer:
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
 
-With one smoothing sweep instead of a direct solve on the molar's cells of 2.4 mm, the number of
-iterations to a tolerance of 1e-6 would double.
+If the molar's grid with cells of 2.4 mm were smoothed by one sweep instead of solved directly, the
+number of iterations to a tolerance of 1e-6 would double.
 """
 SPLIT_NODES = 4000
 """Largest number of nodes of a grid whose kernel launches run on one core.
 
-Passing work to another thread takes about 50 us, so splitting saves time above 0.2 ms of work.
+Passing work to another thread takes about 50 us, so splitting saves time only for more than 0.2 ms
+of work.
 """
 NULL_CUT = 1e-13
-"""Relative threshold for the scaled eigenvalues of the coarsest grid.
+"""Relative threshold for the eigenvalues of the coarsest grid's scaled stiffness.
 
-Eigenvalues below this fraction of the largest eigenvalue belong to motions that move no finer node.
+Eigenvalues below this fraction of the largest eigenvalue belong to motions that move no node of the
+finer grids.
 """
 
 
@@ -167,14 +172,14 @@ class GridLevel:
         return sweeps
 
     def relax_first(self) -> None:
-        """Run the sweep that starts from zero, and compute the residual."""
+        """Run a Gauss-Seidel sweep that starts from zero, and compute the residual."""
         self.vector.zero_()
         for sweep in self._sweeps:
             sweep()
         self._leave_residual()
 
     def relax_last(self) -> None:
-        """Run the reverse sweep, from the corrected displacement."""
+        """Run a Gauss-Seidel sweep in reverse order, from the corrected displacement."""
         for sweep in reversed(self._sweeps):
             sweep()
 
@@ -190,8 +195,8 @@ class GridHierarchy:
     Attributes
     ----------
     finest, coarser
-        The body's grid, and the coarser grids, each with twice the edge. The last grid is solved
-        directly.
+        The body's grid, and the coarser grids, each with twice the edge of the grid before. The
+        last grid is solved directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
@@ -209,7 +214,7 @@ class GridHierarchy:
         self._stale = True
 
     def update(self, changed: Int32s) -> None:
-        """Update all grids after a change of these cells.
+        """Update all grids after a change of some cells of the finest grid.
 
         The direct solve of the coarsest grid is updated by `refresh`.
         """
@@ -220,7 +225,10 @@ class GridHierarchy:
         self._stale = True
 
     def refresh(self) -> None:
-        """Decompose the stiffness of the coarsest grid anew after a change."""
+        """Factorise the stiffness of the coarsest grid, and estimate the largest eigenvalue, anew.
+
+        Without a change since the last call, do nothing.
+        """
         if not self._stale:
             return
         self.finest.bound_eigenvalues()
@@ -238,12 +246,12 @@ class GridHierarchy:
     def __call__(self, residual: Array) -> Array:
         """Return a correction [m] for a residual [N], each of shape (n, 3).
 
-        The map is linear, positive, and symmetric apart from rounding.
+        The map from residual to correction is linear, positive, and symmetric apart from rounding.
         """
         return self.finest.solve(residual, self._correct)
 
     def _correct(self) -> None:
-        """Add the coarser grids' correction for the finest residual to the finest vector."""
+        """Add the correction by the coarser grids to the vector of the finest grid."""
         self._transfers[0].down()
         for level, transfer in zip(self.coarser, self._transfers[1:], strict=False):
             level.relax_first()

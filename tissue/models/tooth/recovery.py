@@ -1,7 +1,7 @@
 """Recovered stress, compliance of the supports, and first guesses for solves.
 
-Stress is averaged over particles within a fixed distance. This mean converges also where the stress
-at a point does not.
+Stress is averaged over particles within a fixed distance. When cells are refined, this mean
+converges also where the stress at a point does not converge.
 """
 
 from dataclasses import dataclass
@@ -40,10 +40,10 @@ class StressPoints:
     cells
         The cells of the body.
     row
-        Row of each point in the next three arrays, shape (n,).
+        Row of each point in the arrays `cell`, `place` and `lame_Pa`, shape (n,).
     cell, place, lame_Pa
-        NumPy or Warp arrays: cell of each row, position in the cell, 0 to 1 along each edge, and
-        Lame constants [Pa], shape (rows, 2).
+        NumPy or Warp arrays with the cell of each row, the position in this cell (0 to 1 along each
+        edge), and the Lame constants [Pa], shape (rows, 2).
     """
 
     def __init__(
@@ -61,9 +61,9 @@ class StressPoints:
         )
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Return the stress xx, yy, zz, yz, xz, xy [Pa], (n, 6), for nodal displacements [m].
+        """Return the stress at the n points [Pa], shape (n, 6), for nodal displacements [m].
 
-        The next call overwrites the returned array.
+        The components are xx, yy, zz, yz, xz, xy. The next call overwrites the returned array.
         """
         self._cells.displacement.assign(displacement_m)
         self._launch()
@@ -73,7 +73,8 @@ class StressPoints:
 def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
     """Return the von Mises stress and the principal stresses, largest first.
 
-    For stresses of shape (n, 6) the shapes are (n,) and (n, 3).
+    The stress has shape (n, 6), with the components xx, yy, zz, yz, xz, xy. The results have shapes
+    (n,) and (n, 3).
     """
     count = len(stress_Pa)
     von_mises = wp.empty(count, wp.float64, device)
@@ -89,7 +90,7 @@ This is about the radius of a bur; the bur's force is spread over a similar radi
 the error of the recovered stress is 6 % with cells of 0.3 mm, and decreases with smaller cells.
 """
 CELLS_A_REACH = 2.0
-"""Ratio of reach to cell edge from which stress is first averaged within each cell.
+"""Smallest ratio of reach to cell edge at which stress is first averaged within each cell.
 
 The mean stress of a cell's particles differs from the stress at their centre of mass by an error of
 second order in the cell's edge. The whole recovery has an error of this order.
@@ -97,11 +98,11 @@ second order in the cell's edge. The whole recovery has an error of this order.
 
 
 class StressRecovery:
-    """Mean stress around points, from the particles of each point's layer within a fixed reach.
+    """Mean stress around points, averaged over particles of the point's layer within a reach.
 
-    The weight of a particle is its remaining volume times `ball_weight` of its distance. It is zero
-    if the particle's cell carries no load. Layers are not mixed, because the stress is
-    discontinuous where the modulus is.
+    The weight of a particle is its remaining volume times the `ball_weight` of its distance from
+    the point. The weight is zero if the particle's cell carries no load. Particles of different
+    layers are not averaged, because the stress is discontinuous where the modulus is discontinuous.
 
     Parameters
     ----------
@@ -110,8 +111,8 @@ class StressRecovery:
     place_m, layer
         The points [m], shape (k, 3), and the layer of each point, shape (k,).
     reach_m
-        Radius of the ball [m]. If it is not larger than half the diagonal of the particles'
-        lattice, a point may have no particle in reach.
+        Radius of the ball around each point [m]. If the radius is not larger than half the diagonal
+        of a cell of the particles' lattice, a point may have no particle in reach.
     """
 
     def __init__(
@@ -173,7 +174,8 @@ class StressRecovery:
     def __call__(self, displacement_m: Array) -> Array:
         """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] for nodal displacements [m].
 
-        The stress has shape (k, 6). It is NaN where no particle of the layer remains within reach.
+        The stress has shape (k, 6). It is NaN at points without a remaining particle of the layer
+        within reach.
         """
         left = self._total(self._volume * self._cells.remaining) * (
             self._cells.live[self._cell] > 0
@@ -191,7 +193,7 @@ class StressRecovery:
 
 @dataclass(frozen=True, eq=False)
 class SupportCompliance:
-    """Compliance of a part of a body: its rigid motion under a wrench.
+    """Compliance of a part of a body: rigid motion of this part under a wrench.
 
     Attributes
     ----------
@@ -199,14 +201,15 @@ class SupportCompliance:
         Matrix from force [N] and torque [N m] to translation [m] and rotation [rad], symmetric
         positive definite, shape (6, 6).
     reference_m
-        Reference point of motion and wrench [m], shape (3,).
+        Reference point of translation and torque [m], shape (3,).
     solutions
-        Results of the six solves. If a solve has not converged, the matrix must not be used.
+        Results of the six solves, one for each component of the wrench. If a solve has not
+        converged, the matrix must not be used.
     loads_N
         Nodal forces of each solve [N], shape (n, 3).
     asymmetry
-        Largest difference of the matrix from its transpose before it was made symmetric, relative
-        to the geometric mean of the two diagonal entries.
+        Largest asymmetry of the computed matrix, before it was made symmetric. The difference of
+        two mirrored entries is divided by the geometric mean of their diagonal entries.
     """
 
     matrix: Array
@@ -230,16 +233,17 @@ def support_compliance(
 ) -> SupportCompliance:
     """Return the compliance of the part of a body with nonzero ``weights``, shape (n,).
 
-    The wrench q is distributed to the nodes as ``f = w R G^-1 q``. The rigid motion is the weighted
-    least-squares fit ``G^-1 sum w R^T u``. R are the unit rigid motions and ``G = sum w R^T R``.
-    The fit is the transpose of the distribution, so the matrix is symmetric for any weights.
+    The wrench q is distributed to the nodes as the forces ``f = w R G^-1 q``. Here w is the weight
+    of a node, R has the unit rigid motions at this node as columns, and ``G = sum w R^T R``. The
+    rigid motion is the weighted least-squares fit ``G^-1 sum w R^T u`` of the displacements u. The
+    fit is the transpose of the distribution, so the compliance is symmetric for any weights.
 
     Parameters
     ----------
     body
         The body, with its supports.
     weights
-        Weight of each node, such as the volume of stiff material around it.
+        Weight of each node, such as the volume of material around the node.
     reference_m
         Reference point of torque and rotation [m], shape (3,).
     tolerance
@@ -268,19 +272,20 @@ def support_compliance(
 
 
 NULL_CUT = 1e-6
-"""Relative threshold for the scaled eigenvalues of the matrix of energies between solutions.
+"""Relative threshold for the eigenvalues of the scaled energy matrix of earlier solutions.
 
-Eigenvalues below this fraction of the largest eigenvalue are errors of the solves.
+An entry of this matrix is the work of one solution's load on another solution. Eigenvalues below
+this fraction of the largest eigenvalue are errors of the solves.
 """
 
 
 class FirstGuess:
-    """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
+    """First guess of a solve: the combination of earlier solutions with the smallest energy error.
 
-    For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``. If the
-    force has grown, turned or moved, only the part of the solution that the earlier solutions do
-    not contain needs iterations. If the body has changed since these solutions, the guess is
-    slightly worse.
+    For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``, with
+    the new load f. Iterations are then needed only for the part of the new solution that is no
+    combination of the earlier solutions. This part is small if the force has only grown, turned or
+    moved. If the body has changed since the earlier solutions, the guess is slightly worse.
 
     Parameters
     ----------
@@ -303,7 +308,10 @@ class FirstGuess:
         ).reshape(len(kept), len(kept))
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
-        """Store a solution [m] and its load [N], shape (n, 3), in place of the oldest solution."""
+        """Store a solution [m] and its load [N], each of shape (n, 3).
+
+        The oldest solution beyond the number `recent` is discarded.
+        """
         if not load_N.any():
             return
         if len(self._solutions) == self._most:

@@ -1,4 +1,4 @@
-"""Stiffness of the cells of a grid from their particles, updated as particles lose volume."""
+"""Stiffness of a grid's cells, summed over particles and updated when particles lose volume."""
 
 from typing import Any
 
@@ -36,8 +36,8 @@ class CellStiffness:
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Fraction of a full cell's inner stiffness that is added where the particles of a cell leave
-        stiffness missing.
+        Fraction of a full cell's inner stiffness that is added to a cell with a single particle in
+        its middle. Less is added to a cell whose particles give a part of this stiffness.
     springs
         Springs to the ground at points of the cells; default none.
     cores
@@ -46,19 +46,19 @@ class CellStiffness:
     Attributes
     ----------
     order
-        Caller's index of each particle in the order sorted by cell, shape (p,). ``rank`` is the
-        inverse.
+        Caller's index of each particle, in the order sorted by cell, shape (p,). ``rank`` is the
+        inverse permutation.
     cell_start
-        First sorted particle of each cell, int32, shape (c + 1,).
+        Position of the first particle of each cell in the sorted order, int32, shape (c + 1,).
     particle_cell
-        Cell of each sorted particle, int32, shape (p,).
+        Cell of each particle in the sorted order, int32, shape (p,).
     strips
-        The cells that the product handles in strips. Springs, and cells with particles at other
+        Cells whose product is computed in strips. Springs, and cells whose particles lie at other
         positions, are added to this product.
     others
-        Product of the cells that are not in strips, including their springs, with ``displacement``.
-        A call adds the product to ``force``. ``displacement`` and ``force`` are Warp arrays of
-        vec3d, shape (n,). None if all cells are in strips.
+        Product of ``displacement`` with the stiffness of the cells that are not in strips,
+        including their springs. None if all cells are in strips. A call adds the product to
+        ``force``. ``displacement`` and ``force`` are Warp arrays of vec3d, shape (n,).
     """
 
     def __init__(
@@ -135,12 +135,12 @@ class CellStiffness:
 
     @property
     def remaining(self) -> NDArray[np.uint16]:
-        """Remaining fraction of each sorted particle, in steps of 1/65535."""
+        """Remaining fraction of each particle in the sorted order, in steps of 1/65535."""
         return self.remaining_on.numpy()
 
     @property
     def fill(self) -> Array:
-        """Volume of each cell's particles divided by the volume of the cell."""
+        """Remaining volume of each cell's particles, divided by the volume of the cell."""
         return self.fill_on.numpy()
 
     @property
@@ -149,7 +149,10 @@ class CellStiffness:
         return self.live_on.numpy()
 
     def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
-        """Set the remaining fraction of sorted particles. `update` of their cells applies it."""
+        """Set the remaining fractions of particles, given by their rows in the sorted order.
+
+        `update` applies the change to the cells of these particles.
+        """
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
@@ -162,7 +165,7 @@ class CellStiffness:
         self._weigh(changed)
 
     def update(self, cells: Int32s) -> None:
-        """Sum the stiffness of these cells over their particles again."""
+        """Sum the stiffness of some cells over their particles again."""
         if len(cells) == 0:
             return
         size = [self.grid.edge_m, self._strength]
@@ -206,9 +209,10 @@ class CellStiffness:
 def full_cell_stiffness(
     edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float
 ) -> Array:
-    """Return the stiffness [N/m] of a cell, the sum of B^T D B at points, shape (24, 24).
+    """Return the stiffness of a cell [N/m], shape (24, 24).
 
-    The function uses only NumPy.
+    The stiffness is the weighted sum of B^T D B at points of the cell. The function uses only
+    NumPy.
 
     Parameters
     ----------
@@ -231,9 +235,9 @@ def full_cell_stiffness(
 
 
 def strain_matrix(place: Array, edge_m: float) -> Array:
-    """Return B at a position in a cell [1/m], for 24 displacements.
+    """Return the strain matrix B at a position in a cell [1/m], shape (6, 24).
 
-    The strain components are xx, yy, zz, yz, xz, xy (engineering shear).
+    B converts the 24 nodal displacements to the strains xx, yy, zz, yz, xz, xy (engineering shear).
     """
     factors = np.where(CORNERS == 1, place, 1.0 - place)
     signs = np.where(CORNERS == 1, 1.0, -1.0) / edge_m

@@ -1,8 +1,9 @@
 """Background solves of the stress in a tooth, in this process or in a separate process.
 
-Ticks and solves in one Python process wait for each other's interpreter lock. The 99th percentile
-of this wait is most of a millisecond. A separate process avoids this wait. The process receives the
-removed material and the force of the bur, and sends its frames at the end of the run.
+In one Python process, ticks and solves would wait for each other, because both need the interpreter
+lock. The 99th percentile of this wait is almost a millisecond. A separate process avoids this wait.
+The separate process receives the removed material and the force of the bur, and sends its frames at
+the end of the run.
 """
 
 import os
@@ -27,9 +28,10 @@ __all__ = ["Bricks", "Drilled", "InlineStressSolver", "StressProcess", "StressSo
 
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
-"""Longest wait for the other process, before its first answer and for one solve [s].
+"""Longest wait for one solve of the other process [s].
 
-The limit is reached only if the process hangs.
+`ASSEMBLY_S` limits the wait for the first answer of the process. A limit is reached only if the
+process hangs.
 """
 
 
@@ -78,14 +80,14 @@ class Bricks:
 
 
 class InlineStressSolver:
-    """Stress solver in this process. The solve runs in `wait`.
+    """Stress solver in this process; the solve runs in `wait`.
 
     Parameters
     ----------
     whole
         The whole tooth in voxels.
     store
-        Bricks of the finer voxels that are drilled.
+        Bricks (blocks) of the finer voxels that are drilled.
     options
         Further arguments of `StressField`.
     """
@@ -116,7 +118,10 @@ class InlineStressSolver:
         self._begun = state
 
     def wait(self) -> SolveRecord | None:
-        """Update the particles to the remaining voxels, and solve."""
+        """Update the particles from the remaining voxels, and solve for the stress.
+
+        Return None if no solve was begun.
+        """
         state = self._begun
         self._begun = None
         if state is None:
@@ -168,7 +173,10 @@ class StressProcess:
         self._begun = True
 
     def wait(self) -> SolveRecord | None:
-        """Wait for the solve that was begun."""
+        """Wait for the solve that was begun.
+
+        Return None if no solve was begun.
+        """
         if not self._begun:
             return None
         self._begun = False
@@ -188,13 +196,13 @@ class StressProcess:
 
 
 StressSolver = InlineStressSolver | StressProcess
-"""Solver that starts a solve in a tick; the run waits for the result between ticks."""
+"""Stress solver: a tick begins a solve, and the run waits for the result between ticks."""
 
 
 def _serve() -> None:
-    """Solve for every input that is read from the standard input, until it ends.
+    """Run a solve for every input from the standard input, until the standard input ends.
 
-    The standard output is used only for answers.
+    Results are written to the standard output, which is used for nothing else.
     """
     limit_cores(1)  # the other cores are for the ticks
     answers = os.fdopen(os.dup(1), "wb")

@@ -20,16 +20,17 @@ __all__ = ["CellStrips", "LaneVector", "PackedProduct", "StripLayout", "StripPro
 
 
 class PackedProduct:
-    """Recorded product of some cells with nodal displacements, added to nodal forces.
+    """Recorded product of the stiffness of some cells with nodal displacements.
 
     Parameters
     ----------
     grid
         The grid.
     cells, rows
-        Cells of the product, shape (k,), and their rows in ``stiffness``.
+        Cells of the product, shape (k,), and row of each cell in ``stiffness``.
     stiffness
-        Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`. Every call reads it.
+        Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`. Every call reads this
+        array.
     live
         Warp array, shape (c,), with 0 for each cell that carries no load.
     vector, force
@@ -71,33 +72,34 @@ class PackedProduct:
         )
 
     def __call__(self) -> None:
-        """Add the product."""
+        """Compute the product and add it to ``force``."""
         self._cells()
         self._nodes()
 
 
 AT_CUBE = 1e-6
-"""Largest distance of a particle from a cube's centre treated as rounding [cell edges]."""
+"""Largest distance of a particle from a cube's centre that is treated as rounding [cell edges]."""
 
 
 class StripLayout:
     """Positions of nodes and cells in lane vectors, the memory layout of SIMD kernels.
 
     A pencil is the row of all nodes, or of all cells, with equal x and y. A strip is eight cells in
-    a row along z. In memory the nodes of a pencil follow each other along z. After the last node
-    there is free space for a strip that extends beyond it.
+    a row along z. In memory the nodes of a pencil follow each other along z. After the last node of
+    a pencil there is free space for a strip that extends beyond this node.
 
     Attributes
     ----------
     slots
-        Length of a lane vector. ``slot`` is the position of each node in it, int32, shape (n,).
+        Length of a lane vector. ``slot`` is the position of each node in a lane vector, int32,
+        shape (n,).
     strip
         Strip of each cell, and lane of the cell in the strip, int32, shape (c, 2).
     start, base
         First strip of each pencil of cells, shape (p + 1,), and slots of the four lowest nodes of
         each strip, shape (s, 4), int32.
     colours
-        Groups of pencils that share no node, int32 arrays.
+        Groups of pencils of cells, as int32 arrays. Two pencils of a group share no node.
     """
 
     def __init__(self, grid: HexGrid) -> None:
@@ -129,14 +131,14 @@ class StripLayout:
 
 
 class LaneVector:
-    """Vector with three components for each node, in lane order, with views of the same memory.
+    """Vector with three components for each node in lane order, and three views of its memory.
 
-    The first view has single values. The two other views have groups of eight values.
+    The first view has single values, the two other views have groups of eight values.
 
     Attributes
     ----------
     single
-        Shape (3, slots).
+        Single values, shape (3, slots).
     from_each
         The eight numbers that begin at each slot, shape (3, slots - 7).
     by_eight
@@ -164,7 +166,7 @@ class LaneVector:
 
 
 class StripProduct:
-    """Recorded product of strips with a lane vector; a call adds it to another lane vector.
+    """Recorded product of strips with a lane vector, which is added to a second lane vector.
 
     Parameters
     ----------
@@ -174,7 +176,8 @@ class StripProduct:
         Weights of the strips, a Warp array of single or double precision, shape (strips, WEIGHTS,
         LANES).
     vector, force
-        Lane vector of the same precision, and the lane vector to which the product is added.
+        Lane vector that is multiplied, and lane vector to which the product is added. Both have the
+        precision of the weights.
     """
 
     def __init__(
@@ -209,13 +212,13 @@ class StripProduct:
         ]
 
     def __call__(self) -> None:
-        """Add the product."""
+        """Compute the product and add it to ``force``."""
         for launch in self._launches:
             launch()
 
 
 class CellStrips:
-    """Weights of a body's cells in strips, and the exact product with them.
+    """Stiffness of a body's cells as weights in strips, and the exact product with these weights.
 
     The weights are stored in double precision, and again in single precision for smoothing. A cell
     is divided into eight cubes. Cells whose particles do not lie at the centres of these cubes have
@@ -226,8 +229,8 @@ class CellStrips:
     grid
         The cells.
     place, particle_cell
-        Position of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and its
-        cell, shape (p,).
+        Position of each particle in its cell (0 to 1 along each edge), shape (p, 3), and index of
+        this cell, shape (p,). The particles are sorted by cell.
     vector, force
         Warp arrays of vec3d, shape (n,): displacement of the nodes [m], which `product` reads, and
         the force [N], which it writes.
@@ -237,7 +240,7 @@ class CellStrips:
     regular
         True for each cell with weights, bool, shape (c,).
     weight, single
-        Warp arrays, shape (strips, WEIGHTS, LANES).
+        Weights in double and in single precision, Warp arrays, shape (strips, WEIGHTS, LANES).
     """
 
     def __init__(
@@ -294,9 +297,9 @@ def _pencil_keys(place: Int32s, width: int) -> Ints:
 
 
 def _pencils(place: Int32s, width: int) -> tuple[Ints, Ints, Ints]:
-    """Return the key of each pencil and its lowest and highest position along z.
+    """Return the key of each pencil, and the lowest and highest position of the pencil along z.
 
-    The positions are sorted.
+    The given positions must be in lexicographic order.
     """
     keys, first = np.unique(_pencil_keys(place, width), return_index=True)
     last = np.append(first[1:], len(place)) - 1
