@@ -36,11 +36,11 @@ Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Singles = NDArray[np.float32]
 Triangles = tuple[Array, Ints]
-"""Vertices, shape (n, 3), and the vertex numbers of triangles, shape (m, 3)."""
+"""Vertices, shape (n, 3), and vertex indices of each triangle, shape (m, 3)."""
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all combinations of coordinates along axes, shape (n, axes).
+    """Return all combinations of the axes' coordinates, shape (n, number of axes).
 
     The last axis varies fastest.
     """
@@ -48,7 +48,7 @@ def lattice(*axes: ArrayLike) -> Any:
 
 
 def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
-    """Return index slices around a nonempty mask, with a margin of voxels inside the array."""
+    """Return index slices around a nonempty mask and a margin [voxel], limited to the array."""
     found = []
     for axis, count in enumerate(mask.shape):
         along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
@@ -64,7 +64,7 @@ def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return the start and end points of the edges of triangles, shape (3 m, 2).
+    """Return the indices of the start and end points of all edges of m triangles, shape (3 m, 2).
 
     The result contains the first edges of all triangles, then the second edges, then the third
     edges.
@@ -73,16 +73,20 @@ def directed_edges(triangles: Ints) -> Ints:
 
 
 def windings(triangles: Ints) -> Ints:
-    """Return the winding of each triangle, 1 or -1, shape (m,).
+    """Return the orientation of each triangle relative to its vertex indices, shape (m,).
 
-    The value is 0 if a triangle uses a point twice.
+    The value is -1 if the indices ascend in cyclic order, and 1 if they descend. The value is 0 if
+    a triangle uses a point twice.
     """
     a, b, c = triangles.T
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
 
 
 def cross_products(points: Array, triangles: Ints) -> Array:
-    """Compute a normal of each triangle whose length is twice the area, shape (m, 3)."""
+    """Compute a normal vector of each triangle, shape (m, 3).
+
+    The length of the vector is twice the area of the triangle.
+    """
     corner = points[triangles[:, 0]]
     first_edge = points[triangles[:, 1]] - corner
     second_edge = points[triangles[:, 2]] - corner
@@ -90,7 +94,7 @@ def cross_products(points: Array, triangles: Ints) -> Array:
 
 
 def enclosed_volume(points: Array, triangles: Ints) -> float:
-    """Compute the volume enclosed by triangles with outward normals, in cubed point units."""
+    """Compute the volume inside triangles with outward normals, in the cubed unit of the points."""
     # Sum the volumes of the tetrahedra between the centroid and each triangle, a sixth of the
     # triple product. A distant origin instead of the centroid would cause rounding errors.
     corners = points - points.mean(axis=0)

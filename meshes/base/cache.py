@@ -26,7 +26,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def cache_folder() -> Path:
-    """Return the folder of computed arrays.
+    """Return the folder in which computed arrays are cached.
 
     The folder is ``TISSUE_CACHE`` if this environment variable is set, else the user's cache
     folder.
@@ -100,7 +100,7 @@ def read_entry(path: Path) -> str | None:
 
 
 def write_entry(path: Path, text: str) -> None:
-    """Write text after a first line with the version of tissue and a checksum.
+    """Write a cache entry: a line with the version of tissue and a checksum, then the text.
 
     The file is written atomically, so another process never reads an incomplete file.
     """
@@ -117,7 +117,7 @@ def _head(text: str) -> str:
 
 
 def _read(path: Path, code: str) -> Arrays | None:
-    """Return the arrays of a complete file that the same code wrote, or None."""
+    """Return the arrays of a complete cache file that the code version `code` wrote, or None."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -129,7 +129,7 @@ def _read(path: Path, code: str) -> Arrays | None:
 
 
 def _seal(arrays: Arrays, code: str) -> str:
-    """Describe the arrays of a file as JSON: version of the code, types, shapes and a checksum."""
+    """Describe arrays as JSON: version of the code, array types, shapes and a checksum."""
     checksum = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for array in arrays.values():
         checksum.update(np.ascontiguousarray(array).tobytes())
@@ -158,7 +158,7 @@ Result = TypeVar("Result")
 
 
 class Kept(Generic[Result]):
-    """Most recently requested results.
+    """In-memory store of the most recently requested results.
 
     The trials of a study use the same meshes, voxels and tables many times.
 

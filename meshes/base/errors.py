@@ -1,7 +1,7 @@
 """Error for an invalid input, checks that raise this error, and dataclasses with ranges.
 
-NumPy is only imported when a vector is checked. The command line imports this module first, and
-should start fast.
+NumPy is only imported when a vector is checked. The command line imports this module first, and the
+command line should start fast.
 """
 
 import math
@@ -48,7 +48,7 @@ class _Present:
 
 
 PRESENT = _Present()
-"""Value for an error about an argument that must not be present. It is not printed."""
+"""Value of an `InputError` about an argument that must not be given. It is not printed."""
 
 
 class InputError(ValueError):
@@ -61,9 +61,9 @@ class InputError(ValueError):
     Parameters
     ----------
     argument
-        Name of the argument. If no requirement is given, this is the whole message.
+        Name of the argument. If no requirement is given, this text is the whole message.
     requirement
-        Requirement on the argument, which follows the word "must" in the message.
+        Requirement on the argument. In the message, the requirement follows the word "must".
     value
         Value that was given.
     remedy
@@ -115,12 +115,12 @@ def counted(count: int, noun: str) -> str:
 
 
 def by(numbers: Iterable[float], form: str = "g") -> str:
-    """Format sizes along the axes, for example 3 x 4 x 5."""
+    """Format sizes along several axes, for example "3 x 4 x 5"."""
     return " x ".join(format(number, form) for number in numbers)
 
 
 def in_brackets(numbers: Iterable[float], form: str = "g") -> str:
-    """Format coordinates, such as (1, 2, 3)."""
+    """Format coordinates, for example "(1, 2, 3)"."""
     return f"({', '.join(format(number, form) for number in numbers)})"
 
 
@@ -132,7 +132,7 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     name
         Name of the caller's argument, which includes the unit.
     value
-        Number to check, in this unit.
+        Number to check, in the unit that `name` contains.
     remedy
         Instruction for the user.
 
@@ -199,7 +199,7 @@ def require_length(
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
-    """Check that values lie in their closed intervals, and return the values.
+    """Check that each value lies in its closed interval, and return the values.
 
     Each argument is a tuple with the arguments of one call of `require_range`.
     """

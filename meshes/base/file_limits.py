@@ -1,4 +1,4 @@
-"""Limits on input files: only regular files, and a limit on the memory for their content."""
+"""Checks of input files: the file type must be regular, and the content must fit in memory."""
 
 import os
 import stat
@@ -43,7 +43,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @contextmanager
 def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
-    """Set the memory limit for the content of a file [GB]. None does not change the limit."""
+    """Set the memory limit [GB] for the content of a file. None does not change the limit."""
     if max_memory_GB is None:
         yield
         return
@@ -57,7 +57,7 @@ def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
 
 
 def given_limit_GB() -> float | None:
-    """Return the limit that `memory_limit` set [GB]; None if no limit is set."""
+    """Return the limit [GB] that `memory_limit` set; None if no limit is set."""
     return _limit_GB.get()
 
 
@@ -161,7 +161,7 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
 
 
 def _npy_bytes(first: bytes) -> int:
-    """Return the size [byte] that the header of an array file states, given its first bytes."""
+    """Return the array size [byte] stated in the first bytes of a NumPy array file."""
     import numpy as np
 
     stream = BytesIO(first)

@@ -25,7 +25,7 @@ class Grid:
     spacing_m
         Edge of a voxel [m].
     first
-        Index of the lowest voxel along x, y and z; negative below the origin.
+        Lowest voxel index along x, y and z; negative for voxels below the origin.
     shape
         Number of voxels along x, y and z.
     """
@@ -36,7 +36,7 @@ class Grid:
 
     @property
     def last(self) -> tuple[int, int, int]:
-        """Index of the highest voxel along x, y and z, plus one."""
+        """Highest voxel index along x, y and z, plus one."""
         return (
             self.first[0] + self.shape[0],
             self.first[1] + self.shape[1],
@@ -45,13 +45,13 @@ class Grid:
 
     @property
     def origin_m(self) -> Array:
-        """Lowest corner [m], shape (3,)."""
+        """Corner of the grid with the smallest coordinates [m], shape (3,)."""
         return np.array(self.first) * self.spacing_m
 
     def blocked(self) -> Grid:
         """Return the smallest grid of whole blocks that contains this grid.
 
-        Blocks are counted from the frame's origin.
+        The blocks of 8 x 8 x 8 voxels are aligned with the frame's origin.
         """
         low = [f // BLOCK * BLOCK for f in self.first]
         high = [-(-e // BLOCK) * BLOCK for e in self.last]
@@ -62,7 +62,10 @@ class Grid:
         )
 
     def slab(self, start: int, stop: int) -> Grid:
-        """Return the part with the local x indices `start` to `stop`."""
+        """Return the part of the grid from the x index `start` up to, but not including, `stop`.
+
+        The indices are counted from the first voxel of this grid.
+        """
         return Grid(
             self.spacing_m,
             (self.first[0] + start, *self.first[1:]),
@@ -70,7 +73,7 @@ class Grid:
         )
 
     def block_firsts(self) -> Ints:
-        """Return the index of the lowest voxel of each block of a blocked grid, shape (n, 3).
+        """Return the lowest voxel index in each block of a grid of whole blocks, shape (n, 3).
 
         The blocks are in C order.
         """

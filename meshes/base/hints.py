@@ -41,13 +41,11 @@ SAME_MEANING = tuple(
         "scenes list",
     )
 )
-"""Groups of words that users of simulators, CAD programs and command lines use with the same
-meaning.
-"""
+"""Groups of synonyms that users know from simulators, CAD programs and command lines."""
 LEAST_SCORE = 0.62
 """Similarity below which a name is not suggested.
 
-A key of a scene that is written without one of its letters has a similarity of at least 0.68.
+If one letter of a scene key is missing, the similarity to the correct key is at least 0.68.
 """
 TIE = 0.07
 """Largest difference of similarity between the best name and other suggested names.
@@ -58,12 +56,12 @@ An additional word in a name lowers the similarity by 0.085, which is more than 
 MOST = 3
 """Largest number of suggestions."""
 MISSPELT = 0.85
-"""Factor for the share of common letters.
+"""Factor by which the share of common letters is multiplied to compute a similarity.
 
 With this factor, a misspelt word is not more similar than a synonym.
 """
 OTHER_UNIT = 0.9
-"""Factor for the similarity if the two names have different units."""
+"""Factor by which the similarity is multiplied if the two names have different units."""
 
 
 def closest(word: str, known: Iterable[str]) -> list[str]:
@@ -81,7 +79,7 @@ def closest(word: str, known: Iterable[str]) -> list[str]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the names that a word most likely means as a question in brackets.
+    """Return a question in brackets with the names that a word most likely means.
 
     The result is an empty string if there is no such name.
     """
@@ -94,8 +92,8 @@ def suggests_arguments(of: F) -> F:
     Parameters
     ----------
     of
-        Function, or class whose own constructor and public methods are replaced. Functions that
-        take any keyword argument are not changed.
+        Function, or class whose own constructor and public methods are replaced. Functions with a
+        ``**`` parameter are not changed.
     """
     if not isinstance(of, type):
         return _checked(of)
@@ -110,7 +108,7 @@ def suggests_arguments(of: F) -> F:
 
 
 def _checked(function: F) -> F:
-    """Return a function that checks the names of its keyword arguments."""
+    """Wrap a function, such that the names of keyword arguments are checked."""
     parameters = signature(function).parameters
     if any(each.kind is Parameter.VAR_KEYWORD for each in parameters.values()):
         return function
@@ -131,7 +129,7 @@ def _checked(function: F) -> F:
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """Return names as a question in brackets, or an empty string without names."""
+    """Return a question in brackets that suggests names, or an empty string without names."""
     if not names:
         return ""
     *first, last = names
@@ -140,7 +138,7 @@ def did_you_mean(names: Sequence[str]) -> str:
 
 
 def _score(given: str, name: str) -> float:
-    """Return the similarity of two names, 1 for the same words."""
+    """Return the similarity of two names. It is 1 if the names consist of the same words."""
     words = _words(given)
     others = _words(name)
     if not words or not others:

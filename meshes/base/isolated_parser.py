@@ -38,7 +38,7 @@ _DIE_WITH_PARENT = 1
 
 
 def start_code(module: str, function: str) -> str:
-    """Return Python code that calls a function of this checkout.
+    """Return Python code that calls a function of this copy of the source code.
 
     The function reads its arguments from `sys.argv[1:]`.
     """
@@ -49,7 +49,7 @@ def start_code(module: str, function: str) -> str:
 
 
 def python_command(code: str, *arguments: str) -> list[str]:
-    """Return the command that runs `start_code` in a new Python process, or an empty list.
+    """Return the command that runs code from `start_code` in a new process, or an empty list.
 
     The list is empty if no Python process can be started.
     """
@@ -72,9 +72,9 @@ def kill_with_parent() -> None:
 
 
 Facts = dict[str, Any]
-"""Values that JSON can represent, by name."""
+"""Dictionary from names to values that JSON can represent."""
 Answer = tuple[Facts, "dict[str, NDArray[np.number]]"]
-"""Result of a parser: values by name, and arrays by name."""
+"""Result of a parser: a dictionary of values, and a dictionary of arrays."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S = 60.0
@@ -87,21 +87,21 @@ _LEAST_BYTES = 2 << 30
 _BYTES_A_BYTE = 64
 """Allowed memory per byte of the file [byte]. The total is at least ``_LEAST_BYTES``.
 
-Compressed label images may have a hundredth of their original size.
+The factor is large, because a compressed label image may have a hundredth of its original size.
 """
 _LIBRARIES_BYTES = 256 << 20
-"""Memory of the interpreter and its libraries.
+"""Memory of the Python interpreter and its libraries [byte].
 
 This memory does not count towards the memory limit of files.
 """
 _LOOK_EVERY_S = 0.05
-"""Interval at which the time and memory of a parser are checked [s].
+"""Interval [s] at which the elapsed time and the memory of a parser are checked.
 
 In this interval, a process can allocate about 0.1 GB. This is little compared with the smallest
 memory limit, 2 GiB.
 """
 _LAST_S = 2.0
-"""Time limit for a parser to exit after its pipe is closed [s], so that its exit code is known."""
+"""Time limit [s] for a parser to exit after its pipe is closed. The exit code is then known."""
 
 
 def parse_isolated(
@@ -117,11 +117,11 @@ def parse_isolated(
     Parameters
     ----------
     parser
-        ``module:function`` of this checkout. The function takes the path and the options, and
-        returns a pair: a dictionary of values that JSON can represent, and a dictionary of arrays.
-        The function may raise InputError, or DamagedFileError with a description of the damage. Any
-        other exception means that the file is damaged. The text of such an exception is not shown
-        to the user.
+        Function of this package as ``module:function``. The function takes the path and the
+        options, and returns a pair: a dictionary of values that JSON can represent, and a
+        dictionary of arrays. The function may raise InputError, or DamagedFileError with a
+        description of the damage. Any other exception means that the file is damaged. The text of
+        such an exception is not shown to the user.
     file
         File, or folder of files.
     what, remedy
@@ -169,9 +169,9 @@ def parse_isolated(
 
 
 def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
-    """Return the answer of `_answer` in a child process.
+    """Run `_answer` in a child process, and return its result.
 
-    The answer is a problem if the process crashes or exceeds a limit.
+    If the process crashes or exceeds a limit, the result contains a description of this problem.
     """
     command = python_command(_START, request, str(os.getpid()), str(limit_s))
     with subprocess.Popen(
@@ -202,7 +202,8 @@ def _monitored(
 ) -> tuple[Event, list[str]]:
     """Monitor a process in a thread, and kill the process if it exceeds a limit.
 
-    Return an event that ends the monitoring, and a list to which the exceeded limit is added.
+    Return an event that ends the monitoring, and a list that receives the name of an exceeded
+    limit.
     """
     import psutil
 
@@ -231,7 +232,7 @@ def _monitored(
 
 
 def _receive(answers: IO[bytes]) -> Answer:
-    """Return the answer of the child process; raise ValueError if the answer is incomplete."""
+    """Read the result of the child process; raise ValueError if the result is incomplete."""
     import numpy as np
 
     answer: Facts = json.loads(answers.readline() or b"{")
@@ -249,7 +250,7 @@ def _receive(answers: IO[bytes]) -> Answer:
 def _serve() -> None:
     """Parse the file that the command line names, in the child process.
 
-    The answer is written to the standard output.
+    The result is written to the standard output.
     """
     import numpy as np
 
@@ -275,7 +276,7 @@ def _serve() -> None:
 
 
 def _answer(request: str) -> Answer:
-    """Run a parser, and return its facts and arrays, or its error as facts."""
+    """Run a parser, and return its values and arrays, or a description of its error."""
     import numpy as np
 
     name, file, options, max_memory_GB = json.loads(request)

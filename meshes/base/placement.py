@@ -1,4 +1,4 @@
-"""Placement of a scene's frame in the frame of the file that contains the anatomy."""
+"""Position of a scene's frame in the frame of the file that contains the anatomy."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
 """Number of lines at the end of a file from which the format of a data line is detected.
 
-The first lines are not used, because they may be a text from the instrument. The last line may be
-incomplete.
+The first lines are not used, because they may contain a description from the instrument. The last
+line may be incomplete.
 """
 _SPACES = "'’\u00a0\u202f"
 """Thousands separators in addition to point, comma and space."""
@@ -46,7 +46,7 @@ _AGAIN = "fix that line or export the file again"
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Table of text.
+    """Table whose cells are text.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> 
 
 
 def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
-    """Read a text table, without the text before the table.
+    """Read a text table. Text before the header is stored in `TextTable.above`.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
 
 
 def _form(lines: list[str], path: Path, what: str) -> tuple[str, int]:
-    """Return the delimiter and the number of cells of the data lines.
+    """Return the delimiter of the data lines, and the number of cells in each data line.
 
     The delimiter that gives the most numbers is chosen.
     """
@@ -326,7 +326,7 @@ def _is_data(row: list[str]) -> bool:
 def _require_decimal_points(
     above: list[list[str]], rows: list[list[str]], delimiter: str, path: Path, what: str
 ) -> None:
-    """Raise an error if a table that is separated by commas also has decimal commas.
+    """Raise an error if the cells of a table are separated by commas and have decimal commas.
 
     In such a table, rows have more cells than the header, and no cell has a decimal point.
     """

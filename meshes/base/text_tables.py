@@ -30,9 +30,9 @@ __all__ = [
 ]
 
 LONGEST_NUMBER = 308
-"""Largest number of digits of an integer. A longer integer is too large for a float."""
+"""Largest number of digits of an integer that fits in a float."""
 DEEPEST = 50
-"""Largest nesting depth of tables and lists. Scenes have at most 5."""
+"""Largest nesting depth of tables and lists. Scenes have a depth of at most 5."""
 
 
 def read_text(path: Path) -> str:
@@ -178,7 +178,7 @@ def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> Non
     Raises
     ------
     InputError
-        If a name occurs twice. `what` is the argument or key from which the file was read.
+        If a name occurs twice. `what` is the argument or key that names the file.
     """
     seen = set[str]()
     for name in names:
@@ -218,7 +218,10 @@ def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
 
 
 def shown(value: object) -> str:
-    """Return a value in the notation of the user."""
+    """Format a value for a message, in the notation of a scene file.
+
+    For example, True is formatted as ``true``.
+    """
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, list | tuple):

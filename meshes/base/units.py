@@ -29,7 +29,7 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": 0.017453292519943295},
     "number": {},
 }
-"""Factors to SI by quantity.
+"""Factors that convert units to SI, by quantity and unit.
 
 The factors of gf, kgf and lbf are exact values from BIPM and NIST SP 811.
 """
@@ -51,7 +51,7 @@ _SPELLINGS = {
 """Dictionary from other spellings of a unit to its spelling in `UNITS`."""
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _AT_END = re.compile(r"(?:_|\s*[/,]\s*|\s+in\s+)(mm_min|mm_s|[A-Za-zµμ]+(?:/[a-z]+)?)\s*$")
-"""Units in headers: "Load (N)", "Load [N]", "load_N", "t/ms", "t, s" and "Load in N"."""
+"""Patterns of units in headers: "Load (N)", "Load [N]", "load_N", "t/ms", "t, s", "Load in N"."""
 
 
 def plain_unit(text: str) -> str:
@@ -63,7 +63,7 @@ def plain_unit(text: str) -> str:
 def _parts(header: str, quantity: str) -> tuple[str, str]:
     """Return the name and the unit in a header.
 
-    The unit is empty if the header does not state a unit of the quantity.
+    The unit is an empty string if the header does not state a unit of the quantity.
     """
     for pattern in (_IN_BRACKETS, _AT_END):
         found = pattern.search(header)

@@ -47,7 +47,7 @@ OWNERS: "WeakSet[Owner]" = WeakSet()
 
 
 def claim(path: Path) -> None:
-    """Report a file to the innermost folder in `OWNERS` that contains it, before it is written."""
+    """Before a file is written, report it to the innermost folder in `OWNERS` that contains it."""
     owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
     if owner is not None and owner.depth(path):
         owner.claim(path)
@@ -55,12 +55,13 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield the name of a temporary file, which a ``with`` block writes, in the folder of a file.
+    """Yield a temporary path, to which a ``with`` block writes the content of the file `path`.
 
-    The temporary name has the same suffix. When the block ends, the temporary file replaces the
-    file in one step. If the block fails, the temporary file is deleted. Other processes therefore
-    never read an incomplete file. If two processes write the file at the same time, the complete
-    file of one of them remains. A folder in `OWNERS` that contains the file may raise an error.
+    The temporary path has the folder and the suffix of `path`. When the block ends, the temporary
+    file replaces the file `path` in one step. If the block fails, the temporary file is deleted.
+    Other processes therefore never read an incomplete file. If two processes write the file at the
+    same time, the complete file of one of them remains. A folder in `OWNERS` that contains the file
+    may raise an error before the block starts.
     """
     claim(path)
     # 48 random bits: two processes that write the same file use different temporary files.
@@ -79,7 +80,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @cache
 def package_version() -> str:
-    """Return the version of this library, which is stored in its files."""
+    """Return the version of this library. Files that the library writes contain this version."""
     # import here, because it would take a tenth of the time of `tissue --help`
     from importlib.metadata import PackageNotFoundError, version
 
@@ -112,13 +113,13 @@ def require_version(
     where
         The file.
     remedy
-        Instruction for a file without a version.
+        Instruction for the user if the file has no version.
 
     Raises
     ------
     InputError
-        If the format version is missing, or newer than `newest`. The message contains the two
-        format versions and the version of tissue that wrote the file.
+        If the format version is missing, or newer than `newest`. The message contains the format
+        version of the file, `newest`, and the version of tissue that wrote the file.
     """
     stated = held.get(key)
     # Python would count True as version 1.

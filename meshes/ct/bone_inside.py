@@ -1,6 +1,7 @@
 """Anatomies of bones whose interior is known.
 
-The interior is known from the density of a CT, or from a second surface around the trabecular core.
+The interior is known from the densities in a CT image, or from a second surface around the
+trabecular bone.
 """
 
 from pathlib import Path
@@ -39,12 +40,12 @@ Keyak (1998) changes from trabecular to cortical bone at an ash density of 0.6 g
 this density divided by the ratio of ash to apparent density, 0.598 (Schileo 2008).
 """
 _LEAST_KG_M3 = 50.0
-"""Lowest density of bone, as in `DensityLaw`.
+"""Lowest density of bone [kg/m3], the same as in `DensityLaw`.
 
-Interpolation next to voxels without bone would give lower densities.
+Next to voxels without bone, interpolation would give lower densities.
 """
 _PLATE_M = 5e-3
-"""Largest depth of a subchondral plate.
+"""Largest depth of a subchondral plate below the joint surface [m].
 
 The thickness is 1.2 to 2.9 mm on the glenoid (Frich), and larger where a joint is loaded.
 """
@@ -56,7 +57,7 @@ _TO_EDGE = 0.501
 A bone may be cut off at this edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Largest distance by which a core may extend beyond the surface of the bone.
+"""Largest distance [m] by which a trabecular core may extend beyond the surface of the bone.
 
 The surfaces of core and bone are smoothed separately.
 """
@@ -90,8 +91,8 @@ def imaged_anatomy(
     cortical_above_kg_m3
         Density above which bone is cortical, 300 to 2000 kg/m3.
     articular_radius_mm
-        Distance from the site, across its normal, within which the surface belongs to a joint [mm];
-        0 without a joint.
+        Radius around the site, perpendicular to its normal, within which the surface belongs to a
+        joint [mm]; 0 without a joint.
 
     Raises
     ------
@@ -158,12 +159,12 @@ def cored_anatomy(
 ) -> Anatomy:
     """Return the anatomy of a bone in the site frame.
 
-    The bone is trabecular within the core and cortical elsewhere.
+    The bone is trabecular within the surface `core` and cortical elsewhere.
 
     Parameters
     ----------
     surface
-        Surface around the whole bone, or around only the cortical bone, which is hollow at the
+        Surface around the whole bone, or surface of the cortical bone alone, with a cavity at the
         core.
     core
         Surface around the trabecular bone, in the same frame.

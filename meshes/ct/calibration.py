@@ -4,9 +4,9 @@ The method follows Michalski et al. 2020 (Med Eng Phys 78:55). The effective ene
 which the attenuation of the reference tissues best fits their Hounsfield units. There are three
 differences from the paper. First, the linear attenuation is fitted, because Hounsfield units are
 linear in this attenuation. Second, all unknowns have priors and are estimated together, so the
-uncertainty of the density includes the uncertainty of the unknowns. Third, the apparent density is
-computed from a mixture of dense bone (ICRU 44) and marrow, because published relations between
-K2HPO4 and ash density differ by 30 %.
+uncertainty of the density includes the uncertainty of the unknowns. Third, bone is treated as a
+mixture of dense bone (ICRU 44) and marrow. Published relations between K2HPO4 and ash density are
+not used, because they differ by 30 %.
 """
 
 import math
@@ -86,7 +86,7 @@ def _table() -> dict[str, Any]:
 
 @cache
 def _curves() -> dict[str, Any]:
-    """Return splines of the logarithm of each coefficient [cm2/g] by log energy [keV]."""
+    """Return splines of the logarithm of each coefficient [cm2/g] over the log energy [keV]."""
     from scipy.interpolate import CubicSpline
 
     table = _table()
@@ -108,7 +108,7 @@ density of 1.85 to 2.0 g/cm3 in the densest bone.
 _ENERGY_KEV = 72.0
 _ENERGY_SD_KEV = 15.0
 _LIMITS_KEV = (38.0, 140.0)
-"""Limits of the fitted energy.
+"""Limits of the effective energy in the fit [keV].
 
 A photon of a 140 kV tube has at most 140 keV. The effective energy of an 80 kV tube is about 50
 keV.
@@ -118,7 +118,7 @@ _SCALE_SD = 0.01  # scale error; values of 0.003 to 0.03 change the energy by le
 _MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
 _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
-"""Relative standard deviation of the apparent density that is computed from mineral.
+"""Relative standard deviation of an apparent density that is computed from the mineral content.
 
 The ratio of ash to dense bone is 0.57 if it is computed from the calcium content in ICRU 44, and
 0.598 in Schileo 2008. The standard deviation is about half of the relative difference.
@@ -134,12 +134,12 @@ _CHANCE = 0.1  # a misfit with less than this probability widens the band
 _SLAB_VOXELS = 4e6  # voxels filtered at once: five arrays of 16 MB
 _MOST_VOXELS = 4e7  # of a larger image, only every n-th slab is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range of the most frequent Hounsfield value of a tissue, for effective energies of 40 to 120 keV.
+"""Range in which the most frequent Hounsfield value of a tissue is searched.
 
-The values of ICRU 44 (fat -99 to -57 HU, muscle 45 to 40 HU) are extended by 35 HU on each side.
+At 60 to 120 keV, the tables of ICRU 44 give -89 to -56 HU for fat and 44 to 41 HU for muscle.
 """
 _BINS_HU = (-1100, 200)
-"""Range of the histogram [HU], in bins of 1 HU. It contains all ranges of `_MODES_HU`."""
+"""Range of the histogram [HU], which contains all ranges of `_MODES_HU`. The bins are 1 HU wide."""
 _SMOOTHING_HU = 4.0  # standard deviation of the smoothing; single bins have random maxima
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest maximum in the tissue's range
 _PROMINENCE = 0.02  # prominence of a maximum, relative to the same highest maximum
@@ -167,9 +167,9 @@ class Region:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Density law of Hounsfield units, found by a calibration.
+    """Law for density from Hounsfield units that was found by a calibration.
 
-    `energy_keV` is the effective energy, with its standard deviation.
+    `energy_keV` contains the effective energy and its standard deviation.
     """
 
     law: DensityLaw
@@ -217,7 +217,7 @@ def density_law(text: str, image: Image) -> DensityLaw:
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit effective energy, scanner errors and density law to the mean values of regions.
+    """Fit effective energy, scanner errors and density law to the mean values of image regions.
 
     The result includes the uncertainty of the law.
 
@@ -318,7 +318,7 @@ def _density_line(unknown: Array) -> Array:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    Only homogeneous voxels are used. The values in their neighbourhood vary only by noise. The
+    Only voxels in homogeneous neighbourhoods are used, where the values vary only by noise. The
     values of air, fat and muscle are the most frequent values in the ranges of these tissues.
     Cortex is the densest tenth of the voxels that are surrounded by bone and not near metal.
     """
@@ -371,8 +371,8 @@ def find_regions(image: Image) -> dict[str, Region]:
 def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
     """Filter a slab of an image with a kernel of 3 x 3 x 3 voxels.
 
-    Return the values. Also return the mean, standard deviation and minimum around each voxel, and
-    the range of the means.
+    Return the values and, for the neighbourhood of each voxel, the mean, the standard deviation,
+    the range of the means, and the minimum.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
@@ -395,11 +395,11 @@ def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
 
 
 def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
-    """Find the maximum of the histogram in the tissue's range, if it has enough voxels.
+    """Find the histogram's maximum in the tissue's range; return None for too few voxels.
 
-    For air and fat, this is the highest maximum. For muscle, it is the maximum with the lowest
-    value that is not small, because organs with contrast medium have higher values. The error is
-    proportional to the width of the maximum, because several tissues may widen it.
+    For air and fat, the highest maximum is used. For muscle, the first maximum that is not small is
+    used, because organs with contrast medium have higher Hounsfield values. The standard error
+    increases with the width of the maximum, because several tissues may widen it.
     """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks, peak_widths
@@ -427,10 +427,10 @@ def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) ->
 
 
 def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
-    """Compute the median value of the densest tenth of the voxels.
+    """Compute the median value of the densest tenth of the dense voxels.
 
-    The error of the median is half of the range from the 20th to the 80th percentile, combined with
-    5 HU.
+    The standard error is half of the range from the 20th to the 80th percentile, combined with 5 HU
+    (root of the sum of squares).
     """
     count = max(
         int(_DENSEST_SHARE * len(dense)),

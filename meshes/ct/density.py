@@ -1,4 +1,4 @@
-"""Apparent density of bone from grey values, with the uncertainty of the calibration line."""
+"""Apparent density of bone as a linear function of grey values, with its uncertainty."""
 
 from dataclasses import asdict, dataclass
 from statistics import NormalDist
@@ -53,7 +53,7 @@ class DensityLaw:
     relative_sd: float = 0.0
 
     def __call__(self, values: Numbers) -> Singles:
-        """Compute the density [kg/m3] of grey values, same shape."""
+        """Compute the density [kg/m3] of grey values. The result has the shape of `values`."""
         density = np.float32(self.slope_kg_m3) * values + np.float32(self.offset_kg_m3)
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
@@ -81,14 +81,14 @@ class DensityLaw:
         return low, np.clip(middle + half, *limits).astype(np.float32)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the law as a JSON object, densities in kg/m3."""
+        """Return the law as a JSON object. Densities are in kg/m3."""
         return {**asdict(self), "covariance": list(self.covariance)}
 
 
 def _scanner_law(
     name: str, ash: tuple[float, float], source: str, *, slope_sd: float, offset_sd_kg_m3: float
 ) -> DensityLaw:
-    """Return the density law for one scanner's line from Hounsfield units to ash density.
+    """Return the density law for one scanner's linear relation of Hounsfield units and ash density.
 
     The uncertainty of the law includes the difference between scanners.
 
@@ -124,7 +124,7 @@ CT_DENSITY = _scanner_law(
 )
 """Density law of one scanner. Calibrate your own scanner before you rely on densities.
 
-The uncertainty band of the law contains the densities that are computed from the tables of
+The uncertainty band of the law contains the densities of bone that are computed from the tables of
 ``attenuation.toml`` at 62 to 80 keV. These densities are 8 to 39 % lower than the law.
 """
 _MAYO_DENSITY = _scanner_law(
@@ -136,10 +136,10 @@ _MAYO_DENSITY = _scanner_law(
     offset_sd_kg_m3=55.0,
 )
 DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
-"""Density laws by name. Each law is the line of one scanner.
+"""Density laws by name. Each law is the linear relation measured on one scanner.
 
-The uncertainty band of each law contains the tabulated values of bone at 62 to 80 keV, see
-`CT_DENSITY`. These values differ from the law ``dragomir-daescu`` by -10 to 47 %.
+The uncertainty band of each law contains the densities of bone from tables at 62 to 80 keV, see
+`CT_DENSITY`. These densities differ from the law ``dragomir-daescu`` by -10 to 47 %.
 """
 
 _TO_ASH = {

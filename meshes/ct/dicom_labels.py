@@ -41,7 +41,7 @@ _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue"
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
 _OFF_GRID = 0.05
-"""Largest distance of a frame from its position in an evenly spaced stack.
+"""Largest distance of a frame from its expected position in an evenly spaced stack.
 
 Along the normal, the unit is the distance between planes. Perpendicular to the normal, the unit is
 the pixel size. The value is not zero, because positions in headers are rounded.
@@ -52,7 +52,7 @@ _OFF_STATED = 0.01
 For example, a header may state 0.67 mm for 2/3 mm.
 """
 _FLAT_MM = 0.05
-"""Largest difference between heights in one plane [mm]. Coordinates in files are rounded."""
+"""Largest height difference of points in one plane [mm]. Coordinates in files are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def label_object(path: Path) -> LabelObject | None:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Frames of a segmentation.
+    """Frames (image planes) of a DICOM segmentation.
 
     Each frame is one plane of one segment. In a label map, each frame is one plane with all
     segments.
@@ -106,7 +106,7 @@ class Segmentation:
     Attributes
     ----------
     object
-        File.
+        DICOM file of the segmentation.
     segments
         Segments that the file lists.
     frames
@@ -250,7 +250,7 @@ def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
 
 
 def _segments(found: LabelObject) -> list[Segment]:
-    """Return the segments of a file, with the body side that their type states."""
+    """Return the segments of a file, each with the body side that the segment's type states."""
     segments: list[Segment] = []
     try:
         for each in found.dataset.get("SegmentSequence") or ():
@@ -340,12 +340,12 @@ def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
 
 
 def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
-    """Yield the number of a structure, a plane of an image, and its mask, shape (nx, ny).
+    """Yield structure number, index of an image plane, and mask of the structure, shape (nx, ny).
 
-    A voxel belongs to a structure if its centre lies within an odd number of its outlines. An
-    outline within another outline is therefore a hole. Each plane of the image uses the outlines of
-    the nearest plane that has outlines. The distance to this plane must be at most half the
-    distance between planes with outlines.
+    A voxel belongs to a structure if the voxel's centre lies within an odd number of the
+    structure's outlines. An outline within another outline is therefore a hole. Each plane of the
+    image uses the outlines of the nearest plane that has outlines. An image plane that is farther
+    away than half the distance between planes with outlines is empty.
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
@@ -369,7 +369,7 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
 
 
 def _planes_of(heights: Array) -> tuple[Array, NDArray[np.integer]]:
-    """Return the heights of planes [mm], and the plane index of each outline.
+    """Group outlines by plane, and return the planes' heights [mm] and each outline's plane index.
 
     Outlines lie in the same plane if the difference between neighbouring heights is at most
     `_FLAT_MM`.

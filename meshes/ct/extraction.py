@@ -27,29 +27,29 @@ __all__ = [
 
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Lowest and highest corner [mm, LPS]."""
+"""Corners of a box with the smallest and with the largest coordinates [mm, LPS]."""
 MARGIN = 3
 """Margin around a bone [voxel], for soft tissue and for interpolation."""
 KEPT_MARGIN = 4
-"""Margin around a piece of a structure while it is smoothed [voxel], five standard deviations."""
+"""Margin [voxel] around a piece of a structure during smoothing, five standard deviations."""
 SMOOTH_VOXELS = 0.8
 """Standard deviation of the smoothing of a label [voxel].
 
-Smaller values do not remove the label's steps, and larger values remove thin parts. For a bone, the
-unit is the largest of the three voxel sizes. For a structure that a tool must keep clear of, the
-unit is the voxel size along each axis.
+Smaller values do not remove the voxel steps of the label, and larger values remove thin parts. For
+a bone, the unit is the largest of the three voxel sizes. For a structure that a tool must keep
+clear of, the unit is the voxel size along each axis.
 """
 NOISE_VOXELS = 0.5
 """Standard deviation [voxel] of the smoothing of grey values before a surface is extracted."""
 CLOSED_MM = 1.5
-"""Half the width of gaps in a cortex that are closed.
+"""Half the width of the widest gaps in a cortex that are closed [mm].
 
 Such gaps are trabecular openings, vessels and partial-volume effects.
 """
 SUB = 4
-"""Number of sample points of the bone fraction along each edge of a voxel."""
+"""Number of points along each edge of a voxel at which the bone fraction is sampled."""
 LEAST_SHARE = 0.5
-"""Bone fraction above which the density is computed from a voxel's own value.
+"""Bone fraction above which the density is computed from the voxel's own grey value.
 
 Other voxels get the density of the nearest voxel above this fraction.
 """
@@ -59,7 +59,7 @@ BEYOND_VOXELS = 3
 The density can then be interpolated up to the surface.
 """
 _LISTED = 6
-"""Largest number of pieces whose volumes a note lists, because a label may have many fragments."""
+"""Largest number of pieces whose volumes a note lists. A label may have many more fragments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class BoneOfImage:
     triangles
         Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
     cuts
-        Points [m] on each face of the image at which the bone is cut off.
+        Points [m] on each face of the image that cuts off the bone.
     notes
         Sentences for users.
     label_mm3
@@ -103,7 +103,7 @@ class BoneOfImage:
         A voxel that the surface crosses contains bone and soft tissue. Its grey value is the
         weighted mean of the values of bone and soft tissue. If at least half of the voxel is bone,
         the value of bone is computed from this mean. Otherwise, the density of the nearest voxel
-        with enough bone is used.
+        that is at least half bone is used.
         """
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -127,7 +127,7 @@ class BoneOfImage:
     def _share(self) -> Singles:
         """Compute the bone fraction of each voxel.
 
-        The field is interpolated where the surface crosses a voxel.
+        In a voxel that the surface may cross, the field is interpolated at `SUB`³ points.
         """
         from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
@@ -178,9 +178,10 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
     `mask` has the image's shape.
 
-    The voxel steps of the label are smoothed. The level of the surface is chosen such that the
-    number of voxels inside is the same as in the label. If voxels are small compared with the bone,
-    the volume inside the triangles differs from the volume of the label by less than 1 %.
+    The voxel steps of the label are smoothed. The surface is a level set of the smoothed label. The
+    level is chosen such that the surface contains as many voxels as the label. If voxels are small
+    compared with the bone, the volume inside the triangles differs from the volume of the label by
+    less than 1 %.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -195,7 +196,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
-    """Extract the largest piece above a grey value from an image, and fill its marrow."""
+    """Extract the largest connected piece above a grey value from an image, and fill its marrow."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     above = image.values > threshold
@@ -269,8 +270,8 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 def filled(mask: Flags, image: Image) -> Flags:
     """Fill marrow and pores of a mask.
 
-    Gaps of the cortex are closed first. Then each region is filled that is enclosed in a plane
-    normal to one of the three image axes.
+    Gaps of the cortex are closed first. Then, in each plane normal to an image axis, the regions
+    that the mask encloses are filled.
 
     Three directions are used, because a bone that is cut off by the edge of the image encloses its
     marrow only in planes of some directions.
@@ -292,9 +293,9 @@ def filled(mask: Flags, image: Image) -> Flags:
 
 
 def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
-    """Return vertices and triangles around a structure that a tool must keep clear of, and notes.
+    """Return the surface of a structure that a tool must keep clear of, and notes.
 
-    The vertices are in mm, LPS, shape (n, 3).
+    The surface consists of vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
 
     Each piece is smoothed separately, and its volume does not change. If a piece is so thin that
     smoothing would remove it, its voxels are not smoothed.
@@ -352,9 +353,9 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
 
 def _smoothed(piece: Flags) -> Singles:
-    """Return a smooth field that is positive in as many voxels as a piece has.
+    """Smooth a mask, and return a field that is positive in as many voxels as the mask has.
 
-    The field is positive near every voxel of the piece.
+    The field is positive near every voxel of the mask.
     """
     from scipy.ndimage import binary_dilation, gaussian_filter
 

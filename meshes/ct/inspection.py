@@ -50,15 +50,15 @@ The limits bound the size of the histogram. CT values lie inside the limits: air
 metal has a few thousand HU.
 """
 _MOST_SAMPLED = 4_000_000
-"""Number of voxels from which noise is estimated. The error of the median is then about 0.1 %."""
+"""Number of voxels from which noise is estimated. The error of the estimate is then about 0.1 %."""
 _MAD = 0.6745
 """Median absolute deviation of a normal variable with a standard deviation of 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
 """Smallest and largest threshold of bone in common use.
 
-Thresholds are 150 HU for osteoporotic bone, 226 HU in common programs, and 600 HU for the cortex
-without trabecular bone.
+Common thresholds are 150 HU for osteoporotic bone, 226 HU as a default of programs, and 600 HU for
+the cortex without trabecular bone.
 """
 _SOFT_PEAK_HU = (-50.0, 120.0)
 """Range in which the most frequent value of soft tissue is searched.
@@ -95,7 +95,7 @@ class Histogram:
     Attributes
     ----------
     first
-        Value of the first count.
+        Integer value to which the first count belongs.
     counts
         Number of voxels of each value, shape (n,).
     """
@@ -105,7 +105,7 @@ class Histogram:
 
     @property
     def values(self) -> Ints:
-        """Value of each count."""
+        """Integer value to which each count belongs."""
         return self.first + np.arange(len(self.counts))
 
     def share(self, low: float, high: float) -> float:
@@ -136,9 +136,10 @@ class Inspection:
     source
         File or folder name.
     shape, spacing_mm
-        Number of voxels, and distance between neighbours [mm], towards left, back and head.
+        Number of voxels, and distance between neighbours [mm], along x (left), y (back) and z
+        (head).
     low_mm, high_mm
-        Corners of the image [mm, LPS].
+        Corners of the image with the smallest and the largest coordinates [mm, LPS].
     lowest, highest
         Smallest and largest value.
     is_hounsfield
@@ -146,8 +147,8 @@ class Inspection:
         tissue is about 0 to 60.
     noise
         Standard deviation of soft tissue, estimated from differences of neighbours, in units of the
-        values; None without soft tissue. Noise that neighbouring voxels have in common is not
-        included.
+        values; None without soft tissue. Noise that is correlated between neighbouring voxels is
+        not included.
     metal_mm3, metal_mm
         Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
     padding
@@ -252,9 +253,9 @@ def inspect(image: Image) -> Inspection:
 
 
 def _padding(values: Numbers) -> float:
-    """Return the share of voxels with the lowest value.
+    """Return the share of padding voxels, that is, of voxels with the lowest value.
 
-    The result is 0 if this value is not below air, or if it is caused by noise.
+    The result is 0 if the lowest value is not below air, or is caused by noise.
     """
     lowest = values.min()
     share = np.count_nonzero(values == lowest) / values.size
@@ -299,10 +300,10 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
 
 
 def _otsu(values: Array, counts: Array) -> float:
-    """Return the threshold with the largest variance between the parts of a histogram (Otsu 1979).
+    """Return the threshold with the largest between-class variance of a histogram (Otsu 1979).
 
-    All empty bins between two parts give the same variance. The threshold is then in the middle
-    between the parts.
+    If there are empty bins between the two classes, all of them give the same variance. The
+    threshold is then in the middle between the classes.
     """
     weight = np.cumsum(counts)
     mass = np.cumsum(counts * values)
@@ -354,7 +355,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
 
 
 def soft_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning if the median in a soft organ's label is not soft tissue, else "".
+    """Return a warning if the median value in an organ's label is not soft tissue, else "".
 
     The parameters are the same as in `bone_label_note`.
     """

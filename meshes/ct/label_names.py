@@ -39,14 +39,14 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class Segment:
-    """Structure of a segmentation.
+    """Labelled structure in a segmentation.
 
     Attributes
     ----------
     number, name
         Label number and name.
     side
-        ``left``, ``right`` or empty, if the file states the body side separately from the name.
+        ``left`` or ``right`` if the file states the body side separately from the name, else empty.
     layer, value
         Index of the layer that contains the segment, and value of the segment in this layer. A file
         has several layers if segments overlap.
@@ -82,7 +82,7 @@ def side_of(text: str) -> str:
 
 @cache
 def label_sets() -> dict[str, dict[int, str]]:
-    """Return label names by number, for each known program."""
+    """Return a dictionary from label number to name for each known program."""
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {
         name: dict(zip(entry.get("numbers", range(1, 256)), entry["names"], strict=False))
@@ -140,7 +140,7 @@ def header_names(path: Path) -> dict[int, str]:
 
 
 def slicer_segments(path: Path) -> list[Segment]:
-    """Return the segments that 3D Slicer lists in the header of a NRRD file.
+    """Return the segments that 3D Slicer listed in the header of a NRRD file.
 
     In files with several layers, two segments may have the same value. Segments are therefore
     numbered from 1.
@@ -179,7 +179,7 @@ def _slicer_side(tags: str) -> str:
 
 
 def shared_names(names: Mapping[int, str], source: str) -> list[str]:
-    """Return a note for each name that several labels have."""
+    """Return a note for each name that is used by several labels."""
     numbers: dict[str, list[int]] = {}
     for number, name in names.items():
         numbers.setdefault(name, []).append(number)

@@ -98,7 +98,7 @@ class Labels:
         return found[0]
 
     def mask(self, name: str) -> Flags:
-        """Return a mask of the voxels of all labels with a name, shape of the image.
+        """Return a mask of the voxels of all labels named `name`, with the shape of the image.
 
         This method raises the errors of `number`.
         """
@@ -141,15 +141,15 @@ def read_labels(
         DICOM segmentation or structure set, or a folder of masks. Each mask is a file with the
         name of its label.
     names
-        A set of `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` assigns
-        a number to each name. None: the names in the file's header, or ``label 1`` and so on if the
-        header has no names.
+        Name of a set from `meshes.ct.label_names.label_sets`, or a TOML file whose table
+        ``[labels]`` assigns a number to each name. None: the names in the file's header are used,
+        or ``label 1`` and so on if the header has no names.
     spacing_mm
         Distance between neighbouring voxels [mm], one number or three, for a file that does not
-        state it.
+        state the distance.
     image
         CT to which the labels belong. The outlines of a structure set are drawn on the voxels of
-        the CT, and oblique labels are resampled at its voxel centres.
+        the CT. Oblique labels are resampled at the voxel centres of the CT.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
 def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
     """Return the segments of a file with several layers.
 
-    If a layer has no names, raise an error.
+    If the header lists no segments, or the segments have no voxels, an error is raised.
     """
     segments = slicer_segments(path)
     overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])
@@ -240,7 +240,7 @@ class Overlay:
     def add(self, number: int, inside: Flags, plane: int | None = None) -> None:
         """Add a mask to a label.
 
-        If `plane` is given, the mask is this plane of the last axis.
+        If `plane` is given, the mask covers only the plane with this index along the last axis.
         """
         values = self.values if plane is None else self.values[..., plane]
         held = values[inside]
@@ -275,7 +275,7 @@ class Overlay:
     ) -> Labels:
         """Return the labels in LPS, with a note on overlaps.
 
-        See `meshes.images.frame.along_lps` for `lattice`.
+        The argument `lattice` is described in `meshes.images.frame.along_lps`.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Conversion of an image volume (CT or micro-CT) to bone voxels with fractions and densities."""
+"""Conversion of an image volume (CT or micro-CT) to voxels with bone fraction and density."""
 
 import math
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Density = Callable[[Numbers], Singles]
 """Function from grey values to densities [kg/m3], such as a `meshes.ct.density.DensityLaw`."""
 
 _ISOTROPY = 1e-3
-"""Relative difference up to which two spacings count as equal. Spacings in headers are rounded."""
+"""Relative difference up to which two spacings count as equal, because headers round them."""
 _MOST_VOXELS = 5e8
 """Largest number of voxels after resampling. Each of three float32 arrays then takes 2 GB."""
 
@@ -46,7 +46,7 @@ def image_volume(
     resample_mm
         New voxel size [mm]. For finer voxels, grey values are interpolated first. For coarser
         voxels, fractions are averaged, so the bone volume does not change. None: the voxel size of
-        the file, or the smallest of its three sizes.
+        the file, or the smallest of the three voxel sizes if they differ.
     remark
         Function that is called with each sentence about an assumption.
 
@@ -112,7 +112,7 @@ def image_volume(
 def _require_size(
     shape: tuple[int, ...], from_mm: tuple[float, float, float], to_mm: float
 ) -> None:
-    """Raise an error for a resampling that would need too many voxels."""
+    """Raise an error if the resampled image would have too many voxels."""
     count = math.prod(n * max(size / to_mm, 1.0) for n, size in zip(shape, from_mm, strict=True))
     if count > _MOST_VOXELS:
         fitting = to_mm * (count / _MOST_VOXELS) ** (1.0 / 3.0)
@@ -147,11 +147,12 @@ def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float)
 
 
 def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
-    """Average each run of `ratio` > 1 voxels along an axis.
+    """Average groups of `ratio` consecutive voxels along an axis. The ratio need not be an integer.
 
-    The weight of a voxel is the fraction of the voxel that lies in the run.
+    The weight of a voxel is the fraction of the voxel that lies in the group. With a ratio of 1,
+    the values are returned unchanged.
 
-    A remainder at the end is omitted.
+    Voxels at the end that do not fill a group are omitted.
     """
     if ratio <= 1.0 + _ISOTROPY:
         return values
@@ -205,7 +206,7 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
 
 
 def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
-    """Return points on each image face that cuts off the region above a grey value.
+    """Return points on each face of the image that cuts off the region above a grey value.
 
     The points are in m, shape (k, 3).
     """
@@ -225,13 +226,13 @@ def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
 
 
 def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
-    """Smooth values that are 1 inside and 0 outside with a kernel.
+    """Smooth a mask (1 inside, 0 outside) with a kernel that does not shift curved surfaces.
 
     Values outside the array are 0.
 
-    The kernel is a Gaussian minus its variance times its Laplacian. It has no second moment in a
-    plane through its centre. To first order in the curvature, the smoothed value is therefore one
-    half on a curved surface too.
+    The kernel is a Gaussian minus its variance times its Laplacian. In a plane through its centre,
+    the second moment of the kernel is zero. To first order in the curvature, the smoothed value on
+    a curved surface is therefore one half, as on a plane.
 
     Parameters
     ----------

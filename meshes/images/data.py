@@ -18,7 +18,10 @@ _ZLIB_OR_GZIP = 47
 _DENSEST = 1100
 """Upper bound of the ratio of inflated to compressed size. For deflate, it is at most 1032."""
 _PIECE = 1 << 17
-"""Number of bytes read or inflated at once, so that only the voxels need much memory."""
+"""Number of bytes read or inflated at once.
+
+The number is small, so that only the voxel array needs much memory.
+"""
 
 
 def first_bytes(path: Path, count: int) -> bytes:
@@ -48,14 +51,15 @@ def read_voxels(
     Parameters
     ----------
     start
-        Byte of the file at which the data begins. If `compressed` is set, the data is zlib or gzip.
+        Byte of the file at which the data begins. If `compressed` is set, the data has the format
+        zlib or gzip.
     skip
         Number of bytes before the voxels in the inflated data.
 
     Raises
     ------
     InputError
-        If the file contains fewer or more bytes than the array, or is damaged.
+        If the file contains fewer or more bytes than the array needs, or is damaged.
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_regular(path)

@@ -2,8 +2,8 @@
 
 A file contains one or many slices. The slices are sorted by position and must be evenly spaced. The
 stack may be sheared, as with a tilted gantry. Uncompressed pixels are read by pydicom, and
-compressed pixels by GDCM. `meshes.images.dicom_files` reads headers and applies the rules of
-privacy.
+compressed pixels by GDCM. `meshes.images.dicom_files` reads the headers and keeps patient data
+private.
 """
 
 import warnings
@@ -32,18 +32,18 @@ from meshes.images.frame import StoredImage
 __all__ = ["read_dicom", "stored_pixels"]
 
 _THICK_MM = 3.0
-"""Slice thickness from which a note is written. It is more than the thickness of most cortices."""
+"""Slice thickness [mm] from which a note is written, more than the thickness of most cortices."""
 _THICKER = 1.05
 """Ratio of slice thickness to slice distance above which slices overlap.
 
 The ratio is larger than 1, because values in headers are rounded.
 """
 _AIR_HU = (-1100.0, -900.0)
-"""Range of air, which is -1000 HU. Noise and scatter change it by less than 100 HU."""
+"""Range of values of air, -1000 HU. Noise and scatter change this value by less than 100 HU."""
 
 
 def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
-    """Read the only series of a folder and its subfolders, or the series with a given number.
+    """Read the only series in a folder and its subfolders, or the series with the number `series`.
 
     The path may also be the folder's DICOMDIR or a file with many frames. Each slice has its own
     slope and intercept. Voxels with the padding value get the lowest other value of their slice.
@@ -106,11 +106,11 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
 def _of_one_series(
     frames: Sequence[Frame], series: int | None, source: str
 ) -> tuple[list[Frame], list[str]]:
-    """Return the frames of the only series, or of the series with a number, and notes.
+    """Return the frames of the only series, or of the series with the number `series`, and notes.
 
     If a series has several slices, series with a single slice, such as a scout or a dose report,
-    are ignored. Series are distinguished by identifier and number. Messages only name the number
-    and the slices.
+    are ignored. Series are distinguished by identifier and number. Messages state only the series
+    number and the number of slices.
     """
     names = [(str(frame.header["SeriesInstanceUID"]), _series_number(frame)) for frame in frames]
     counts = Counter(names)
@@ -217,7 +217,7 @@ def _decompressed(first: Slice, dataset: Any) -> Numbers:
 
 
 def _ends(each: Slice) -> int:
-    """Return the lowest plus the highest value that each slice can store."""
+    """Return the sum of the lowest and the highest value that a slice can store."""
     bits = int(number_in(each.frame, "BitsStored", 16.0))
     is_signed = int(number_in(each.frame, "PixelRepresentation", 0.0)) == 1
     return -1 if is_signed else 2**bits - 1
@@ -246,11 +246,11 @@ def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
 
 
 def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Numbers, str]:
-    """Return MONOCHROME1 values that slope and intercept convert to grey values, and a note.
+    """Invert MONOCHROME1 values if slope and intercept require it, and return values and a note.
 
     Slope and intercept convert stored values to Hounsfield units, independent of the display (DICOM
-    PS3.3, C.11.1). Some programs invert the values without changing slope and intercept. The values
-    are inverted again if more voxels then have the value of air.
+    PS3.3, C.11.1). Some programs invert the stored values without changing slope and intercept. The
+    values are inverted again if the number of voxels with the value of air then increases.
     """
     ends = np.array([_ends(each) for each in slices], dtype=np.int32)
     inverted = ends[:, None, None] - stored.astype(np.int32)

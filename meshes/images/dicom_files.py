@@ -1,9 +1,9 @@
 """DICOM files of a folder and the headers of their frames.
 
-No data that identifies a patient leaves this module. Only the header elements `_READ` are read:
-kind, size, position, scale and series. Messages contain the index of a file in the order of the
-file names instead of its name, because exporters write patient names, dates and identifiers into
-file names. The name of the folder may appear, because the user chose it.
+No data that identifies a patient leaves this module. Only the header elements in `_READ` are read.
+They state kind, size, position, scale and series. Messages contain the index of a file in the order
+of the file names instead of its name, because exporters write patient names, dates and identifiers
+into file names. The name of the folder may appear, because the user chose it.
 """
 
 import os
@@ -77,7 +77,7 @@ _READ = (
 )
 _SHARED = "SharedFunctionalGroupsSequence"
 _EACH = "PerFrameFunctionalGroupsSequence"
-"""Sequences of a multi-frame file, with the elements of all frames and of each frame."""
+"""Names of the header sequences for all frames and for each frame of a multi-frame file."""
 _MAGIC = b"DICM"
 _PREAMBLE = 128
 """Number of unused bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
@@ -91,12 +91,12 @@ _GROUP_LENGTH_BYTES = 12
 Its tag has 4 bytes, its type 2, its length 2 and its value 4 bytes.
 """
 _PIECE = 1 << 20
-"""Number of bytes inflated at once.
+"""Number of bytes of a deflated file that are inflated at once.
 
 A small file that inflates to a very large size is therefore detected at the memory limit.
 """
 _UNDEFINED_LENGTH = 0xFFFFFFFF
-"""Length that the header states for pixels compressed in parts (DICOM PS3.5, A.4)."""
+"""Length that the header states for pixels that are compressed in fragments (DICOM PS3.5, A.4)."""
 _MOST_FILES = 50_000
 """Largest number of files. The export of one examination has fewer files."""
 _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG", "DOC")
@@ -124,7 +124,7 @@ class Frame:
 
 
 def refused(what: str, requirement: str, found: str) -> InputError:
-    """Return the error for a series that has to be exported again."""
+    """Return the error for a series that the user has to export again."""
     return InputError(what, requirement, found, "export the series again")
 
 
@@ -134,7 +134,7 @@ def damaged(place: str) -> InputError:
 
 
 def is_dicom(file: Path) -> bool:
-    """Return whether a file starts like DICOM, with or without a preamble."""
+    """Return whether a file starts like a DICOM file, with or without a preamble."""
     with file.open("rb") as stream:
         head = stream.read(_PREAMBLE + len(_MAGIC))
     return head[_PREAMBLE:] == _MAGIC or head.startswith(_FIRST_ELEMENTS)
@@ -184,7 +184,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the sorted files of a folder and its subfolders whose names may be DICOM names.
+    """Return the sorted files in a folder and its subfolders that may be DICOM files by name.
 
     Raises
     ------
@@ -253,8 +253,8 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
 def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
     """Read a file with pydicom.
 
-    The dataset contains the elements `_READ`, the functional groups, the pixels, and the elements
-    `further`.
+    The dataset contains the elements in `_READ` and in `further`, the functional groups and the
+    pixels.
 
     Raises
     ------
@@ -307,7 +307,7 @@ def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
 
 
 def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
-    """Return the elements `_READ` from the functional groups of a frame, or of all frames."""
+    """Return the elements in `_READ` from functional groups, for one frame or for all frames."""
     found = {}
     for item in items or ():
         for element in item:
@@ -318,7 +318,7 @@ def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
 
 
 def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> None:
-    """Raise an error if the length of the pixels differs from the length that the header states."""
+    """Raise an error if the length of the pixel data differs from the length in the header."""
     keys = ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")
     # One-bit values are packed without padding at the ends of rows and frames.
     needed = -(-int(np.prod([int(header[key]) for key in keys], dtype=object)) * frames // 8)
@@ -340,7 +340,7 @@ def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> No
 def _require_inflated(file: Path) -> None:
     """Raise an error for a deflated file that inflates beyond the memory limit.
 
-    pydicom would inflate the file at once.
+    pydicom would inflate the whole file without a limit.
     """
     import pydicom
 

@@ -36,22 +36,22 @@ _UNIT = 1e-3
 Values in headers are rounded.
 """
 _UNEVEN = 0.05
-"""Largest distance of a slice from its position in an evenly spaced stack, in slice spacings."""
+"""Largest distance of a slice from its expected position in a stack, in slice spacings."""
 _ROUNDED = 0.75
-"""Largest distance of a slice from its position in a stack, in units of the last decimal.
+"""Largest distance of a slice from its expected position, in units of the last stored decimal.
 
 Rounding moves a slice by up to half a unit, and moves the line that is fitted to all slices by less
 than a quarter of a unit.
 """
 _COARSEST_MM = 0.1
-"""Upper limit of the unit of the last decimal [mm].
+"""Upper limit of the unit of the last decimal of a position [mm].
 
 Positions in whole millimetres are usually exact.
 """
 _MISSING = 0.4
 """Upper limit of the position tolerance that is derived from rounding, in slice spacings.
 
-If a slice is missing, other slices are half a spacing from their positions.
+If a slice is missing, other slices are half a spacing from their expected positions.
 """
 _TILT_DEG = 0.5
 """Tolerance between the stated tilt of the gantry and the tilt computed from positions [degrees].
@@ -135,7 +135,7 @@ def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
 
 
 def _last_decimal(number: object) -> float:
-    """Return the unit of the last decimal of a number as written, such as 0.01 for 3.14."""
+    """Return the unit of the last decimal of a written number, for example 0.01 for "3.14"."""
     text = str(getattr(number, "original_string", number)).strip().lower()
     mantissa, _, exponent = text.partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
@@ -143,7 +143,7 @@ def _last_decimal(number: object) -> float:
 
 
 def _numbers(frame: Frame, key: str, count: int) -> Array:
-    """Return the finite numbers of an element."""
+    """Return the finite numbers in a header element."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -157,7 +157,7 @@ def _numbers(frame: Frame, key: str, count: int) -> Array:
 
 
 def number_in(frame: Frame, key: str, absent: float) -> float:
-    """Return one number of an element, or a default if the element is absent or empty."""
+    """Return the number in a header element, or `absent` if the element is missing or empty."""
     missing = frame.header[key] in (None, "")
     return absent if missing else float(_numbers(frame, key, 1)[0])
 
@@ -250,9 +250,10 @@ def fit_together(one: Slice, other: Slice) -> bool:
 
 
 def even_row(points: Array, indices: NDArray[np.integer]) -> tuple[Array, Array]:
-    """Fit an evenly spaced row to points, shape (n, k), by least squares.
+    """Fit a row of evenly spaced points to `points`, shape (n, k), by least squares.
 
-    Point i is fitted by ``start + indices[i] * step``. At least two indices must differ.
+    Point i is approximated by ``start + indices[i] * step``. The function returns `start` and
+    `step`. At least two indices must differ.
     """
     middle = indices.mean()
     away = indices - middle

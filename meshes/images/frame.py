@@ -22,7 +22,7 @@ __all__ = ["Image", "StoredImage", "along_lps", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
-"""Largest deviation of a voxel [voxel] from a grid along LPS without resampling."""
+"""Largest deviation [voxel] from a grid along LPS axes at which an image is not resampled."""
 _FLATTEST = 1e-3
 """Tolerance of the length of direction vectors, and smallest valid determinant.
 
@@ -32,7 +32,7 @@ _LARGEST_MM = 10_000.0
 _SMALLEST_MM = 1e-5
 """Limits of the spacing [mm], from nanometres in microscopy to metres.
 
-Values outside the limits are from damaged headers.
+Values outside the limits occur only in damaged headers.
 """
 _FARTHEST_ORIGIN_MM = 1e6
 """Largest distance of the origin, 1 km. The rounding error of such positions is 1e-7 mm."""
@@ -125,14 +125,14 @@ def along_lps(
         Whether the values are labels.
     lattice
         Image along LPS axes. Oblique labels are resampled on the grid of this image, which is
-        extended as far as the labels reach. They then need no second resampling. None: a grid with
-        the spacing of `stored`.
+        extended as far as the labels reach. The labels then need no second resampling to this grid.
+        None: the grid has the spacing of `stored`.
 
     Raises
     ------
     InputError
-        If the spacing or origin is not a length, if the axes lie in one plane, or if the resampled
-        image would be too large.
+        If spacing, origin or axis directions are invalid, if the axes lie in one plane, or if the
+        resampled image would be too large.
     """
     _require_frame(stored, source)
     order = _nearest_axes(stored.directions)
@@ -148,7 +148,7 @@ def along_lps(
 
 
 def _nearest_axes(directions: Array) -> tuple[int, ...]:
-    """Return the nearest array axis for each LPS axis. Each array axis is used once."""
+    """Return the nearest array axis for each LPS axis, using each array axis once."""
     return max(
         permutations(range(3)),
         key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
@@ -158,7 +158,7 @@ def _nearest_axes(directions: Array) -> tuple[int, ...]:
 def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | None) -> Image:
     """Resample an image on a grid along LPS axes that contains the whole image.
 
-    The grid has the spacing of the image along each direction, or is a part of `lattice`.
+    The grid has the spacing of the image, or is the grid of `lattice`, cropped or extended.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
@@ -203,9 +203,9 @@ def _interpolated(
 ) -> Singles:
     """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
-    Linear interpolation lowers the grey values of thin bone. It moves 2 % of the bone surface of a
-    CT by more than half a voxel. Splines move 0.2 % of the surface by this distance. Splines
-    overshoot, so each value is limited to the range of the eight voxels around its point.
+    Linear interpolation lowers the grey values of thin bone. In a CT, it moves 2 % of the bone
+    surface by more than half a voxel. Splines move 0.2 % of the surface by this distance. Splines
+    overshoot, so the value at a point is limited to the range of the eight voxels around the point.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
@@ -256,7 +256,7 @@ def _sampled(
 
 
 def _require_frame(stored: StoredImage, source: str) -> None:
-    """Raise an error for spacing, origin or directions that no image can have."""
+    """Raise an error for an invalid spacing, an invalid origin or invalid axis directions."""
     spacing = np.array(stored.spacing_mm)
     if not (
         np.isfinite(spacing).all()
@@ -296,7 +296,7 @@ def _triple(numbers: Array) -> tuple[float, float, float]:
 
 
 def part_of(image: Image, box: tuple[slice, ...]) -> Image:
-    """Return the part of an image in index slices, with the corresponding origin.
+    """Return the part of an image that index slices select, with the origin of this part.
 
     Each slice must have a start.
     """

@@ -16,7 +16,7 @@ __all__ = ["PLANE_SUFFIXES", "TIFF_STARTS", "plane_files"]
 
 PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti", ".dcm")
-"""Suffixes of volumes. A plane in the same folder as a volume is a preview."""
+"""Suffixes of volumes. In a folder with a volume, image planes are previews and are ignored."""
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of TIFF and BigTIFF files, in each of the two byte orders."""
 _STARTS = (*TIFF_STARTS, b"\x89PNG")
@@ -72,7 +72,7 @@ def plane_files(path: Path) -> list[Path]:
 def _in_folder(folder: Path) -> list[Path]:
     """Return the plane files of the most frequent kind in a folder.
 
-    If the folder only contains one subfolder, return the plane files of the subfolder.
+    If the folder contains nothing but one subfolder, return the plane files of the subfolder.
     """
     held = [each for each in folder.iterdir() if not each.name.startswith(".")]
     if len(held) == 1 and held[0].is_dir() and not held[0].is_symlink():
@@ -89,7 +89,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _kind(file: Path) -> str:
-    """Return the kind of a file that holds an image plane, or an empty string for other files."""
+    """Return the kind of an image plane file, or an empty string for other files."""
     suffix = file.suffix.lower()
     if suffix in PLANE_SUFFIXES:
         return suffix[:3]

@@ -20,7 +20,7 @@ _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
-"""Values of the TIFF tags PhotometricInterpretation and Compression (TIFF 6.0)."""
+"""Values of the TIFF tags PhotometricInterpretation and Compression in TIFF 6.0."""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {
@@ -38,7 +38,7 @@ _MODES = {
 """Type and number of samples of a pixel, by Pillow mode."""
 _EXPORT = "export the slice as grey values"
 _MOST_COLOURS = 1000
-"""Largest number of colours that are interpreted as labels.
+"""Largest number of colours in an image whose colours are interpreted as labels.
 
 Photographs and shaded pictures contain more colours.
 """
@@ -46,15 +46,15 @@ Photographs and shaded pictures contain more colours.
 
 @dataclass(frozen=True, eq=False)
 class _Planes:
-    """Properties of a file's planes before decoding.
+    """Properties of the image planes in a file, known before the planes are decoded.
 
     Attributes
     ----------
     shape
         Number of planes, rows, columns and samples per pixel.
     axes
-        Order of the axes in the decoded array: Q for planes, Y for rows, X for columns, S for
-        samples.
+        Order of the axes in the decoded array, one letter per axis: Q for planes, Y for rows, X for
+        columns, S for samples.
     photometric
         Meaning of the values: 0 if low is white, 1 if low is black, 2 for colours, 3 for indices of
         a colour table.
@@ -308,7 +308,7 @@ def _array(file: Path) -> Numbers:
 
 
 def _inverted(values: Numbers, bits: int, source: str) -> Numbers:
-    """Invert values whose lowest value is white. White is then the highest value."""
+    """Invert values of an image in which the lowest value is white."""
     if values.dtype.kind != "u":
         raise InputError(
             "inverted grey values (MinIsWhite)",

@@ -42,9 +42,9 @@ Header = Any
 """Header from nibabel, a mapping from field names to values."""
 
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
-"""Signs of the axes: in NIfTI, +x is to the right and +y to the front."""
+"""Signs that convert NIfTI axes (+x right, +y front, +z up) to LPS."""
 _UNITS_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 1e-3}
-"""Length [mm] of a NIfTI unit, by its code: not stated, m, mm and um."""
+"""Length [mm] of a NIfTI unit by its code. Codes 0 to 3 are: not stated, m, mm and um."""
 _AGREE = 1e-3
 """Relative difference up to which spacings count as equal.
 
@@ -56,8 +56,8 @@ _SINGLE_FILE = (b"n+1", b"n+2")
 def read_nifti(path: Path) -> StoredImage:
     """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with slope, intercept, units and position.
 
-    The position is from the sform if its code is above 0, else from the qform. If the code of the
-    qform is also 0, the axes are assumed to be LPS with the origin (0, 0, 0).
+    The position is read from the sform if the code of the sform is above 0, else from the qform. If
+    the code of the qform is also 0, the axes are assumed to be LPS with the origin (0, 0, 0).
 
     Raises
     ------
@@ -207,11 +207,12 @@ def read_vtk_image(path: Path) -> StoredImage:
 
 
 def vtk_voxels(file: Path) -> Answer:
-    """Return the array of an image file, its shape and its frame.
+    """Return the array of a VTK image file, and the shape and frame of the image.
 
     In the array, the first index varies fastest.
 
-    The rows of the frame are three directions, spacing, and the centre of the first voxel.
+    The rows of the frame are the directions of the three axes, the spacing, and the centre of the
+    first voxel.
 
     Raises
     ------
@@ -266,9 +267,9 @@ _REMEDY = (
     "PNG or BMP slices"
 )
 _SHORTEST_MM = 0.5
-"""Length of the longest side below which the header of an image is probably in metres.
+"""Length of the longest side [mm] below which the header is probably in metres.
 
-A bone of 0.5 m would then have a length of 0.5 mm.
+If such a header is read in mm, a bone of 0.5 m has a length of 0.5 mm.
 """
 
 
@@ -282,16 +283,16 @@ def read_image(
     """Read an image volume and convert it to LPS [mm].
 
     Origin, directions, units, slope and intercept are read from the file. If the file does not
-    state one of these, a note reports the assumption. An image whose axes are LPS axes in any order
-    and direction is reordered without interpolation. Oblique images are resampled, see
+    state one of these values, a note reports the assumed value. An image whose axes are LPS axes in
+    any order and direction is reordered without interpolation. Oblique images are resampled, see
     `meshes.images.frame.along_lps`.
 
     Parameters
     ----------
     path
-        Image file, folder with a DICOM series, its DICOMDIR, DICOM file with many frames, folder
-        with TIFF, PNG or BMP slices, or file pattern of such slices (`slices/*.tif`). Slices are
-        stacked along +z in the order of the numbers in their names.
+        Image file, folder with a DICOM series, DICOMDIR of such a folder, DICOM file with many
+        frames, folder with TIFF, PNG or BMP slices, or file pattern of such slices
+        (`slices/*.tif`). Slices are stacked along +z in the order of the numbers in their names.
     spacing_mm
         Distance between neighbouring voxels [mm], one number or one number per axis of the array.
         None: the distance stated in the file. TIFF, PNG and BMP slices do not state a distance.
@@ -303,8 +304,8 @@ def read_image(
     Raises
     ------
     InputError
-        If the file is missing, empty, truncated, not readable, not an image with one number per
-        voxel, or states values that cannot be applied.
+        If the file is missing, empty, truncated, not readable or not an image with one number per
+        voxel, or if its header contains invalid values.
     """
     path = Path(path)
     stored = stored_image(path, spacing_mm=spacing_mm, labels=labels, series=series)
@@ -327,7 +328,7 @@ def stored_image(
 ) -> StoredImage:
     """Read an image volume along the axes of its file, see `read_image`.
 
-    For files with several label layers, the first axis of the result is the layer.
+    For files with several label layers, the first axis of the result is the layer index.
     """
     given = None if spacing_mm is None else _given_spacing(spacing_mm)
     planes = plane_files(path)

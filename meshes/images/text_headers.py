@@ -1,7 +1,7 @@
 """Reading of MetaImage and NRRD images, which consist of text lines and an array, without ITK.
 
-ITK returns uninitialised memory if compressed voxels are damaged or the header does not state their
-size. ITK also ignores slopes and units, reads invalid numbers as 0, and prints messages on the
+ITK returns uninitialised memory if compressed voxels are damaged or their size is missing in the
+header. ITK also ignores slopes and units, reads invalid numbers as 0, and prints messages on the
 terminal.
 """
 
@@ -22,9 +22,9 @@ __all__ = ["header_lines", "numbers", "read_metaimage", "read_nrrd"]
 
 Fields = Mapping[str, str]
 _LONGEST_HEADER = 1 << 20
-"""Number of bytes searched for the header.
+"""Largest length of a header [byte].
 
-3D Slicer writes several lines for each of hundreds of segments.
+3D Slicer writes several header lines for each segment, and a file may have hundreds of segments.
 """
 _UNITS_MM = {
     **dict.fromkeys(("", "?", "mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
@@ -35,7 +35,7 @@ _UNITS_MM = {
 
 
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
-    """Read the lines `key separator value` of a header.
+    """Read the lines of a header, each of the form `key separator value`.
 
     Return the values by key, and the position of the first byte after the header.
 
@@ -94,7 +94,7 @@ def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> 
 def _stated(
     fields: Fields, keys: Sequence[str], absent: Array, path: Path, *, positive: bool = False
 ) -> Array:
-    """Return the numbers of the first existing key of several synonyms, or a default."""
+    """Return the numbers of the first key in `keys` that the header contains, or a default."""
     key = next((key for key in keys if key in fields), "")
     found = numbers(fields, key, path, positive=positive)
     if found is None:
@@ -169,7 +169,7 @@ _DIRECTIONS = ("transformmatrix", "rotation", "orientation")
 _PLACES = ("offset", "position", "origin")
 _SPACINGS = ("elementspacing", "elementsize")
 _ALONG_LPS = ("RAI", "???")
-"""MetaImage names of axes that start at right, front (anterior) and feet (inferior)."""
+"""MetaImage codes of LPS axes, which start at right, front (anterior) and feet (inferior)."""
 
 
 def read_metaimage(path: Path) -> StoredImage:
@@ -178,7 +178,7 @@ def read_metaimage(path: Path) -> StoredImage:
     Raises
     ------
     InputError
-        If the file is truncated or damaged, or states values that cannot be applied.
+        If the file is truncated or damaged, or if its header contains invalid values.
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:
@@ -274,7 +274,7 @@ def read_nrrd(path: Path) -> StoredImage:
     Raises
     ------
     InputError
-        If the file is truncated or damaged, or states values that cannot be applied.
+        If the file is truncated or damaged, or if its header contains invalid values.
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
@@ -324,7 +324,7 @@ def read_nrrd(path: Path) -> StoredImage:
 
 
 def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dict[str, str]]:
-    """Return index and size of the layer axis of a NRRD image, and the fields without this axis."""
+    """Return index and size of a NRRD image's layer axis, and the header without this axis."""
     kinds = fields.get("kinds", "").lower().split()
     if fields.get("dimension") != "4" or kinds.count("list") != 1:
         return None, fields
@@ -340,9 +340,9 @@ def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dic
 
 
 def _require_axes(fields: Fields, space: str, path: Path) -> None:
-    """Raise an error for a patient space without directions, and for directions without a space.
+    """Raise an error if a header states a patient space or axis directions, but not both.
 
-    In these cases, the directions of the axes are unknown, and left and right might be exchanged.
+    The orientation of the image is then unknown, and left and right might be exchanged.
     """
     if space in _PATIENT and "space directions" not in fields:
         raise _fault(path, "space directions", f"be stated with space {space}", "none")

@@ -2,11 +2,12 @@
 
 A part is, for example, a tumour or a vessel.
 
-The organ is the union of its own label and the labels of its parts, so parts at its surface belong
-to the organ. If a part reaches the surface of the organ or of an earlier part, the label of the
-part is extended outside by a few voxels. Each of these voxels gets the label of the nearest voxel
-inside. The surface of the part then crosses the surface of the organ. Without this extension, the
-two surfaces would nearly coincide, and there would be slivers between them.
+The organ is the union of its own label and the labels of its parts. Parts at the surface of the
+organ therefore belong to the organ. If a part reaches the surface of the organ or of an earlier
+part, the label of the part is extended a few voxels beyond this surface. Each voxel beyond this
+surface gets the label of the nearest voxel on the inner side of the surface. The surface of the
+part then crosses the surface of the organ. Without this extension, the two surfaces would nearly
+coincide, and there would be slivers between them.
 """
 
 from collections.abc import Sequence
@@ -38,7 +39,7 @@ from meshes.voxels.mesh_sampling import nearest_on_triangles
 __all__ = ["LabelGrid", "LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
 
 _PER_RADIUS = 1.0 / 3.0
-"""Standard deviation of the smoothing, relative to the label's radius.
+"""Standard deviation of the smoothing, relative to the radius of the largest ball in the label.
 
 On ellipsoids, smaller values leave voxel steps, and larger values round off the shape.
 """
@@ -50,14 +51,17 @@ With more than 2 voxels, the thin edge of an organ is lost for usual voxel sizes
 _REACH = 4.0
 """Reach of the smoothing around a label, in standard deviations."""
 _LEVELS = (0.25, 0.75)
-"""Limits of the level that encloses the volume of the voxels."""
+"""Limits of the level at which the smoothed label encloses the volume of the label's voxels."""
 _SLOPE = -1.0
-"""First estimate of the derivative of the relative volume by the level. Secants are used later."""
+"""First estimate of the derivative of the relative volume with respect to the level.
+
+Later estimates are slopes of secants.
+"""
 _TRIES = 6
 _CLOSE = 2e-4
-"""Largest number of meshes in the search for the level, and accepted volume error.
+"""Largest number of surfaces in the search for the level, and accepted volume error.
 
-The volume error is relative to the volume.
+The volume error is relative to the volume of the voxels.
 """
 
 
@@ -82,7 +86,7 @@ class LabelGrid:
         return float(np.prod(self.spacing_mm))
 
     def within(self, first: tuple[int, ...]) -> "LabelGrid":
-        """Return the same grid with another first voxel."""
+        """Return the same grid, but starting at the voxel with the index `first`."""
         x, y, z = (
             start + side * index
             for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
@@ -96,19 +100,20 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     The result consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
 
     The label is smoothed with a kernel that does not shift curved surfaces. The kernel's standard
-    deviation is a third of the label's radius, limited to 1 to 2 voxels. The surface is the level
-    that encloses the volume of the voxels. The label ends at the edge of the image.
+    deviation is a third of the radius of the largest ball in the label, limited to 1 to 2 voxels.
+    The surface is the level set of the smoothed label that encloses the volume of the voxels.
+    Voxels outside the image count as outside the label.
 
     Parameters
     ----------
     mask
-        Voxels of the label.
+        Mask of the label's voxels.
     grid
         Position of the voxels.
 
     Returns
     -------
-    None if the label has too few voxels for a surface.
+    Vertices and triangles, or None if the label has too few voxels for a surface.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -151,16 +156,17 @@ def _level(share: Singles, level: float, grid: LabelGrid) -> Triangles:
 
 
 _FEWEST_VOXELS = 64
-"""Smallest number of voxels of a piece that gets a surface. It is a ball 5 voxels in diameter."""
+"""Smallest number of voxels of a piece that gets a surface, as in a ball of 5 voxels diameter."""
 _FLAT_END = 0.5
-"""Size of the last layer of voxels, relative to the largest layer, above which the end is flat.
+"""Ratio of the outermost voxel plane of an organ to its largest plane, above which its end is flat.
 
-The ratio is 0.4 for a ball with nine layers, which has a rounded end.
+Planes are compared by their numbers of voxels. The ratio is 0.4 for a ball with nine planes, which
+has a rounded end.
 """
 _BEYOND = 4
 """Number of voxels by which a part's label is extended outside the organ."""
 _ENVELOPE = 0.2
-"""Additional distance by which a part's label is extended outside the organ, in edge lengths.
+"""Additional extension of a part's label outside the organ, relative to the tetrahedra's edge.
 
 fTetWild moves the organ's surface by up to half of this distance.
 """
@@ -175,9 +181,9 @@ class LabelledOrgan:
     name
         Name of the organ's label.
     solid
-        Voxels of the organ and its parts.
+        Mask of the voxels of the organ and its parts.
     parts
-        Voxels of each part, by name, in order of precedence.
+        Mask of the voxels of each part, by name of the part, in order of precedence.
     grid
         Position of the voxels.
     notes
@@ -328,7 +334,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
 def _one_piece(
     body: Flags, organ: Flags, grid: LabelGrid, name: str
 ) -> tuple[Flags, dict[str, str]]:
-    """Return the piece with most of the organ's label, with its cavities filled, and notes.
+    """Return the piece that contains most of the organ's label, with cavities filled, and notes.
 
     The notes describe the other pieces and the edge of the image.
     """
@@ -386,7 +392,7 @@ def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
 def _pieces(
     name: str, mask: Flags, solid: Flags, organ: str, grid: LabelGrid, notes: dict[str, str]
 ) -> Flags:
-    """Return a part's voxels in the organ, without pieces that are too small for a surface.
+    """Return the voxels of a part in the organ, without pieces that are too small for a surface.
 
     Notes on problems are added to `notes`.
     """
@@ -434,10 +440,10 @@ def _pieces(
 def _part_triangles(
     mask: Flags, solid: Flags, before: Flags, grid: LabelGrid, beyond: int
 ) -> tuple[Array, Ints] | None:
-    """Return the surface of a part, after its label is extended.
+    """Extend the label of a part, and return the surface of the extended label.
 
     The label is extended outside the organ and into earlier parts. Each voxel there gets the label
-    of the nearest voxel.
+    of the nearest voxel in the rest of the organ.
     """
     from scipy.ndimage import distance_transform_edt
 

@@ -50,28 +50,28 @@ __all__ = [
 ]
 
 _TOP_M = (-0.026, 0.0)
-"""Position of the right lobe's dome in the drawing, x and y [m]."""
+"""Position of the right lobe's dome, x and y [m], before the liver is moved to the site frame."""
 _SIZE = 0.94
-"""Scale factor of the drawing, with which the liver has the sizes in the table above."""
+"""Scale factor with which the combined basic shapes have the sizes in the table above."""
 _TRIES = 4
 """Number of radii that are tried for a nodule with the required volume."""
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
 """Number of edges across a nodule, and increase of the edge length per distance from the nodule.
 
-If the edges were as long as the radius, a nodule of 18 mm would lose 13 % of its volume. The error
-of the force above the nodule would then be up to 2 %, a fifth of the nodule's contribution to the
-force.
+If the edges were as long as the radius, a nodule with a diameter of 18 mm would lose 13 % of its
+volume. The error of the force above the nodule would then be up to 2 %, a fifth of the nodule's
+contribution to the force.
 """
 _NEAR_M = 1e-5
 """Half the step of the finite differences for a slope [m]."""
 _PROJECTIONS = 4
 """Number of Newton steps onto the surface.
 
-The distance is nearly exact, so each step squares the relative error.
+The signed distance of the liver is nearly exact, so each step squares the relative error.
 """
 _VISCERAL = (0.33, 0.10, -0.94)
-"""Outward direction of the visceral side, which is inclined towards the thin left lobe."""
+"""Outward direction of the visceral side. This side is inclined towards the thin left lobe."""
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
 """Surfaces at which a liver may be fixed, each given by a direction and an angle [degrees].
 
@@ -118,14 +118,15 @@ def liver_shape() -> Shape:
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
     """Build a liver from tetrahedra of even size, in the site frame.
 
-    A nodule is the part ``nodule``, and faces of tetrahedra lie on its surface.
+    A nodule becomes the part ``nodule`` of the mesh. Faces of tetrahedra lie on the surface of the
+    nodule.
 
     Parameters
     ----------
     spacing_m
-        Side of the lattice [m]. A side of 8.4 mm gives about 30,000 tetrahedra.
+        Side of the lattice's cubes [m]. A side of 8.4 mm gives about 30,000 tetrahedra.
     nodule
-        Stiff ball. Its depth below the surface must be at least one lattice side.
+        Stiff ball. The depth of the ball below the liver's surface must be at least `spacing_m`.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh
 
 
 def onto_liver(points: np.ndarray) -> np.ndarray:
-    """Move points [m] onto the surface of the procedural liver, shape (n, 3)."""
+    """Move points [m], shape (n, 3), onto the surface of the procedural liver."""
     shape = liver_shape()
     found = np.array(points, dtype=np.float64)
     steps = _NEAR_M * np.vstack([np.eye(3), -np.eye(3)])
@@ -185,7 +186,8 @@ def slab(
         Sides of the cells along the top face [m]. The thickness of the first layer is 0.6 times
         this spacing, and each further layer is 1.2 times as thick as the layer above.
     nodule
-        Stiff ball, which is the part ``nodule``. Faces of tetrahedra lie on its surface.
+        Stiff ball, which becomes the part ``nodule`` of the mesh. Faces of tetrahedra lie on its
+        surface.
 
     Raises
     ------
@@ -214,7 +216,7 @@ def slab_base(mesh: TetMesh) -> Nodes:
 def _drawn() -> Shape:
     """Build the liver, with its origin in the middle of the visceral side.
 
-    The drawing is slightly too large and is then scaled.
+    The basic shapes give a liver that is slightly too large, so the result is scaled down.
     """
     # Half axes, radii, positions and blends [m] are chosen by eye. The table above lists the
     # resulting sizes.

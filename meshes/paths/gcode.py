@@ -31,7 +31,7 @@ The controller TwinCAT 3 NC I also corrects differences of up to 0.1 mm by defau
 (centerpointCorrectionLimitSet).
 """
 _WIDEST_RAD = 0.25 * pi
-"""Largest angle of an arc segment that a line replaces.
+"""Largest angle of an arc segment that is replaced by a line [rad].
 
 Only arcs with a radius of less than 0.13 mm have such segments.
 """
@@ -52,16 +52,16 @@ _STILL = (
     *(f"G{n}" for n in ("4", "40", "43", "49", "61", "61.1", "64", "80", "92.1", "92.2")),
     *("G94", "G98", "G99"),
 )
-"""G words that do not move the tool.
+"""G words that do not move the tool and are ignored.
 
 With G43, positions refer to the tip of the tool, as in all paths of this package. G80 ends a
 drilling cycle; the start of a cycle raises an error.
 """
 _SUBPROGRAMS = ("M97", "M98", "M99")
-"""M words that move the tool. Other M words switch, for example, the spindle and the coolant."""
+"""M words of subprograms, which may move the tool. All other M words are ignored."""
 _STILL_LETTERS = "STHDON"
 _HOME = ("G28", "G30", "G53")
-"""Moves to machine positions. These positions are unknown in the frame of the program."""
+"""G words for moves to machine positions, which are unknown in the frame of the program."""
 _END = ("M2", "M30")
 _PARAMETERS = {"G4": "PXU", "G64": "PQ"}
 """Parameter letters of each G word that does not move the tool."""
@@ -83,14 +83,14 @@ _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 @dataclass(eq=False)
 class Program:
-    """Points of a program, and the state of the controller between its lines.
+    """Points of a program, and the state of the controller between two lines of the program.
 
     Attributes
     ----------
     file
         File name for messages.
     points_mm
-        Points in the order and in the frame of the program [mm].
+        Points [mm] in the order of the program, in the frame of the program.
     feeds_mm_s
         Speed to each point [mm/s], NaN for rapid moves.
     """
@@ -190,7 +190,7 @@ class Program:
         return numbers
 
     def _take(self, codes: list[str]) -> None:
-        """Apply the G and M words of a line to the state."""
+        """Apply the G and M words of a line to the state of the controller."""
         groups = [_MODES[code] for code in codes if code in _MODES]
         if len(set(groups)) < len(groups):
             raise self._refused(

@@ -2,7 +2,7 @@
 
 A path is read from a CSV table, a curve of 3D Slicer, or G-code (see `meshes.paths.gcode`).
 
-A path is converted to the table of poses that a replayed motion reads. The table has times, tip
+For a replayed motion, a path is converted to a table of poses. The table contains times, and tip
 positions and orientations in the site's frame.
 """
 
@@ -44,7 +44,7 @@ __all__ = [
 def arc_length(corners: ArrayLike) -> Array:
     """Compute the path length from the first corner to each corner, shape (n,).
 
-    The length has the unit of the corners, shape (n, 3).
+    The argument `corners` has the shape (n, 3). The lengths have the unit of the corners.
     """
     return np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(corners), axis=0), axis=1))]
@@ -54,7 +54,7 @@ def arc_length(corners: ArrayLike) -> Array:
 def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
     """Return points at given path lengths from the first corner, shape (m, 3).
 
-    Lengths outside the path give its start or end point.
+    A length below 0 gives the start of the path. A length beyond the path gives the end.
     """
     along = arc_length(corners)
     given = np.asarray(corners)
@@ -63,16 +63,17 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
 
 
 def kept_corners(corners: ArrayLike, within: float) -> Ints:
-    """Return the indices of the corners to keep, ascending (Douglas and Peucker 1973).
+    """Return the ascending indices of the corners to keep (Douglas and Peucker 1973).
 
-    The distance of each removed corner from the line through the kept corners is at most `within`.
+    The distance of each removed corner from the polyline through the kept corners is at most
+    `within`.
 
     Parameters
     ----------
     corners
-        Shape (n, 3).
+        Corners of the polyline, shape (n, 3).
     within
-        Largest distance of a removed corner from the line, in the unit of the corners.
+        Largest distance of a removed corner from the polyline, in the unit of the corners.
     """
     given = np.asarray(corners, dtype=np.float64)
     kept = {0, len(given) - 1}
@@ -107,7 +108,7 @@ _COLUMNS = {**dict.fromkeys(_PLACE, "length"), _FEED: "speed", **dict.fromkeys(_
 _STEP_MM = 0.5
 """Distance between points at which the depth is evaluated [mm].
 
-Between two points, the depth is at most 0.25 mm larger.
+Between two points, the depth exceeds the larger depth of the two points by at most 0.25 mm.
 """
 _MOST_POINTS = 20_000
 """Largest number of points at which the depth is evaluated. Longer paths have larger steps."""
@@ -313,7 +314,7 @@ def _read_gcode(file: Path) -> Toolpath:
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 _RAPID_MM_S = 20.0
-"""Speed of rapid moves and of the approach [mm/s].
+"""Speed of rapid moves and of the approach to the first point [mm/s].
 
 Cutting is clearly slower, at about 2 mm/s.
 """
@@ -324,7 +325,7 @@ A person turns a drill by a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
-"""Smallest motion [mm] and rotation [rad] that get a separate pose.
+"""Smallest motion [mm] and smallest rotation [rad] that get a separate pose in a replay table.
 
 Without motion, two poses would have the same time.
 """
@@ -378,11 +379,11 @@ def to_replay(
     Parameters
     ----------
     path
-        Path, in the frame in which the site is given.
+        Path, in the same frame as the site.
     site
         Site that defines the scene's frame.
     feed_mm_s
-        Speed in parts of the path for which the file states no speed [mm/s].
+        Speed [mm/s] in the parts of the path for which the file states no speed.
     clearance_mm
         Distance from the start of the motion to the first point, along the tool's axis [mm].
 

@@ -28,23 +28,23 @@ __all__ = [
 
 CORTICAL_KG_M3 = 1800.0
 TRABECULAR_KG_M3 = 350.0
-"""Apparent densities that are assumed in a bone given by surfaces only.
+"""Apparent densities [kg/m3] that are assumed for a bone that is given only by surfaces.
 
 The cortical density is the same as in `meshes.surfaces.glenoid.GlenoidSizes`. The trabecular
-density is between the two densities of `GlenoidSizes`, deep in the vault and directly below the
-plate.
+density is between the two trabecular densities of `GlenoidSizes`, which apply deep in the vault and
+directly below the subchondral plate.
 """
 
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
 """Function from positions and depths of points to layer indices and apparent densities.
 
-Input: points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,). Output:
-layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a layer the density
-must vary smoothly over a millimetre.
+Input: points [m], shape (n, 3), and the depth of each point below the outer surface [m], shape
+(n,). Output: layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a
+layer the density must vary smoothly over a millimetre.
 """
 
 GridSampler = Callable[[Grid], tuple[Singles, Singles]]
-"""Function from a grid to the bone fraction, 0 to 1, and the depth [m] of its voxels.
+"""Function from a grid to the bone fraction, 0 to 1, and the depth [m] of the grid's voxels.
 
 The two arrays are float32 and have the grid's shape.
 """
@@ -67,9 +67,9 @@ class Anatomy:
     notes
         Names and values of assumptions and results, for reports.
     sample
-        Function that returns fraction and depth of a whole grid. It is needed for shapes whose
-        signed distance is too expensive to evaluate for each voxel, such as a triangle mesh. None:
-        `shape` is evaluated.
+        Function that returns bone fraction and depth of a whole grid. Such a function is needed for
+        shapes whose signed distance is too expensive to evaluate at each voxel, such as a triangle
+        mesh. None: `shape` is evaluated.
     placement
         Placement of the site frame in the frame of the anatomy's file; None without a file.
     caps_m

@@ -1,11 +1,11 @@
 """Signed distances as expressions: `box(...) - cylinder(...) | sphere(...).translate(...)`.
 
 A `Shape` maps points [m] to signed distances [m], negative inside. Every shape of this module is
-1-Lipschitz, so the magnitude of its value never exceeds the true distance to the surface. If this
-magnitude at the centre of a cell is larger than the cell's half diagonal, the surface does not
+1-Lipschitz, so the magnitude of its value never exceeds the true distance to the surface. If the
+magnitude at the centre of a cell is larger than half the diagonal of the cell, the surface does not
 cross the cell. Primitives are exact unless their docstring states otherwise. A union of exact
-shapes is exact outside, and their intersection or difference is exact inside. Elsewhere, the values
-are bounds. The result has the dtype of the points.
+shapes is exact outside the solid. An intersection or difference of exact shapes is exact inside the
+solid. Elsewhere, the values are bounds of the distance. The result has the dtype of the points.
 """
 
 from __future__ import annotations
@@ -86,9 +86,9 @@ class Shape:
 
 
 def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Return the minimum of two distances [m], with a rounded crease.
+    """Return the minimum of two distances [m], with a smooth transition between them.
 
-    The crease is rounded where the distances differ by less than `blend_m`.
+    The transition is smooth where the distances differ by less than `blend_m`.
 
     The blend is a quadratic polynomial (I. Quilez, "Smooth minimum"). The gradient of the result is
     a convex combination of the two gradients, so the result is 1-Lipschitz.
@@ -101,7 +101,7 @@ def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
 
 
 def smooth_maximum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Return the maximum of two distances [m] with a rounded crease, see `smooth_minimum`."""
+    """Return the maximum of two distances [m] with a smooth transition, see `smooth_minimum`."""
     return -smooth_minimum(-a, -b, blend_m)
 
 
@@ -184,9 +184,9 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
 
 def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
-    """Build a capsule: all points near the segment from `start_m` to `end_m` [m].
+    """Build a capsule around the segment from `start_m` to `end_m` [m].
 
-    The distance of the points from the segment is at most `radius_m` [m].
+    The capsule consists of all points whose distance from the segment is at most `radius_m` [m].
     """
     radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
     start, axis, length = _segment(start_m, end_m)
@@ -205,8 +205,9 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
     The surface is exact, but the distance is only a lower bound of the true distance.
 
-    The value (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface. Along a long half axis r,
-    the value is min(r)/r times the true distance.
+    For a point p relative to the centre and the half axes r, the signed distance is computed as
+    (|p/r| - 1)·min(r). This value is 1-Lipschitz and zero on the surface. Along a half axis of
+    length a, the value is min(r)/a times the true distance.
     """
     radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
     centre = require_vector("centre_m", centre_m)
@@ -239,7 +240,7 @@ def _norm(v: Points) -> Distances:
 
 
 def _cylindrical(p: Points, start: Array, axis: Array) -> tuple[Distances, Distances]:
-    """Compute heights of points above `start` along `axis`, and distances from the axis [m]."""
+    """Compute heights [m] of points above `start` along `axis`, and distances from the axis."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))
@@ -269,29 +270,29 @@ def _extent(name: str, value: Vector, example: str) -> Array:
 
 
 def _within(distance: Callable[[Points], Distances], lower: Array, upper: Array) -> Shape:
-    """Build a shape from a distance and the corners of its box [m], each of shape (3,)."""
+    """Build a shape from a distance function and two corners of its bounding box [m]."""
     return Shape(distance, tuple(lower.tolist()), tuple(upper.tolist()))
 
 
 WANTED_M = 4e-6
-"""Required distance of the triangles from the surface [m]."""
+"""Accepted distance of the triangles from the exact surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
-"""Numbers of points of the first lattice and of the finest lattice for the distance."""
+"""Numbers of points of the first and of the finest lattice on which the distance is evaluated."""
 ROUNDS = 3
 """Largest number of lattices.
 
-The error is measured on the first lattice. From this error, the second lattice is chosen such that
-its error should be small enough.
+The error of the triangles is measured on the first lattice. From this error, the spacing of the
+second lattice is computed such that the error should be small enough.
 """
 DOUBLINGS = 12
-"""Largest number of doublings of the search distance, which together give a factor of 4000."""
+"""Largest number of doublings of the search distance. Twelve doublings give a factor of 4000."""
 STEP_M = 1e-6
 """Step of the finite differences for the gradient of a distance [m]."""
 
 
 def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, Ints, float]:
-    """Mesh the part of a shape's surface that can be nearest to points in a box.
+    """Mesh the part of a shape's surface that can contain the nearest points to points in a box.
 
     The lattice is refined until the distance of the triangles from the surface is at most 0.004 mm,
     or the lattice has a million points.
@@ -348,7 +349,7 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
 
 
 def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the corners of a box around the coarse lattice cells that may contain surface.
+    """Return the corners of a box around all coarse lattice cells that the surface may cross.
 
     If there is no such cell, the box is the whole lattice.
     """
@@ -382,7 +383,7 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, Ints, Flags]:
     """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
 
-    The other vertices lie where the lattice cuts off the surface.
+    The other vertices close the surface where the lattice cuts it off.
     """
     from skimage.measure import marching_cubes
 
@@ -405,8 +406,8 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
 def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
     """Compute the largest depth of centres and edges of triangles below the surface [m].
 
-    At concave edges, triangles lie outside the surface. The distance from the triangles is then too
-    small, which is on the safe side.
+    At concave edges, triangles lie outside the surface. The distance of an outside point from the
+    triangles is then too small, which is on the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate(
@@ -416,9 +417,9 @@ def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
 
 
 def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
-    """Compute the signed distance from the surface along the gradient [m] and the unit gradient.
+    """Compute the signed distance [m] from the surface along the gradient, and the unit gradient.
 
-    The shape's value itself is only a bound of the distance.
+    The signed distance of the shape itself may be only a bound of the distance.
     """
     value = np.asarray(shape.distance(points), dtype=np.float64)
     slope = np.empty_like(points)

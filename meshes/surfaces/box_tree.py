@@ -12,24 +12,25 @@ __all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
 LEAF = 4
 """Number of triangles in a leaf, the same as in `kernels.structure_distance`."""
 LONGEST_M = 0.5e-3
-"""Longest edge [m] of a triangle near the query box.
+"""Longest edge [m] of a triangle near the box that contains the query points.
 
-Edges are longer if there would be more than `MOST` triangles.
+Longer edges are allowed if there would otherwise be more than `MOST` triangles.
 """
 BY_DISTANCE = 0.25
-"""Longest edge of a triangle, relative to its distance from the query box.
+"""Longest edge of a triangle, relative to the distance of the triangle from the query box.
 
-The distance then varies little over a box around the triangle, so searches stop early.
+The distance from a query point then varies little within the box around a triangle, so searches
+stop early.
 """
 MOST = 2e5
-"""Largest number of triangles after cutting.
+"""Largest number of triangles after long triangles are bisected.
 
 A triangle takes 72 bytes. Doubling the number of triangles adds one level to the tree.
 """
 _GRID = 1024
 """Number of cells of the Morton curve along each axis.
 
-With 10 bits per axis, three axes fit in an integer.
+With 10 bits per axis, the indices along the three axes fit in one integer.
 """
 
 
@@ -40,10 +41,10 @@ class BoxTree:
     Attributes
     ----------
     centres_m, halves_m
-        Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3).
-        The half sides are -1 if there are no triangles.
+        Centre and half sides [m] of the box around all triangles below each node, shape (nodes, 3).
+        The half sides are -1 for a node without triangles.
     corners_m
-        Corners of the triangles in the order of the leaves, `LEAF` triangles per leaf [m], shape
+        Corners [m] of the triangles in the order of the leaves, `LEAF` triangles per leaf, shape
         (triangles, 3, 3).
     first_leaf
         Index of the first leaf node.
@@ -78,7 +79,7 @@ def box_tree(corners_m: Array) -> BoxTree:
 
 
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
-    """Bisect triangles across their longest edge until no edge is too long.
+    """Bisect triangles at their longest edges until no edge is too long.
 
     The boxes around the triangles are then small.
 
@@ -87,8 +88,8 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
     corners_m
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
-        Lowest and highest corner of the box of the query points [m], shape (2, 3). Triangles far
-        from this box may be longer. None: query points may be anywhere.
+        Corners with the smallest and the largest coordinates of a box around the query points [m],
+        shape (2, 3). Triangles far from this box may be longer. None: query points may be anywhere.
     """
     corners = corners_m
     box = box_m
@@ -112,7 +113,7 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
 
 
 def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
-    """Bisect each triangle across the edge that starts at its corner `longest`."""
+    """Bisect each triangle at the edge that starts at the triangle's corner `longest`."""
     turned = np.take_along_axis(
         corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1
     )
@@ -124,7 +125,7 @@ def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
 
 
 def _away(points: Array, box: Array | None) -> Array:
-    """Compute the distance of points from a box [m], 0 inside."""
+    """Compute the distance [m] of points from a box. It is 0 inside the box."""
     if box is None:
         return np.zeros(len(points))
     outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
@@ -132,7 +133,7 @@ def _away(points: Array, box: Array | None) -> Array:
 
 
 def _in_order(corners: Array) -> Array:
-    """Sort triangles along a Morton curve, so that neighbours share a leaf."""
+    """Sort triangles along a Morton curve, so that neighbouring triangles share a leaf."""
     centres = corners.mean(axis=1)
     low = centres.min(axis=0)
     # For a single triangle, the extent is zero. It lies in cell 0 for any cell size.

@@ -1,9 +1,10 @@
-"""Procedural glenoid with a concave pear-shaped face, and anatomy of a bone surface.
+"""Procedural glenoid with a concave pear-shaped face, and anatomies of bones given by surfaces.
 
 The glenoid has a subchondral plate, a cortical wall and a graded trabecular vault.
 
-Sources: R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not
-modelled. The face is the bony face that a reamer cuts after the cartilage has been removed.
+In the table, R means a source that was read, and M means from memory of the literature. Confidence
+is high (H), medium (M) or low (L). Cartilage is not modelled. The face is the bony face that a
+reamer cuts after the cartilage has been removed.
 
 ========================  ==================  =====================================================================
 width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
@@ -47,16 +48,16 @@ Thickness = Callable[[Floats, Floats], Floats]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
-"""Smallest and largest plate thickness of the six glenoids (Frich)."""
+"""Smallest and largest thickness [m] of the subchondral plate in six glenoids (Frich)."""
 _VAULT_BASE_BLEND_M = 4e-3
-"""Width over which walls and base of the vault are blended. Tools do not reach this region."""
+"""Width [m] over which walls and base of the vault are blended. Tools do not reach this region."""
 
 
 @dataclass(frozen=True)
 class _Pear:
-    """Outline of two circles and their common tangents in the x-y plane [m].
+    """Outline in the x-y plane [m] that consists of two circles and their common tangents.
 
-    The origin is the centre of the bounding box.
+    The origin is the centre of the bounding box of the outline.
     """
 
     lower_radius: float
@@ -83,7 +84,7 @@ class _Pear:
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Compute the exact signed distance [m] to the outline, negative inside.
 
-        The outline is the hull of two circles.
+        The outline is the convex hull of two circles.
         """
         sine = self.sine
         cosine = math.sqrt(1.0 - sine**2)
@@ -102,7 +103,7 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 
     At the middle of the upper half, the width is `upper_width_ratio` times the full width.
 
-    The width there increases with the radius of the upper circle, so bisection finds the radius.
+    This width increases with the radius of the upper circle, so the radius is found by bisection.
     """
     lower = 0.5 * width
 
@@ -125,7 +126,7 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 def _plate_thickness(
     mean: float, variation: float, half_width: float, half_height: float, x: Floats, y: Floats
 ) -> Floats:
-    """Compute the thickness of the subchondral plate [m], 1.2-2.9 mm.
+    """Compute the thickness of the subchondral plate [m], limited to 1.2 to 2.9 mm.
 
     The plate is thicker at the anterior and posterior sides, and thinner at the superior and
     inferior sides.
@@ -147,11 +148,11 @@ class GlenoidSizes(Ranged):
     curvature_radius_mm
         Radius of the spherical concavity [mm], larger than half the height.
     subchondral_thickness_mm, subchondral_variation
-        Mean plate thickness of the face [mm], and relative amplitude of its variation. The
-        thickness is limited to 1.2 to 2.9 mm.
+        Mean thickness of the subchondral plate [mm], and relative amplitude of the variation of
+        this thickness. The thickness is limited to 1.2 to 2.9 mm.
     vault_depth_mm, vault_taper_deg
-        Depth of the vault below the face's centre [mm], and angle [degrees] by which its walls are
-        inclined inward below the centre.
+        Depth of the vault below the face's centre [mm], and angle [degrees] by which the walls of
+        the vault are inclined inward with depth.
     cortical_wall_mm
         Thickness of the cortical wall around the vault [mm].
     rim_blend_mm
@@ -257,10 +258,10 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
 
 
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
-    """Build the outer surface.
+    """Build the outer surface of a glenoid.
 
-    The outline is extruded along z. Below z = 0, the wall is inclined inward. A sphere makes the
-    top concave, and a plane cuts off the base.
+    The outline is extruded along z. Below z = 0, the wall is inclined inward. A sphere is
+    subtracted to make the top concave, and a plane cuts off the base.
     """
     sine = math.sin(taper)
     cosine = math.cos(taper)
@@ -286,9 +287,9 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
 
 
 def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
-    """Return a function that classifies points by depth.
+    """Return a function that computes the layer and density of points from their depths.
 
-    The layer depends on the depth below the concave face and the depth below the outer surface.
+    The layer depends on the depth below the concave face and on the depth below the outer surface.
     """
     wall = 1e-3 * sizes.cortical_wall_mm
     deep = sizes.trabecular_density_kg_m3
@@ -379,7 +380,7 @@ def sampled_anatomy(
     classify: Classify,
     notes: Mapping[str, str],
 ) -> Anatomy:
-    """Build the anatomy of a surface at a site from the sampler of its triangles."""
+    """Build the anatomy of a surface in a site frame from a sampler of the surface's triangles."""
     vertices = sampler.vertices_m
 
     def distance(points: Floats) -> Floats:

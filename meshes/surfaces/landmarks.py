@@ -60,10 +60,10 @@ _ALIKE = 0.85  # ratio of second to best score above which the result is ambiguo
 
 @dataclass(frozen=True)
 class _Head:
-    """Joint head: name, range of sphere coverage, and whether the head has a neck.
+    """Kind of joint head: name, limits of the coverage, and whether the head has a neck.
 
-    Coverage is the share of the sphere that bone surface covers. The range consists of three
-    coverages: the coverage with score 0, the coverage with score 1, and the largest coverage.
+    Coverage is the share of the fitted sphere that bone surface covers. The limits are the coverage
+    with score 0, the coverage with score 1, and the largest valid coverage.
     """
 
     name: str
@@ -89,18 +89,18 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     Parameters
     ----------
     kind
-        ``glenoid``: centre of the socket of a scapula, z outward, y superior. ``femoral-head``,
-        ``humeral-head``: point at which the axis of the neck or of the articular cap leaves the
-        bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the axis of this
-        pedicle leaves the bone, z outward along the axis, y up. ``vertebra``: the same point for
-        the wider of the two pedicles.
+        ``glenoid``: centre of the shoulder socket of a scapula, z outward, y superior.
+        ``femoral-head``, ``humeral-head``: point at which the axis of the neck or of the articular
+        cap leaves the bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the
+        axis of the left or right pedicle leaves the bone, z outward along the axis, y up.
+        ``vertebra``: this point for the wider of the two pedicles.
     surface
         Surface of a single bone.
 
     Raises
     ------
     InputError
-        If the kind is unknown, or the surface has no such landmark or two equally good ones.
+        If the kind is unknown, or the surface has no such landmark or two equally good landmarks.
     """
     if kind == "glenoid":
         return _search_glenoid(surface, None)
@@ -126,10 +126,11 @@ def find_glenoid(
     surface
         Scapula.
     centre_mm
-        Centre [mm] in the frame of the file after scaling. It is moved along the normal onto the
-        surface. None: the centre is searched.
+        Centre [mm] in the frame of the file, after scaling to mm. The centre is moved along the
+        normal onto the surface. None: the centre is searched.
     along
-        Direction of x, of any length. It is projected onto the face. None: y is superior.
+        Vector of any length in the direction of x. The vector is projected onto the face. None: y
+        is superior.
 
     Raises
     ------
@@ -148,7 +149,7 @@ def find_glenoid(
 
 
 def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSite:
-    """Score each surface sample by the disc around it, and find the face around the best sample."""
+    """Score the surface around each sample, and find the face around the best sample."""
     from scipy.spatial import cKDTree
 
     # With 4000 samples, a real scapula is not accepted. With 16,000 samples, the results do not
@@ -192,13 +193,13 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 
 
 def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tuple[Array, float]:
-    """Compute the smoothed normal and the similarity to a glenoid, 0 to 1, at a sample.
+    """Compute the smoothed normal at a sample, and the similarity to a glenoid, 0 to 1.
 
     The similarity describes the surface around the sample.
 
     The similarity is high if four conditions hold. The surface covers a disc with a radius of 10 mm
-    and has similar normals there. The surface falls off beyond 20 mm. The bone behind the disc is
-    thick. The disc is not convex.
+    and has similar normals there. Beyond a radius of 20 mm, the surface lies more than 4 mm lower
+    in most directions. The bone behind the disc is thick. The disc is not convex.
     """
     point = samples.points[number]
     near = tree.query_ball_point(point, 1.2 * _DISC)  # contains the disc and 6 mm above and below
@@ -246,7 +247,7 @@ def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tup
 
 
 def _curvature(offset: Array, normal: Array) -> float:
-    """Compute the curvature [1/m] of the paraboloid fitted to points around the origin.
+    """Compute the curvature [1/m] of a paraboloid of revolution fitted to points around the origin.
 
     The curvature is positive if the surface is concave.
     """
@@ -265,9 +266,9 @@ def _face(
     Return the centre of the face, its axes as rows (long, short, outward), its two side lengths and
     its curvature.
 
-    The face is the connected region whose normals are within 32 degrees of the normal of its mean
-    plane. On two real scapulae and a synthetic scapula, limits of 25 to 37 degrees change the
-    centre by at most 2 mm. With larger limits, the region extends into the coracoid.
+    The face is the connected region in which all normals are within 32 degrees of the normal of the
+    region's mean plane. On two real scapulae and a synthetic scapula, limits of 25 to 37 degrees
+    change the centre by at most 2 mm. With larger limits, the region extends into the coracoid.
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -305,9 +306,10 @@ def _face(
 
 @dataclass(frozen=True, eq=False)
 class _Cap:
-    """Spherical cap: sphere, direction to its middle, coverage, RMS misfit and roundness.
+    """Spherical cap: sphere, direction from its centre to the cap, coverage, RMS misfit, roundness.
 
-    The coverage is the covered share of the sphere. The roundness describes the outline of the cap.
+    The coverage is the share of the sphere that the cap covers. The roundness describes the outline
+    of the cap.
     """
 
     centre: Array
@@ -323,7 +325,7 @@ class _Cap:
 
 
 def _search_head(surface: Surface, kind: _Head) -> FoundSite:
-    """Find the spherical cap with a radius of 18 to 32 mm that covers most of its sphere."""
+    """Find the spherical cap with a radius of 18 to 32 mm and the best score, and a site on it."""
     # With 6000 and 24,000 samples, the site changes by at most 0.4 mm.
     samples = sample_surface(*surface.scanned, 12000)
     caps = sorted(_caps(samples), key=lambda cap: -cap.score(kind))
@@ -362,9 +364,10 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
-    """Fit spherical caps, starting from the centres and radii with the most votes.
+    """Fit spherical caps with a Hough transform for the starting values.
 
-    Samples vote for centres along their normals.
+    Each sample votes for centres of spheres along its normal, one for each radius. Fits start from
+    the centres and radii with the most votes.
     """
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree
@@ -401,7 +404,7 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
 def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap | None:
     """Fit a sphere to samples of a surface whose normals point outward.
 
-    Return None if the radius is outside its range.
+    Return None if too few samples lie on the sphere, or the radius is outside the range of heads.
     """
     from scipy.spatial import cKDTree
 
@@ -444,8 +447,8 @@ def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap
 def _neck_axis(samples: SurfaceSamples, cap: _Cap) -> Array:
     """Return the direction from the middle of the neck to the centre of the head.
 
-    The neck lies 1.1 to 1.5 radii below the centre. If no neck is found, return the axis of the
-    cap.
+    The neck is searched 1.1 to 1.5 head radii below the centre of the head. If no neck is found,
+    the axis of the cap is returned.
     """
     axis = cap.axis
     offset = (samples.points - cap.centre) / cap.radius

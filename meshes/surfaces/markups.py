@@ -1,8 +1,8 @@
-"""Reading of points, lines, curves and planes saved by 3D Slicer.
+"""Reading of points, lines, curves and planes that were saved by 3D Slicer.
 
 The files are markups ``.mrk.json`` and older point lists ``.fcsv``.
 
-All results are in LPS [mm], for files in LPS and in RAS.
+All results are in LPS [mm]. The files may be in LPS or RAS.
 """
 
 import csv
@@ -34,7 +34,7 @@ _CURVES = ("Line", "Curve", "ClosedCurve")
 
 @dataclass(frozen=True, eq=False)
 class Markup:
-    """Markup from a file.
+    """Markup of 3D Slicer (points, line, curve or plane) from a file.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     ------
     InputError
         If the file is missing or has another format, or states a frame other than LPS and RAS or a
-        unit other than mm. Also if a control point is undefined or does not consist of three finite
-        numbers.
+        unit other than mm. Also raised if a control point is undefined or does not consist of three
+        finite numbers.
     """
     file = Path(path)
     require_file(file, "markups")
@@ -84,7 +84,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
 def read_site(path: str | Path) -> tuple[Array, Array | None]:
     """Read the site that a file marks.
 
-    The site is marked by the origin and normal of a plane, by a line from the site inward, or by
+    A file marks a site by a plane (origin and normal), by a line from the site into the bone, or by
     one point.
 
     Returns
@@ -164,7 +164,7 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
 
 
 def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Path) -> Array:
-    """Return a normal of a plane, of any length.
+    """Return a normal vector of a plane. Its length is arbitrary.
 
     If the record states a normal, this normal is used. Otherwise, the third axis of the plane's
     orientation is used. Without an orientation, the normal of three points is used.
@@ -183,7 +183,7 @@ def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Pat
 def _point_list(text: str, file: Path) -> Markup:
     """Read the points of a .fcsv file.
 
-    If several files were joined, the file contains the header several times.
+    The header may occur several times, because several files may have been joined.
     """
     frame: Array | None = None
     columns: tuple[str, ...] = ("id", "x", "y", "z")

@@ -48,9 +48,9 @@ class _Hole:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Directions of a vertebra as columns (left, forward, up), and a point in the canal.
+    """Directions of a vertebra as columns (left, forward, up), and a point in the spinal canal.
 
-    The point lies at the height of the body.
+    The point lies at the height of the vertebral body.
     """
 
     axes: Array
@@ -58,7 +58,7 @@ class _Frame:
 
 
 def find_pedicle(surface: Surface, kind: str) -> FoundSite:
-    """Find the canal of a vertebra, and the site at one of the pedicles next to the canal.
+    """Find the spinal canal of a vertebra, and the site at a pedicle next to the canal.
 
     The canal is the largest hole in a projection of the bone.
     """
@@ -99,7 +99,7 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
 
 
 def _inner_points(surface: Surface) -> Array:
-    """Return points of a 2 mm grid inside the bone, shape (n, 3)."""
+    """Return points inside the bone on a grid with a spacing of 2 mm, shape (n, 3)."""
     low = surface.vertices_m.min(axis=0)
     high = surface.vertices_m.max(axis=0)
     # The limit of a hundred steps bounds the number of points. With 1.5 and 3 mm instead of 2 mm,
@@ -112,7 +112,8 @@ def _inner_points(surface: Surface) -> Array:
 def _canal(points: Array) -> _Hole | None:
     """Return the largest hole of plausible size in projections of a bone, or None.
 
-    The direction of the hole is the mean of the directions along which the hole is open.
+    The direction of the hole is the mean of the directions along which the hole is nearly as large
+    as in the best direction.
     """
     # 300 directions on a half sphere are 8 degrees apart. A canal is open in a cone of this width.
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
@@ -195,9 +196,10 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
-    """Compute the centroid [m] and the area [mm2] of the largest bone section next to the canal.
+    """Compute centroid [m] and area [mm2] of the largest bone piece in sections next to the canal.
 
-    There is one section per mm in the forward direction. The result has the shape (n, 4).
+    The sections are normal to the forward direction and 1 mm apart. The result has one row per
+    section, shape (n, 4).
 
     Sections in which bone closes the canal belong to the body or the arch and are omitted.
     """
@@ -225,11 +227,11 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
 
 
 def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]:
-    """Find the site where the axis of a pedicle leaves the bone at the back.
+    """Find the site at which the axis of a pedicle leaves the back of the bone.
 
-    Also return the smallest depth of bone along 18 mm of the axis.
+    Also return the smallest depth below the bone surface along 18 mm of the axis.
 
-    The axis is the line along which a surgeon drills: the line with the most bone around it.
+    The axis is the line with the most bone around it. A surgeon drills along this line.
     """
     from scipy.optimize import minimize
 

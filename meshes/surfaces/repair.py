@@ -38,7 +38,7 @@ __all__ = [
 
 
 def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
-    """Merge vertices with the same nearest point of a lattice with the spacing `tolerance`.
+    """Merge vertices that have the same nearest point in a lattice with the spacing `tolerance`.
 
     Degenerate triangles, duplicate triangles and pairs of opposite triangles are removed.
     """
@@ -54,9 +54,9 @@ def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
 
 
 def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
-    """Compute a key for the lattice point that is nearest to each vertex.
+    """Compute an integer key of the lattice point nearest to each vertex, shape (n,).
 
-    The keys have the same order as the coordinates.
+    The order of the keys is the lexicographic order of the rounded coordinates.
     """
     keys = np.zeros(len(vertices), dtype=np.int64)
     for column in vertices.T:
@@ -89,7 +89,7 @@ def is_manifold(faces: Ints) -> bool:
 
 
 def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triangles, list[float]]:
-    """Remove bodies whose area is below `least_area` times the area of the largest body.
+    """Remove connected bodies with less than `least_area` times the area of the largest body.
 
     Returns
     -------
@@ -105,10 +105,11 @@ def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triang
 def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     """Orient all triangles of each body outward.
 
-    The function uses a graph with two nodes per triangle, for the given and the reversed winding.
-    At an edge with two triangles, nodes of the two triangles are connected if their windings agree.
-    A component of this graph is a consistent orientation. A body with negative volume is reversed.
-    A body that lies within the box of another body is not reversed, because it is a cavity.
+    The function uses a graph with two nodes per triangle, one for the given and one for the
+    reversed winding. At an edge with two triangles, two nodes of these triangles are connected if
+    the windings that they represent agree. A component of this graph is a consistent orientation. A
+    body with negative volume is reversed. A body within the bounding box of another body is not
+    reversed, because it is a cavity.
 
     Returns
     -------
@@ -153,7 +154,8 @@ def edge_counts(faces: Ints) -> tuple[int, int]:
 def _distinct(faces: Ints) -> Ints:
     """Return the indices of the triangles to keep.
 
-    Of several equal triangles, one is kept. Of a pair with opposite windings, no triangle is kept.
+    Of several equal triangles, one is kept. Of two triangles with the same vertices and opposite
+    windings, none is kept.
     """
     _, first, where = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
@@ -167,10 +169,10 @@ def _distinct(faces: Ints) -> Ints:
 
 
 def _disagreeing(faces: Ints) -> Flags:
-    """Return flags of the triangles that must be reversed so that neighbours agree.
+    """Return flags of the triangles to reverse so that neighbouring triangles agree.
 
-    In each piece, the solution with fewer reversed triangles is used. If a piece has no solution,
-    no triangle is reversed.
+    Each connected piece has two solutions, and the solution with fewer reversed triangles is used.
+    In a piece without a solution, no triangle is reversed.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -197,7 +199,7 @@ def _disagreeing(faces: Ints) -> Flags:
 def _edge_keys(edges: Ints) -> Ints:
     """Compute a key for each edge that does not depend on its direction, shape (n,).
 
-    The keys have the same order as the vertices of the edges.
+    The order of the keys is the lexicographic order of the edges' sorted vertex indices.
     """
     return edges.min(axis=1) * (int(edges.max()) + 1) + edges.max(axis=1)
 
@@ -221,8 +223,8 @@ def triangle_areas(vertices: Array, faces: Ints) -> Array:
 class Holes:
     """Result of `fill_holes`.
 
-    The attributes are the numbers of small and large holes that were closed, the points of the
-    caps, and the area of the largest hole.
+    The attributes are the number of small holes and the number of large holes that were closed, the
+    points of each cap, and the area of the largest hole.
     """
 
     filled: int
@@ -238,7 +240,7 @@ def fill_holes(
     *,
     least_cap: float = np.inf,
 ) -> tuple[Triangles, Holes]:
-    """Close each loop of unmatched edges by a fan of triangles around its mean point.
+    """Close each loop of unmatched edges by a fan of triangles around the mean point of the loop.
 
     A hole is large if its area is more than `largest` times the area of the surface. A cap is a fan
     whose points are reported. The fan of a large hole is a cap. The fan of a small hole is a cap if
@@ -276,7 +278,7 @@ def fill_holes(
 def _unmatched(vertex_count: int, faces: Ints) -> Ints:
     """Return directed edges whose reverse is missing, shape (n, 2).
 
-    If the reverse is missing several times, the edge is returned as often.
+    If the reverse of an edge is missing k times, the edge is returned k times.
     """
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
@@ -292,7 +294,7 @@ def _unmatched(vertex_count: int, faces: Ints) -> Ints:
 def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
     """Return loops of unmatched edges. A loop does not contain a vertex twice.
 
-    The loops have the direction of the edges of their triangles.
+    A loop has the direction of its edges in the adjacent triangles.
     """
     following: dict[int, list[int]] = {}
     for a, b in _unmatched(vertex_count, faces).tolist():
@@ -314,7 +316,7 @@ def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
 def close_seams(
     points: Array, faces: Ints, *, first_part: int, within: float
 ) -> tuple[Array, Ints]:
-    """Connect the open loops of two parts by ribbons of triangles, and fill all other open loops.
+    """Connect open loops of two parts by ribbons of triangles, and fill all other open loops.
 
     Parameters
     ----------
@@ -325,7 +327,7 @@ def close_seams(
     first_part
         Number of vertices of the first part. All other vertices belong to the second part.
     within
-        Largest mean distance between two loops that belong together.
+        Largest mean distance between two loops that are connected by a ribbon.
 
     Returns
     -------
@@ -357,7 +359,8 @@ def _apart(points: Array, others: Array) -> float:
 def _ribbon(points: Array, loop: Ints, other: Ints) -> Ints:
     """Return triangles between two loops that run in opposite directions.
 
-    In every step, the triangle with the shorter diagonal is added.
+    In every step, a triangle is added that advances along one of the loops. The loop is chosen that
+    gives the shorter new edge.
     """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())

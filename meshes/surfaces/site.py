@@ -37,12 +37,12 @@ FACE_SAMPLES = 40_000
 On a scapula, the samples are 0.5 mm apart.
 """
 _FARTHEST_M = 10e-3
-"""Largest distance of a given point from the surface.
+"""Largest distance of a given site centre from the surface [m].
 
-A larger distance means that the point is in another frame or unit.
+A larger distance indicates that the centre is given in another frame or unit.
 """
 _AROUND_M = 3e-3
-"""Radius over which a normal is averaged. It is larger than facets and voxel steps."""
+"""Radius [m] over which a normal is averaged, larger than facets and voxel steps."""
 _LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal, one degree
 
 
@@ -73,7 +73,7 @@ class Site:
     def within(self, outer: Placement) -> Site:
         """Convert this site to the frame of a file.
 
-        `outer` is the placement of the site's present frame in the file.
+        `outer` is the placement, in the file, of the frame in which the site is given.
         """
         centre = 1e-3 * outer.origin_mm + outer.rotation @ self.centre_m
         return Site(centre, outer.rotation @ self.rotation, self.confidence)
@@ -94,9 +94,11 @@ class FoundSite:
     score
         Quality of the match, 0 to 1.
     second_score
-        Score of the best place that is not close to the site, 0 if no other place matches.
+        Score of the best place that is not close to the site; 0 if no other place matches the
+        landmark.
     second_centre_mm
-        Centre of this second place [mm] in the frame of the surface, shape (3,), or None.
+        Centre of the second-best place [mm] in the frame of the surface, shape (3,); None if there
+        is no such place.
     """
 
     site: Site
@@ -158,7 +160,7 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
 
 
 def across(axis: Array) -> tuple[Array, Array]:
-    """Return two unit vectors that are perpendicular to an axis and to each other."""
+    """Return two orthogonal unit vectors that are perpendicular to an axis."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
@@ -189,14 +191,14 @@ def place_site(
     surface
         The bone.
     centre_mm
-        Point [mm] in the frame of the file after scaling. It is moved along the normal onto the
-        surface.
+        Point [mm] in the frame of the file, after scaling to mm. The point is moved along the
+        normal onto the surface.
     normal
-        Outward direction at this point, of any length. None: the mean normal of the surface within
-        3 mm of the nearest surface point.
+        Outward vector of any length at this point. None: the mean normal of the surface within 3 mm
+        of the nearest surface point.
     along
-        Direction of x, of any length. It is projected onto the plane perpendicular to the normal.
-        None: y points away from the middle of the bone.
+        Vector of any length in the direction of x. The vector is projected onto the plane
+        perpendicular to the normal. None: y points away from the middle of the bone.
 
     Raises
     ------
@@ -236,10 +238,10 @@ def site_along(
     note
         Description of the method that found the site.
     along
-        Direction of x. None: y points away from the middle of the bone, along `long_axis` if it is
-        given.
+        Direction of x. None: y points away from the middle of the bone. If `long_axis` is given, y
+        has its direction or the opposite direction.
     long_axis
-        Direction of y with arbitrary sign.
+        Direction of y. The sign is arbitrary.
 
     Raises
     ------
@@ -298,7 +300,7 @@ def _axes(
     to_middle: Array,
     long_axis: Array | None,
 ) -> Array:
-    """Return site axes as columns: z along `normal`, y along the face's long axis.
+    """Return site axes as columns: z along `normal`, y along `long_axis` if it is given.
 
     y points away from the middle of the bone.
 
@@ -320,9 +322,9 @@ def _axes(
 
 
 def exits(surface: Surface, point: Array, rotation: Array) -> Array:
-    """Return heights at which a line leaves the bone [m], shape (k,).
+    """Return the heights [m] at which a line through a point leaves the bone, shape (k,).
 
-    The line passes through a point and has the direction of the z axis of `rotation`.
+    The direction of the line is the z axis of `rotation`. Heights are measured from the point.
     """
     on_line = np.array([1e-9])  # off the axis, because edges of symmetric meshes lie on it
     found = column_crossings(
@@ -332,15 +334,15 @@ def exits(surface: Surface, point: Array, rotation: Array) -> Array:
 
 
 def corner_near(surface: Surface, point: Floats) -> Array:
-    """Return the corner of a surface that is nearest to a point [m], shape (3,)."""
+    """Return the vertex of a surface that is nearest to a point [m], shape (3,)."""
     distance = np.linalg.norm(surface.vertices_m - point, axis=1)
     return np.asarray(surface.vertices_m[np.argmin(distance)])
 
 
 def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
-    """Find the point where the axis through `centre` leaves the bone.
+    """Find the point where the z axis of `rotation` through `centre` leaves the bone.
 
-    The result is the nearest such point within 10 mm.
+    If there are several such points within 10 mm, the point nearest to `centre` is returned.
     """
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf

@@ -23,33 +23,34 @@ from meshes.surfaces.triangle_files import read_triangles, require_triangles
 __all__ = ["Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
 
 _MERGE_TOLERANCE = 1e-6
-"""Distance at which vertices are merged, relative to the longest side.
+"""Distance at which vertices are merged, relative to the longest side of the bounding box.
 
 STL files round coordinates to 6e-8 of the longest side.
 """
 _DEBRIS_AREA = 0.01
 """Area of a piece, relative to the largest piece, below which the piece is removed as debris."""
 _HOLE_AREA = 0.03
-"""Area of a hole, relative to the surface, above which the hole is a missing part, not a defect."""
+"""Ratio of hole area to surface area above which a hole is a missing part, not a defect."""
 _CAP_M2 = 1e-5
 """Area above which a hole is listed as a cap [m2].
 
-A cap is a face that closes a hole. Its shape is a guess, which matters if the tool is near.
+A cap is a face that closes a hole. The true shape of the bone at a cap is unknown, which matters if
+the tool is near the cap.
 """
 _FLATTEST = 1e-3
-"""Ratio of smallest to largest spread of points below which the points are a flat sheet."""
+"""Ratio of the smallest to the largest spread of points below which the points lie in a plane."""
 _FARTHEST = 1e100
-"""Limit above which coordinates count as not finite, because their squares overflow."""
+"""Limit above which coordinates count as infinite, because their squares would overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
-"""Limits of the longest side if the scale is given [mm], from a chip of bone to two femurs."""
+"""Limits of the longest side [mm] if the scale is given, from a chip of bone to two femurs."""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 """Units that can be guessed: name, length [mm], and range of the longest side of a bone.
 
-The range is 5 to 700 mm in this unit.
+In each of the two units, the range is 5 to 700 mm.
 """
 _OTHER_UNITS = (("centimetres", 10.0), ("inches", 25.4))
-"""Other possible units of a surface that would be small in millimetres: name, length [mm]."""
+"""Name and length [mm] of other units that a surface may have if it is too small in millimetres."""
 _USUAL_BONE_MM = (60.0, 600.0)
 """Usual range of the longest side of a scanned bone [mm].
 
@@ -58,7 +59,7 @@ A warning names the units in which the longest side would be in this range.
 _RESOLVED_MM = 0.01
 """Largest rounding error of coordinates without a warning [mm], a tenth of the finest voxels."""
 _TYPICAL_BONE_MM = 140.0
-"""Longest side that a bone has with a suggested scale [mm], about the size of a scapula."""
+"""Longest side [mm] that a bone gets by a suggested scale, about the size of a scapula."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,8 @@ class Surface:
     report
         Properties of the file, and changes to the surface.
     caps_m
-        Points [m], shape (k, 3), of each face that closes a hole of more than 10 mm2. The scan of
-        the bone may end at such a hole.
+        Points [m], shape (k, 3), of each face that closes a hole with an area of more than 10 mm2.
+        The scan of the bone may end at such a hole.
     scanned
         Vertices [m] and triangles without the faces that close holes. The axes of a site are
         computed from these triangles.
@@ -233,7 +234,8 @@ def _merged(
 ) -> Triangles:
     """Return triangles with merged vertices. Unless `every_piece` is set, debris is removed.
 
-    `longest` is the longest side [m]. Sentences on changes are appended to `repairs`.
+    `longest` is the longest side of the bounding box [m]. Sentences on changes are appended to
+    `repairs`.
     """
     before = len(vertices)
     vertices, faces = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
@@ -304,7 +306,7 @@ def _require_thickness(points: Array, longest: float, source: str) -> None:
 
 
 def _rounding(points: Array, scale_mm: float) -> list[str]:
-    """Return a sentence if points in single precision lie far from the origin."""
+    """Return a warning if the points are too far from the origin for single precision."""
     farthest = float(np.abs(points).max())
     rounding_mm = scale_mm * float(np.spacing(np.float32(farthest)))
     is_single = np.array_equal(points.astype(np.float32), points)
@@ -317,9 +319,9 @@ def _rounding(points: Array, scale_mm: float) -> list[str]:
 
 
 def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
-    """Determine the millimetres per file unit from the longest side in file units.
+    """Determine the millimetres per file unit from the longest side of the bounding box.
 
-    Also return a phrase on the method.
+    `longest` is this side in file units. Also return a phrase that describes the method.
 
     Raises
     ------

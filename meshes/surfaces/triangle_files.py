@@ -23,7 +23,7 @@ __all__ = [
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Binary STL: number of bytes before the triangles, and record type of a triangle."""
+"""Number of bytes before the triangles in a binary STL file, and record type of a triangle."""
 _IGNORED = re.compile(
     "vt|vn|vp|p|l|g|s|mg|o|usemtl|mtllib|usemap|maplib|lod|bevel|c_interp|d_interp|shadow_obj|"
     "trace_obj|ctech|stech|call|csh|deg|bmat|step|cstype|curv|curv2|surf|parm|trim|hole|scrv|sp|"
@@ -72,7 +72,7 @@ _Stored = tuple[NDArray[np.number], NDArray[np.number]]
 _COMMAS = re.compile(rb"\d,\d+(?:[eE][+-]?\d+)?[ \t]+[+-]?\d+,\d")
 """Regular expression for two numbers with decimal commas."""
 _SEARCHED = 100_000
-"""Number of bytes at the start of an unreadable file in which decimal commas are searched."""
+"""Number of bytes at the start of an unreadable file that are searched for decimal commas."""
 
 
 def _require_decimal_points(file: Path) -> None:
@@ -252,7 +252,7 @@ def _vertex(rest: str) -> list[float]:
 
 
 def _polygon(rest: str, count: int) -> list[int]:
-    """Return the zero-based vertex indices of a polygon that follows `count` vertices."""
+    """Return the zero-based vertex indices of a polygon that is listed after `count` vertices."""
     try:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:

@@ -1,9 +1,9 @@
 """Reading of VTK files in a separate process: surfaces, tetrahedral meshes and saved results.
 
-`meshes.base.isolated_parser` starts the process, because a damaged file can crash it. VTK's readers
-print errors to VTK's output window and continue with incomplete arrays, so every printed error
-counts as a failure. Cells are checked before any filter runs, because a filter would copy memory
-outside the points.
+`meshes.base.isolated_parser` starts this process, because a damaged file can crash VTK. VTK's
+readers print errors to VTK's output window and continue with incomplete arrays, so every printed
+error counts as a failure. Cells are checked before any filter runs. If a cell refers to a missing
+point, a filter would copy memory outside the array of points.
 """
 
 import re
@@ -20,7 +20,7 @@ __all__ = ["check_vtk", "mesh_arrays", "read_vtk", "vtk_mesh", "vtk_triangles"]
 
 _TETRAHEDRON = 10
 _QUADRATIC_TETRAHEDRON = 24
-"""Cell types in VTK."""
+"""Cell types of linear and quadratic tetrahedra in VTK."""
 _CORNERS = {
     1: 1,
     3: 2,
@@ -85,7 +85,7 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
     A file is incomplete if one of its required arrays is missing.
 
     If ``layer`` is one of these arrays, its values must be indices of the field ``layer_names``.
-    The content is not returned.
+    The content of the files is not returned.
     """
     for name, wanted in arrays_by_file.items():
         try:
@@ -123,14 +123,14 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def mesh_arrays(data: Any) -> Answer:
-    """Return facts about a mesh, and its arrays.
+    """Return values that describe a mesh, and the arrays of the mesh.
 
     The arrays are ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
 
-    For tetrahedra, the facts are: ``others``, the number of other cells; ``quadratic``, whether
-    some tetrahedra had mid-edge nodes; ``names``, the original names of the cell arrays; ``parts``,
-    the texts of the field ``part_names``. In the result, the cell arrays are called ``cells 0``,
-    ``cells 1``, and so on.
+    For tetrahedra, the values are: ``others``, the number of cells that are not tetrahedra;
+    ``quadratic``, whether some tetrahedra had mid-edge nodes; ``names``, the original names of the
+    cell arrays; ``parts``, the texts of the field ``part_names``. In the result, the cell arrays
+    have the names ``cells 0``, ``cells 1``, and so on.
     """
     kinds = np.asarray(getattr(data, "celltypes", ()))
     if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
@@ -178,7 +178,7 @@ def _require_cells(
 ) -> None:
     """Raise an error for cells that refer to points which do not exist.
 
-    Also raise an error for cells whose number of points does not match their type.
+    Also raise an error for cells whose number of points does not match the cell type.
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
 

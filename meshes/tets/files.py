@@ -1,4 +1,4 @@
-"""Tetrahedra of a soft organ, read from a file or object, or generated in a closed surface."""
+"""Tetrahedra of a soft organ, from a file or mesh object, or generated in a closed surface."""
 
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
@@ -37,12 +37,13 @@ __all__ = [
 ]
 
 _ORGAN_MM = (20.0, 450.0)
-"""Range of the longest side of an organ, from a small gland to an enlarged liver.
+"""Range of the longest side of an organ [mm], from a small gland to an enlarged liver.
 
-The range is so narrow that no length lies in it both in millimetres and in metres.
+The range is so narrow that the unit is clear: no stored length lies in the range both as
+millimetres and as metres.
 """
 _TYPICAL_MM = 200.0
-"""Longest side that an organ has with a suggested scale [mm], the size of a liver."""
+"""Longest side [mm] that an organ gets by a suggested scale, the size of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -55,14 +56,14 @@ _PART_ARRAYS = (
     "material",
     "label",
 )
-"""Names of integer cell arrays that may contain the parts, most probable name first.
+"""Names of integer cell arrays that may contain part numbers, most probable name first.
 
 Meshing programs write arrays with these names.
 """
 _SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
-Below this range, the unit is probably metres, and above it micrometres.
+Below this range, the unit is probably metres. Above this range, the unit is probably micrometres.
 """
 _STRAIGHT = "Took the corners of quadratic tetrahedra: their edges became straight."
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
@@ -79,9 +80,9 @@ class TetFile:
     unit_mm
         Millimetres per unit of the file.
     sentences
-        Unit, findings and changes, one sentence each.
+        Sentences on the unit, on findings in the mesh and on changes of the mesh.
     surface
-        Surface that was filled with the tetrahedra; None if the file contains the tetrahedra.
+        Surface from the file that was filled with tetrahedra; None if the file contains tetrahedra.
     """
 
     mesh: TetMesh
@@ -101,9 +102,9 @@ def read_tets(
 
     Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
     by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
-    The parts are an integer cell array with a usual name, such as ``gmsh:physical``, ``part`` or
-    ``region``. The field ``part_names`` contains the names of the numbers 0, 1, ... of the array
-    ``part``.
+    The part of each cell is read from an integer cell array with a usual name, such as
+    ``gmsh:physical``, ``part`` or ``region``. The field ``part_names`` contains the names of the
+    parts 0, 1, ... in the array ``part``.
 
     Parameters
     ----------
@@ -116,7 +117,8 @@ def read_tets(
         Edge of the tetrahedra that fill a surface [m]. None: an edge that gives about 30,000
         tetrahedra.
     report
-        Called with the name of the current task and the finished fraction of it (0 to 1).
+        Function that is called with the name and the finished fraction (0 to 1) of the current
+        task.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
 
 @dataclass(frozen=True, eq=False)
 class GivenTets:
-    """Mesh that the caller passed, and the mesh that is used for the solution.
+    """Mesh that the caller passed, and repaired mesh on which the simulation is solved.
 
     Attributes
     ----------
@@ -240,8 +242,8 @@ def given_tets(
     mesh
         `TetMesh`, pyvista UnstructuredGrid, object with ``points`` and ``cells`` like a meshio
         mesh, pair of arrays of points and cells, shapes (n, 3) and (m, 4), or file (.vtu .vtk .msh
-        .mesh). The parts are a cell array of numbers or names, with the name ``part`` or a usual
-        name of a meshing program.
+        .mesh). The part of each cell is read from a cell array of numbers or names. The array is
+        called ``part`` or has a usual name of a meshing program.
     scale_mm
         Millimetres per unit of the mesh. None: the mesh is in millimetres, and its size is checked.
     part_names
@@ -250,7 +252,8 @@ def given_tets(
     Raises
     ------
     InputError
-        If the mesh has no tetrahedra, has a size that means another unit, or cannot be repaired.
+        If the mesh has no tetrahedra, has a size that indicates another unit, or cannot be
+        repaired.
     """
     if isinstance(mesh, TetMesh):
         return GivenTets(1e3 * mesh.nodes_m, mesh, ())
@@ -274,7 +277,7 @@ def given_tets(
 
 
 def require_millimetres(name: str, points: Array, scale_mm: float | None) -> float:
-    """Return millimetres per unit of points, shape (n, 3).
+    """Return the millimetres per unit of `points`, shape (n, 3).
 
     The result is the given value, or 1 if the size of the points is plausible in millimetres.
 
@@ -347,7 +350,7 @@ def _of_arrays(
 def _of_blocks(mesh: Any) -> StoredMesh:
     """Return the tetrahedra of a meshio mesh.
 
-    The mesh contains blocks of cells with a type, and cell arrays by name.
+    A meshio mesh contains blocks of cells, one cell type per block, and cell arrays by name.
     """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
@@ -377,8 +380,8 @@ def _parts(
 ) -> tuple[Ints, dict[int, str]]:
     """Return the part number of each cell, shape (m,), and the names of the part numbers.
 
-    A list of names that starts at number 0 applies to the array ``part``. Names from meshio apply
-    to the array ``gmsh:physical``.
+    Names of the part numbers 0, 1, ... (field ``part_names``) apply to the array ``part``. Names
+    from meshio apply to the array ``gmsh:physical``.
     """
     for array in _PART_ARRAYS:
         values = data.get(array, np.zeros(0))

@@ -31,17 +31,17 @@ _TETRAHEDRON = 4
 """Numbers of element types in Gmsh."""
 _SECTIONS = {1: ("$NOD", "$ELM"), 2: ("$Nodes", "$Elements")}
 _LONGEST_NAME = 60
-"""Longest name of a part [characters], because names are shown in tables and legends."""
+"""Longest name of a part [characters]. Names are shown in tables and legends."""
 MOST_PARTS = 64
-"""Largest number of distinct values of an array of parts.
+"""Largest number of distinct values in an array of part numbers.
 
-An array with more values does not contain parts, but numbers of cells or materials.
+An array with more distinct values does not contain part numbers, but numbers of cells or materials.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class StoredMesh:
-    """Content of a mesh file, in its units.
+    """Content of a mesh file, in the units of the file.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class StoredMesh:
     tets, triangles
         Node indices of the tetrahedra and triangles, shapes (m, 4) and (k, 3).
     part
-        Part of each tetrahedron, 0 without a part, shape (m,).
+        Part number of each tetrahedron, shape (m,); 0 for a tetrahedron without a part.
     names
         Names of the parts that have a name.
     notes
@@ -126,7 +126,7 @@ def broken_sections(file: Path) -> InputError:
 
 
 def is_old_text(file: Path) -> bool:
-    """Return False for a Gmsh file that is binary or has another version than 1 and 2."""
+    """Return False if a Gmsh file states that it is binary, or has another version than 1 and 2."""
     with file.open("rb") as stored:
         first = stored.readline(_LONGEST_NAME).split()
         second = stored.readline(_LONGEST_NAME).split()
@@ -190,7 +190,7 @@ def _of_kind(elements: list[tuple[int, int, list[int]]], kind: int, corners: int
 
 
 def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
-    """Replace the node numbers of the file by node indices in cells."""
+    """Replace the node numbers in cells by node indices."""
     order = np.argsort(numbers)
     found = order[np.minimum(np.searchsorted(numbers, cells, sorter=order), len(numbers) - 1)]
     unknown = cells[numbers[found] != cells]
@@ -201,7 +201,7 @@ def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
 
 
 def _names(lines: list[str], file: Path) -> dict[int, str]:
-    """Read names of physical volumes: dimension, number, "name"."""
+    """Read the names of physical volumes from lines with dimension, number and "name"."""
     names: dict[int, str] = {}
     for line in lines:
         dimension, number, name = line.split(maxsplit=2)

@@ -1,7 +1,7 @@
 """Check and repair of tetrahedra for use in a stiffness matrix.
 
-Defects are found, located, and repaired by a rule. If a defect cannot be repaired, an error is
-raised.
+Defects are found, located, and repaired by the rules in the table. If a defect cannot be repaired,
+an error is raised.
 
 ==============  =====================================================  ================================================
 what            when                                                   rule
@@ -52,7 +52,10 @@ The edges then differ by a factor of ten.
 """
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 _SWEEPS = 3
-"""Number of passes over the slivers. A pass moves nodes and so changes cells for the next pass."""
+"""Number of passes over the slivers.
+
+Each pass moves nodes and thereby changes cells that the next pass may improve.
+"""
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
 """First and smallest step of the pattern search, relative to the size of the cells around a node.
@@ -97,7 +100,7 @@ def repair_tets(
     part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Repair a mesh by the rules above.
+    """Repair a mesh by the rules in the table above.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def repair_tets(
     cells
         Nodes of each tetrahedron, in either orientation, shape (m, 4).
     part, part_names
-        Part of each cell, shape (m,), and the names.
+        Part index of each cell, shape (m,), and names of the parts.
 
     Returns
     -------
@@ -180,7 +183,8 @@ def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
 def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, int]:
     """Remove flat cells with a face on the surface.
 
-    A cell is only removed if this does not pinch an edge or separate a piece.
+    All such cells are removed together, and only if no edge is then pinched and no piece is
+    separated.
     """
     dropped = 0
     while True:
@@ -200,7 +204,7 @@ def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes,
 
 
 def _flat_turned(nodes: Array, cells: Ints) -> Ints:
-    """Orient flat cells to agree with their solid neighbours.
+    """Orient flat cells to agree with their neighbours that are not flat.
 
     The sign of a flat cell's volume is not reliable.
     """
@@ -231,7 +235,7 @@ def _surface(cells: Ints) -> Ints:
 
 
 def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, Array]:
-    """Remove pieces with less than 1 % of the largest piece's volume; return their volumes [m3]."""
+    """Remove pieces below 1 % of the largest piece's volume, and also return their volumes [m3]."""
     piece = pieces(cells)
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
     small = np.flatnonzero(volumes < _DEBRIS * volumes.max())
@@ -240,7 +244,7 @@ def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Byte
 
 
 def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
-    """Return flags of the nodes that are not on the surface or between parts, shape (n,)."""
+    """Return flags of the nodes that are neither on the surface nor between parts, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
     # Parts are bytes, so 255 is larger than every part.
@@ -331,7 +335,7 @@ def smooth(
     A pattern search maximises the worst mean ratio of the cells around each node.
 
     A move is accepted only if the worst cell around the node improves. After a move, no cell around
-    the node is worse than the worst cell was.
+    the node is worse than the worst cell before the move.
 
     Parameters
     ----------

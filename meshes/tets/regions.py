@@ -1,6 +1,6 @@
 """Selection of nodes of a tetrahedral mesh by position, direction or part.
 
-A body is supported or loaded at these nodes.
+A body can be supported or loaded at the selected nodes.
 """
 
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ def nodes_behind_plane(
 
 
 def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float = 60.0) -> Nodes:
-    """Return the nodes of surface triangles that face a direction.
+    """Return the nodes of the surface triangles that face a direction.
 
     The angle between the outward normals of these triangles and `direction` is at most
     `within_deg`.
@@ -72,7 +72,8 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
     Raises
     ------
     InputError
-        If no triangle faces the direction. The message states the smallest angle of a triangle.
+        If no triangle faces the direction. The message states the smallest angle between a
+        triangle's normal and the direction.
     """
     axis = require_direction("direction", direction)
     within = require_range("within_deg", within_deg, 1.0, 180.0, "use 60")

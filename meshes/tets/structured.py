@@ -2,7 +2,8 @@
 
 A cuboid cell is divided along its diagonal from (0, 0, 0) to (1, 1, 1) into the six simplices of
 Kuhn (1960). This is the triangulation of Freudenthal (1942). All cells are divided in the same
-pattern. Each face is divided along the diagonal through its lowest corner, so neighbours conform.
+pattern. Each face is divided along the diagonal through the corner with the lowest coordinates, so
+neighbouring cells conform.
 """
 
 import math
@@ -39,7 +40,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
 
 
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
-    """Build a box from the origin to `size_m` [m], shape (3,).
+    """Build a box with opposite corners at the origin and at `size_m` [m], shape (3,).
 
     The box has `cells` cuboids along each axis, and each cuboid has six tetrahedra.
     """
@@ -54,7 +55,8 @@ def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
 def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array:
     """Return positions [m] from `start_m` to `end_m` with increasing steps.
 
-    The first step is about `first_m`, and each further step is `growth` times longer.
+    The first step is about `first_m`, and each further step is `growth` times as long as the step
+    before.
 
     All steps are scaled by the same factor so that the last position is exactly `end_m`. Two such
     series, one of them reversed, refine a grid towards its centre.
@@ -62,7 +64,8 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
     Raises
     ------
     InputError
-        If the first step is not positive or longer than the distance, or the growth is below 1.
+        If the first step is not positive or is longer than the distance from start to end, or the
+        growth is below 1.
     """
     distance = abs(end_m - start_m)
     if not 0.0 < first_m <= distance:
@@ -82,7 +85,7 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
 
 
 def _kuhn(counts: Sequence[int]) -> Ints:
-    """Return the tetrahedra of a grid with `counts` cuboids per axis, shape (6 cuboids, 4).
+    """Return the tetrahedra of a grid with `counts` cuboids per axis, shape (6 * cuboids, 4).
 
     In the node numbers, z varies fastest.
     """

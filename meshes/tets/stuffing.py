@@ -3,18 +3,18 @@
 The method is isosurface stuffing (Labelle and Shewchuk, 2007). The surface crosses edges of the
 lattice. A node close to such a crossing is moved onto the crossing. Edges that are still crossed
 are cut at the crossing, and the pieces of the cells are filled with tetrahedra. Quadrilateral faces
-between pieces are divided from their lowest node (Dompierre et al., 1999), so neighbours conform.
-If the pieces on the two sides of a surface are kept, the inside of the surface becomes a part of
-the mesh.
+between pieces are divided from the node with the lowest number (Dompierre et al., 1999), so
+neighbouring cells conform. If the pieces on both sides of a surface are kept, the inside of the
+surface becomes a part of the mesh.
 
 Refinement bisects tetrahedra at their longest edges. If an edge is the longest edge of every
 tetrahedron around it, the edge and these tetrahedra are bisected. The mesh remains conforming. If a
 tetrahedron has an edge to bisect and also a longer edge, the longer edge is bisected first (Rivara
 1997, Int. J. Numer. Methods Eng. 40:3313). The quality of the tetrahedra remains bounded. By
-default, the surface of the mesh does not change. Its nodes can also be moved onto a given surface.
-Without such moves, refinement does not reduce the distance between the mesh and the true surface.
-For example, a flat triangle with a length of 20 mm remains up to 0.8 mm below a surface with a
-radius of 60 mm.
+default, the surface of the mesh does not change. The surface nodes can also be moved onto a given
+surface. Without such moves, refinement does not reduce the distance between the mesh and the true
+surface. For example, a flat triangle with a length of 20 mm remains up to 0.8 mm below a surface
+with a radius of 60 mm.
 """
 
 import math
@@ -44,7 +44,8 @@ Move = Callable[[Array], Array]
 _MOST_BISECTED = 5_000_000
 """Largest number of tetrahedra after refinement.
 
-The end nodes of the edges take 0.5 GB, and sorting them takes several times as much memory.
+The array of the edges' end nodes takes 0.5 GB, and sorting this array takes several times as much
+memory.
 """
 _LEAST_VOLUME = 0.5
 """Smallest volume of a tetrahedron after one of its nodes is moved, relative to the volume before.
@@ -59,9 +60,9 @@ def bisected(
     *,
     onto: Move | None = None,
 ) -> TetMesh:
-    """Refine a mesh until no edge is longer than the required length at its middle.
+    """Refine a mesh until no edge is longer than the length required at the middle of the edge.
 
-    Nodes of the first mesh keep their numbers.
+    Nodes of the given mesh keep their numbers.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ Distance = Callable[[Array], Floats]
 Cells = Ints
 Points = Array
 _SNAP = 0.3
-"""Distance, relative to the edge, within which a node is moved onto a crossing.
+"""Largest distance of a node that is moved onto a crossing, relative to the crossed edge.
 
 With this value, the worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With
 0.2, the worst mean ratios are 0.28, 0.24 and 0.79. With 0.4, they are 0.47, 0.16 and 0.27.
@@ -168,26 +169,28 @@ For values from 0.1 to 0.2, the meshes of the ball, liver and box do not change.
 worst mean ratio of the liver is 0.08.
 """
 _STEPS = 6
-"""Number of steps towards a crossing.
+"""Number of steps in the search for the point where the surface crosses an edge.
 
-For the ball, liver and box, the error is at most 0.04 um. With 4 steps, it is at most 0.7 um.
+For the ball, liver and box, the error of this point is at most 0.04 um. With 4 steps, the error is
+at most 0.7 um.
 """
 _MOST_CELLS = 20_000_000
 """Largest number of lattice cells. They take 0.6 GB."""
 EDGE_GROWTH = 0.5
 """Increase of the edge length per distance from the fine region, the same as in scenes."""
 _EDGES = 3.0
-"""Number of edges across a ball.
+"""Number of tetrahedron edges across an inclusion that is a ball.
 
-There are two edges across a tube. Quadratic edges follow the curvature of the surface.
+For a tube, the same rule gives two edges across the tube. Quadratic edges follow the curvature of
+the surface.
 """
 _TRIES = 4
 _CLOSE = 0.01
-"""Number of meshes that are tried for an inclusion, and accepted volume error.
+"""Largest number of meshes that are tried for an inclusion, and accepted volume error.
 
-The error is relative to the inclusion's volume. Of the meshes within this error, the mesh whose
-worst cell is best is used. If no mesh is within the error, the mesh with the smallest error is
-used.
+The error is relative to the inclusion's volume. Of the meshes within this error, the mesh with the
+best quality of its worst cell is used. If no mesh is within the error, the mesh with the smallest
+error is used.
 """
 
 
@@ -257,8 +260,8 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     Raises
     ------
     InputError
-        If no cell is inside the shape, because the shape is outside the mesh or smaller than its
-        cells.
+        If no cell is inside the shape, because the shape lies outside the mesh or is smaller than
+        the cells.
     """
     nodes, cells, within, came = cut_by(mesh.nodes_m, mesh.cells, shape.distance)
     within &= mesh.part[came] == 0
@@ -304,7 +307,7 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
 
 
 def _crossed_edges(cells: Cells, side: Cells) -> tuple[Flags, Cells]:
-    """Return flags of the cells with nodes on both sides, and their crossed edges.
+    """Return flags of the cells with nodes on both sides of the surface, and the crossed edges.
 
     Each edge is listed once, shape (k, 2).
     """
@@ -321,7 +324,7 @@ def _turned(nodes: Points, cells: Cells) -> Cells:
 def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
     """Return tetrahedra that fill the part of a cell in which `side` is not negative.
 
-    At least one corner of the cell is positive.
+    At the corners of the cell, at least one value of `side` is positive.
     """
     plus, zero, minus = (corners[side == sign].tolist() for sign in (1, 0, -1))
 
@@ -352,7 +355,7 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
 def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
     """Divide a prism into three tetrahedra.
 
-    Every quadrilateral face is divided from its lowest node.
+    Every quadrilateral face is divided from its node with the lowest number.
     """
     if min(top) < min(bottom):
         bottom, top = top, bottom
@@ -365,7 +368,7 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
 
 
 def _snapped(nodes: Points, cells: Cells, value: Array, distance: Distance) -> tuple[Points, Array]:
-    """Move nodes near the surface onto the nearest crossing, if no cell becomes too bad.
+    """Move nodes near the surface onto the nearest crossing if all cells keep enough quality.
 
     A node is near if its distance from the crossing is less than `_SNAP` times the edge.
     """
@@ -397,7 +400,7 @@ def _snapped(nodes: Points, cells: Cells, value: Array, distance: Distance) -> t
 
 
 def _crossings(nodes: Points, value: Array, pairs: Cells, distance: Distance) -> Points:
-    """Find the points where the surface crosses the edges, shape (k, 3).
+    """Find the points where the surface crosses the edges `pairs`, shape (k, 3).
 
     The method is regula falsi (Illinois).
     """
@@ -466,7 +469,7 @@ def with_inclusion(
     Parameters
     ----------
     mesh, name
-        Mesh to change, and name of the new part.
+        Mesh that gets the new part, and name of this part.
     vertices_m, triangles
         Surface of the part [m] with outward normals. It may extend outside the mesh.
     volume_m3

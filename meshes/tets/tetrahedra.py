@@ -109,7 +109,7 @@ def pieces(cells: Cells) -> Ints:
 
 
 def pinched_edges(surface: Cells) -> Ints:
-    """Return the edges with more than two triangles, shape (k, 2)."""
+    """Return the edges of a surface that have more than two triangles, shape (k, 2)."""
     edges, uses = np.unique(np.sort(directed_edges(surface), axis=1), axis=0, return_counts=True)
     return edges[uses > 2]
 
@@ -122,7 +122,7 @@ def _edge_squares(nodes: Nodes, cells: Cells) -> Array:
 
 
 def place(points_m: Array) -> str:
-    """Format the mean of points [m], shape (n, 3), in mm."""
+    """Format the mean of points [m], shape (n, 3), in mm for a message."""
     return in_brackets(1e3 * points_m.mean(axis=0), ".3g")
 
 

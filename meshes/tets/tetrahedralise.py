@@ -2,8 +2,8 @@
 
 fTetWild keeps the surface within an envelope and determines the inside from the winding number. A
 surface that crosses itself is therefore filled as the union of the enclosed regions. The meshes of
-two runs differ slightly, also on one thread. The cache makes meshes reproducible, because it
-identifies a mesh by the content of its surface.
+two runs differ slightly, also on one thread. The cache makes meshes reproducible, because equal
+surfaces get the same stored mesh.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from meshes.tets.tetrahedra import TetMesh, signed_volumes
 __all__ = ["FILL_EDGES", "tetrahedralise", "with_volume"]
 
 FILL_EDGES = 14.0
-"""Number of edges along the longest side of an organ if no edge is given."""
+"""Number of tetrahedron edges along the longest side of an organ if no edge is given."""
 _CELLS = 30_000
 """Number of tetrahedra of a solid if no edge is given.
 
@@ -32,21 +32,22 @@ _EDGE_PER_CELL = 2.7
 """Ratio of target edge to cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance by which the surface may move, relative to the edge, and its upper limit [m].
+"""Distance by which fTetWild may move the surface, relative to the edge, and upper limit [m].
 
 The upper limit is smaller than the voxels of scans from which surfaces are made.
 """
 _VOLUME_OFF = 0.005
 """Relative difference between the volumes of mesh and surface above which a note is added."""
 _STEPS = 8
-"""Largest number of moves.
+"""Largest number of moves of the surface in `with_volume`.
 
-Each move squares the remaining relative error, or fixes nodes of tetrahedra that it would flatten.
+Each move squares the remaining relative error of the volume, or fixes the nodes of tetrahedra that
+the move would flatten.
 """
 _OFF = 1e-6
-"""Relative volume error that is accepted after the moves. With a larger error, no node is moved."""
+"""Relative volume error accepted after the moves. If it is larger, the moves are discarded."""
 _LEAST_KEPT = 0.2
-"""Smallest relative volume of a tetrahedron after a move."""
+"""Smallest volume of a tetrahedron after a move, relative to its volume before all moves."""
 
 
 def tetrahedralise(
@@ -61,7 +62,8 @@ def tetrahedralise(
     edge_m
         Target edge [m]. None: an edge that gives about 30,000 tetrahedra.
     report
-        Called with the name of the current task and the finished fraction of it (0 to 1).
+        Function that is called with the name and the finished fraction (0 to 1) of the current
+        task.
 
     Returns
     -------

@@ -1,13 +1,13 @@
-"""Labels of a tooth in a site's frame, and conversion to voxels.
+"""Labels of a tooth in a site's frame, and their conversion to voxels.
 
-There are two conversions: sub-samples, and interpolated shares.
+There are two conversions to voxels: `resampled` and `LabelShares`.
 
 `resampled` counts the labels at sub-samples of each voxel, which is fast for a whole tooth.
-`LabelShares` is a continuous function that does not depend on the grid on which it is sampled. The
-voxels of each layer are smoothed by the kernel of `meshes.images.bone_image`, with a standard
-deviation of 1.5 voxels, and interpolated. For labels of planes and balls, the RMS error of the
-surface is 0.08 voxels, without bias. A layer with a thickness of two voxels becomes thicker by 0.2
-voxels on each side.
+`LabelShares` is a continuous function of position and does not depend on the voxel grid. For this
+function, the mask of each layer is smoothed by the kernel of `meshes.images.bone_image`, with a
+standard deviation of 1.5 voxels, and then interpolated. The result is called the share of the
+layer. For labels of planes and balls, the RMS error of the surface is 0.08 voxels, without bias. A
+layer with a thickness of two voxels becomes thicker by 0.2 voxels on each side.
 """
 
 from __future__ import annotations
@@ -39,31 +39,32 @@ MOST_SAMPLES = 6
 The number of sub-samples per voxel is then 216, which fits in a byte.
 """
 SPREAD = 1.5
-"""Standard deviation of the Gaussian [voxel].
+"""Standard deviation of the Gaussian in the smoothing kernel [voxel].
 
-With 1.0, the error of planes is 0.10 voxels (RMS). With 2.0, the error of thin layers is larger.
+With 1.0, the position error of planes is 0.10 voxels (RMS). With 2.0, the error of thin layers is
+larger.
 """
 REACH = 8
-"""Width of the margin around a region that influences the shares in the region [voxel].
+"""Width [voxel] of the margin around a region in which labels influence the shares in the region.
 
 The width is four standard deviations, plus one voxel for the Laplacian and one for interpolation.
 """
 _SLAB = 8
 """Number of voxel planes that a thread fills at once.
 
-A small number gives frequent progress reports.
+The number is small, so that progress is reported often.
 """
 _THREADS = 2
 """Number of threads. NumPy releases the interpreter lock in most of the work."""
 _POINTS_AT_ONCE = 1 << 18
-"""Number of points at which shares are interpolated at once. Their three indices take 6 MB."""
+"""Number of points at which shares are interpolated at once. Their indices take 6 MB."""
 _FARTHEST = 1.0
-"""Distance [standard deviations] up to which the share behind a plane is monotonic.
+"""Distance from a plane [standard deviations] up to which the share changes monotonically.
 
-Up to this distance, the distance can be computed from the share.
+Up to this value, a distance can be computed from a share.
 """
 _SURELY = 0.49
-"""Difference of a share from one half above which no surface lies within a distance of a voxel."""
+"""Difference between a share and one half above which no surface lies within one voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
 _DENSITY_KG_M3 = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.uint16)
 
@@ -93,7 +94,7 @@ class PlacedLabels:
     rotation: Array
 
     def on_plane(self, x: float, y: Array, z: Array) -> Bytes:
-        """Return the layer at points of a plane in the site frame, shape (ny, nz)."""
+        """Return the layer at the points (x, y[j], z[k]) of the site frame, shape (ny, nz)."""
         number = np.zeros((len(y), len(z)), dtype=np.int32)
         for axis, count in enumerate(self.layer.shape):
             scale = self.rotation[axis] / self.spacing[axis]
@@ -113,14 +114,14 @@ class PlacedLabels:
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
     def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
-        """Return the labels around a box [m] of the site frame, and a map from points to indices.
+        """Return the labels in and around a box [m] of the site frame, and a map to their indices.
 
         The labels extend `reach` voxels beyond the box.
 
         Returns
         -------
-        A copy of the labels, and ``start``, shape (3,), and ``turn``, shape (3, 3). The index
-        [voxel] of a point in the labels is ``start + turn @ point``.
+        A copy of the labels, ``start``, shape (3,), and ``turn``, shape (3, 3). A point of the site
+        frame [m] has the index ``start + turn @ point`` [voxel] in this copy.
         """
         turn = self.rotation / self.spacing[:, None]
         start = self.origin / self.spacing
@@ -134,7 +135,7 @@ class PlacedLabels:
 
     @cached_property
     def corners(self) -> Array:
-        """Lowest and highest corner [m] of the tooth in the site frame, shape (2, 3)."""
+        """Corners [m] of the tooth's bounding box in the site frame, lowest first, shape (2, 3)."""
         # About 160 planes per axis are enough, because the box is extended by the distance of the
         # planes.
         steps = [max(n // 160, 1) for n in self.layer.shape]
@@ -155,10 +156,11 @@ def resampled(
 
     The grid lines lie at integer multiples of the edge.
 
-    Fractions and layers are computed from sub-samples. The distance of sub-samples is at most the
-    voxel size of the image, unless this needs more than `most_samples` along an axis. The fraction
-    is the share of the sub-samples that lie in any layer. The layer is the most frequent layer. If
-    several layers are equally frequent, the first of them in `PRIORITY` is used.
+    Fractions and layers are computed from sub-samples. The distance between neighbouring
+    sub-samples is at most the voxel size of the image, unless a voxel would need more than
+    `most_samples` sub-samples along an axis. The bone fraction is the share of the sub-samples that
+    lie in any layer. The layer of a voxel is the most frequent layer of its sub-samples. If several
+    layers are equally frequent, the first of them in `PRIORITY` is used.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def resampled(
 
 
 def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
-    """Count the sub-samples of each voxel in up to eight layers, shape (nx, ny, nz, 8).
+    """Count the sub-samples of each voxel by layer, for up to eight layers, shape (nx, ny, nz, 8).
 
     A 64-bit word consists of eight one-byte counters, so one addition counts all layers. The number
     of sub-samples, `parts`³, must fit in a byte.
@@ -239,13 +241,15 @@ class LabelShares:
     Attributes
     ----------
     layers
-        Layer indices in the box, uint8. If shares are equal, the first of these layers is used.
+        Indices of the layers in the box, uint8. If two layers have equal shares at a point, the
+        first of them is used.
     shares
         Share of each layer at the voxels, float32, shape (nx, ny, nz).
     solid
         Sum of the shares of all layers.
     start, turn
-        Index [voxel] of a point of the site frame [m]: ``start + turn @ point``.
+        Vector and matrix that convert a point of the site frame [m] to an index [voxel]: ``start +
+        turn @ point``.
     deviation_m
         Standard deviation of the Gaussian [m].
     voxel_m
@@ -270,9 +274,9 @@ class LabelShares:
         start: Array,
         turn: Array,
     ) -> LabelShares:
-        """Smooth the layers of labels, shape (nx, ny, nz).
+        """Compute the shares of layers by smoothing `labels`, shape (nx, ny, nz).
 
-        The voxels have the sides `voxel_m`, shape (3,).
+        The voxels of `labels` have the sides `voxel_m` [m], shape (3,).
         """
         deviation = SPREAD * float(voxel_m.max())
         there = [layer for layer in layers if (labels == layer).any()]
@@ -290,7 +294,7 @@ class LabelShares:
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
         """Compute fraction and depth on a grid, see `meshes.shapes.anatomy.GridSampler`.
 
-        The depth is zero, because layers do not use it.
+        The returned depth is zero, because `classify` does not use the depth.
         """
         return self.fraction(grid), np.zeros(grid.shape, dtype=np.float32)
 
@@ -314,15 +318,16 @@ class LabelShares:
     def distance(self, points: Floats) -> Array:
         """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
 
-        Beyond one standard deviation, the result is a bound of the distance.
+        Farther than one standard deviation from the surface, the magnitude of the result is only a
+        lower bound of the distance.
         """
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 
     def fraction(self, grid: Grid) -> Singles:
-        """Compute the fraction of each voxel inside the surface.
+        """Compute the fraction of each voxel that lies inside the surface.
 
-        A voxel is divided into parts that are at most as large as a label's voxel. In each part,
-        the surface is treated as a plane.
+        A voxel is divided into parts that are at most as large as a voxel of the label image. In
+        each part, the surface is treated as a plane.
         """
         from scipy.ndimage import binary_dilation
 
@@ -385,7 +390,7 @@ class LabelShares:
 
 
 def _plane_share() -> tuple[Array, Array]:
-    """Tabulate the share at points behind a plane, and the depth of these points below the plane.
+    """Tabulate the share at points behind a plane over the depth of these points below the plane.
 
     The depth is in standard deviations.
     """

@@ -38,14 +38,16 @@ CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
 """Labels in segmentations of carious extracted teeth."""
 
 _FINEST_DEFAULT_MM = 0.1
-"""Smallest voxel if no size is given. A whole tooth in the voxels of a micro-CT takes gigabytes."""
+"""Smallest default voxel size [mm]. A whole tooth in the voxels of a micro-CT takes gigabytes."""
 _CAVITY_M = 0.1e-3
-"""Size of the voxels in which pulp and lesion are searched, the default size in a scene."""
+"""Size [m] of the voxels in which pulp and lesion are searched, the default of a scene."""
 _CAVITY_SAMPLES = 2
-"""Number of sub-samples along an edge of these voxels, enough to find the cavity.
-"""
+"""Number of sub-samples along an edge of a voxel in the search for the cavity."""
 _SITE_POINTS = 200_000
-"""Number of voxels from which axes are computed. The error of the centre of a tooth is 0.01 mm."""
+"""Number of voxels from which the axes of a tooth are computed.
+
+The error of the tooth's centre is then 0.01 mm.
+"""
 _MOST_VOXELS = 4e8
 """Largest number of voxels. Fraction, layer and density take 4 bytes per voxel, 1.6 GB in total."""
 
@@ -63,7 +65,7 @@ class LabelledTooth:
     finest_mm
         Smallest side of the image's voxels [mm].
     sentences
-        Findings in the image and changes to it.
+        Sentences on findings in the image and on changes to it.
     """
 
     placed: PlacedLabels
@@ -73,11 +75,11 @@ class LabelledTooth:
 
     @cached_property
     def cavity(self) -> PulpCavity | None:
-        """Return the pulp cavity of the whole tooth, found in voxels of 0.1 mm, or None."""
+        """Pulp cavity of the whole tooth, searched in voxels of 0.1 mm; None without a cavity."""
         return PulpCavity.of(resampled(self.placed, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
 
     def at_lesion(self) -> LabelledTooth:
-        """Return the tooth with its site above its lesion.
+        """Return the same tooth with the site above the lesion.
 
         See `meshes.tooth.layers.lesion_site`.
         """
@@ -97,22 +99,24 @@ class LabelledTooth:
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
-        """Make voxels of the tooth in its site frame.
+        """Convert the tooth to voxels in the site frame.
 
         The layers have the names in `meshes.tooth.layers.TOOTH_LAYERS`.
 
         For the whole tooth, fractions and layers are computed from sub-samples, see
         `meshes.tooth.label_sampling.resampled`. For a region, fractions, layers and distances are
-        computed from the interpolated shares of the labels. The surface is then the same for all
-        voxel sizes. If no label is the pulp, the empty cavity in the dentin is used as the pulp.
+        computed from the interpolated shares of the labels. The surface in a region is therefore
+        the same for all voxel sizes. If no label is the pulp, the empty cavity in the dentin is
+        used as the pulp.
 
         Parameters
         ----------
         resample_mm
             New voxel size [mm]. None: the voxel size of the image, but at least 0.1.
         region_m
-            Lowest and highest corner [m] of the region in the site frame; None: the whole tooth.
-            The content of a voxel does not depend on the region.
+            Corners [m] of the region in the site frame with the smallest and the largest
+            coordinates; None: the whole tooth. The content of a voxel does not depend on the
+            region.
         remark
             Function that is called with each sentence on assumptions, findings and removed pieces.
         progress
@@ -186,7 +190,7 @@ class LabelledTooth:
         )
 
     def _anatomy(self, corners: Array) -> Anatomy:
-        """Return the anatomy of the tooth between two corners [m], with its cavity filled."""
+        """Return the anatomy of the tooth between two corners [m], with the pulp cavity filled."""
         labels, start, turn = self.placed.around(corners, REACH)
         if not self.has_pulp and self.cavity is not None:
             back = np.linalg.inv(turn)
@@ -257,7 +261,7 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
 
 
 def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], list[str]]:
-    """Crop a label image to its tooth, and convert labels to layers.
+    """Crop a label image to the tooth in the image, and convert labels to layers.
 
     Pieces that are not connected to the largest piece by faces are removed.
 
@@ -318,7 +322,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
 
 
 def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
-    """Find the site of a tooth, and return its labels at the site and a text on the method."""
+    """Find the site of a tooth, and return the placed labels and a text on the method."""
     layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
     axes = tooth_axes(
         _points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing)
@@ -344,7 +348,7 @@ def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels,
 
 
 def _points(flags: Flags, spacing: Array) -> Array:
-    """Return the centres of evenly selected flagged voxels [m], shape (n, 3)."""
+    """Return the centres [m] of an even selection of the flagged voxels, shape (n, 3)."""
     found = np.flatnonzero(flags)
     found = found[:: max(len(found) // _SITE_POINTS, 1)]
     return np.column_stack(np.unravel_index(found, flags.shape)) * spacing

@@ -1,8 +1,8 @@
 """Fit of the layers of a tooth: overlaps, gaps and enclosed voids, measured on a lattice of points.
 
 A gap is a space between two layers that should touch, with a width of at most 0.3 mm along x, y or
-z. The depth of a gap is larger than its width. Wider spaces, and spaces between layers that need
-not touch, are part of the anatomy.
+z. At its deepest point, a gap is more than 0.45 mm below the outer surface. Wider spaces, and
+spaces between layers that need not touch, are part of the anatomy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ _TOUCHING = [
     {"ligament", "bone"},
 ]
 _TOUCH_M = 0.5e-3
-"""Largest distance of layers that count as touching."""
+"""Largest distance between two layers that count as touching [m]."""
 _POINTS_TESTED = 4000
 """Number of points of a layer at which the distance to other layers is measured.
 
@@ -50,10 +50,13 @@ _NEAR_M = 0.2e-3
 _LEAST_WITHIN = 0.6
 """Smallest share of the pulp's surface that must lie in the dentin or near the dentin's surface.
 
-Near means at a distance of at most ``_NEAR_M``.
+Near means at a distance of less than ``_NEAR_M``.
 """
 _LINES_A_POINT = 2
-"""Ratio of vertical lines to points above which each point is tested on its own."""
+"""Ratio of vertical lines to points above which each point is tested on its own.
+
+The lines pass through all combinations of the points' x and y.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +71,8 @@ class LayerContact:
     void_mm3
         Volume that the layers enclose, but that lies neither in a layer nor in a gap.
     gap_layer
-        Layer index + 1 of the layer to which the gap at each lattice point is assigned, 0
-        elsewhere, uint8, shape (nx, ny, nz).
+        For each lattice point in a gap, index + 1 of the layer to which the gap is assigned; 0
+        outside gaps; uint8, shape (nx, ny, nz).
     """
 
     overlap_mm3: Mapping[tuple[str, str], float]
@@ -81,7 +84,7 @@ class LayerContact:
 def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
     """Return whether points [m], shape (n, 3), lie within a closed surface.
 
-    Each point is tested by the vertical line through it.
+    Each point is tested by means of the vertical line through the point.
 
     Points of a grid lie on common lines, so the number of tested lines is much smaller than the
     number of points.
@@ -135,8 +138,8 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
         Dictionary from layer name to flags of the lattice points within the layer, shape (nx, ny,
         nz).
     priority
-        Layer names. The overlap of two layers and the gap between them are assigned to the layer
-        that is named first.
+        Layer names in order of priority. The overlap of two layers and the gap between two layers
+        are assigned to the layer that is named first.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -161,7 +164,7 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
     """Return the layer to which each lattice point in a gap is assigned, as the layer index + 1.
 
-    Also return the number of points by pair of layers.
+    Also return the number of gap points for each pair of layers.
     """
     pairs = [pair for pair in combinations(names, 2) if set(pair) in _TOUCHING]
     between = np.zeros_like(label)
@@ -182,7 +185,7 @@ def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], 
 
 
 def _drop_creases(between: Bytes, label: Bytes) -> None:
-    """Remove spaces that are nowhere deeper than the width of a gap. The array is changed in place.
+    """Remove spaces that are nowhere deeper than 1.5 times the largest gap width, in place.
 
     Such a space is the crease between two layers at the outer surface.
     """
@@ -220,7 +223,8 @@ def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16
 def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangles]) -> None:
     """Raise an error for layers that do not touch another layer.
 
-    Two layers touch if one lies in the other, or if their distance is at most 0.5 mm.
+    Two layers touch if one layer lies in the other, or if the distance between them is at most 0.5
+    mm.
 
     Parameters
     ----------

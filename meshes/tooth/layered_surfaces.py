@@ -1,7 +1,7 @@
 """Tooth from one closed surface per layer.
 
 The surfaces are moved to the site frame, their overlaps and gaps are measured and resolved, and a
-socket is added.
+bone socket is added.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ __all__ = ["Lattice", "LayeredSolid", "joined", "layered_anatomy", "layered_surf
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Distance and largest number of the sample points of a layer's surface.
+"""Distance between the sample points of a layer's surface, and largest number of these points.
 
-The largest number is enough for 30 cm2.
+The largest number is enough for a surface of 30 cm2.
 """
 _LESION_M = 0.15e-3
-"""Edge of the voxels in which a lesion is searched."""
+"""Edge [m] of the voxels in which a lesion is searched."""
 _SOCKET_PITCH_M = 0.2e-3
-"""Spacing of the table of distances.
+"""Spacing [m] of the lattice on which distances from the socket are tabulated.
 
 Around a root with a radius of 3 mm, the interpolation error is 2 um.
 """
 _MERGE_TOLERANCE_M = 1e-8
-"""Distance at which vertices of two surfaces are merged.
+"""Largest distance [m] at which vertices of two surfaces are merged.
 
 The rounding error of single precision is 2e-9 m.
 """
@@ -73,14 +73,14 @@ _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Values at points with an even spacing [m]. The first point is `origin`."""
+    """Values on a lattice of points with the spacing `pitch` [m] and the first point `origin`."""
 
     origin: Array
     pitch: float
     values: NDArray[np.number]
 
     def __call__(self, points: Floats, *, beyond: float) -> Singles:
-        """Interpolate linearly to points [m], shape (n, 3).
+        """Interpolate the values linearly at points [m], shape (n, 3).
 
         The result is `beyond` outside the lattice.
         """
@@ -113,9 +113,9 @@ class LayeredSolid:
     samples, sample_layer
         Sample points of all surfaces, and layer index of each point.
     gap
-        Layer index + 1 to which a gap is assigned, 0 elsewhere.
+        Lattice with the index + 1 of the layer to which each gap is assigned, 0 outside gaps.
     socket
-        Distance from the bone socket [m], negative inside.
+        Lattice with the distance from the bone socket [m], negative inside.
     """
 
     solids: Mapping[int, Triangles]
@@ -126,7 +126,7 @@ class LayeredSolid:
     socket: Lattice | None
 
     def distance(self, points: Floats) -> Floats:
-        """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket.
+        """Compute the signed distance [m] of points [m], shape (n, 3), from the solid.
 
         The distance is negative inside.
         """
@@ -165,10 +165,11 @@ class LayeredSolid:
         return fraction, depth
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return the layer of each point. If several layers contain a point, the priority decides.
+        """Return layer and density [kg/m3] at points, see `meshes.shapes.anatomy.Classify`.
 
-        A point outside all layers belongs to the layer to which its gap is assigned, or to the
-        nearest layer.
+        A point in several layers belongs to the layer with the highest priority. A point outside
+        all layers belongs to the layer to which its gap is assigned, to the bone if it lies in the
+        socket, or otherwise to the nearest layer.
         """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -363,7 +364,7 @@ def _solid(
     gap: Lattice | None,
     margin: float,
 ) -> LayeredSolid:
-    """Combine layers in the site frame and a socket with the thickness `margin` [m].
+    """Combine the layers in the site frame, and add a socket with the thickness `margin` [m].
 
     The first layer has the highest priority.
     """
@@ -387,7 +388,7 @@ def _solid(
 
 
 def _spread(surface: Surface) -> Array:
-    """Sample a surface with points about 0.1 mm apart [m], shape (n, 3)."""
+    """Sample a surface with points [m] that are about 0.1 mm apart, shape (n, 3)."""
     area = float(triangle_areas(surface.vertices_m, surface.faces).sum())
     # At least 1000 points are needed to compute axes and distances of a small layer.
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
@@ -443,7 +444,7 @@ def _notes(
     order: Sequence[str],
     socket_mm: float,
 ) -> dict[str, str]:
-    """Return measurements and assumptions for reports."""
+    """Return measured values and assumptions as texts for reports."""
 
     def listed(volumes: Mapping[tuple[str, str], float]) -> str:
         return ", ".join(

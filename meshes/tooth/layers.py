@@ -11,10 +11,10 @@ ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
 
-The site of a tooth is given by its long axis or by its lesion. The long axis is a principal axis of
-all points of the tooth. The principal axis with the smallest angle to the line between the centres
-of dentin and enamel is used. If all angles are larger than 25 degrees, as in a crown without roots,
-the line itself is the long axis."""  # noqa: E501 a table
+The site of a tooth is determined by the long axis of the tooth or by a lesion. The long axis is a
+principal axis of all points of the tooth. It is the principal axis with the smallest angle to the
+line between the centres of dentin and enamel. If all angles are larger than 25 degrees, as in a
+crown without roots, this line is the long axis."""  # noqa: E501 a table
 
 import math
 from collections.abc import Callable, Iterable
@@ -77,11 +77,11 @@ _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
 """Densities of dentin with softness 0 and 1, see the table above."""
 _POINTS_AT_ONCE = 1 << 17
-"""Number of points evaluated at once. Their coordinates, 3 MB, fit in the processor's cache."""
+"""Number of points evaluated at once. Their coordinates take 3 MB, which fits in the cache."""
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest side of a tooth [mm]: crown without roots, canine with its root, and typical molar."""
+"""Longest side [mm] of a crown without roots, of a canine with its root, and of a typical molar."""
 
 
 def caries_density(softness: Floats) -> Floats:
@@ -97,8 +97,9 @@ def caries_softness(density_kg_m3: Floats) -> Floats:
 
     The softness is (2100 - density)/800, limited to 0 to 1.
 
-    A softness of 0 means sound dentin, and 1 means fully softened, infected dentin. Use this
-    function only for voxels of the layer `caries`, because sound tissues have other densities.
+    A softness of 0 means sound dentin, and a softness of 1 means fully softened, infected dentin.
+    Use this function only for voxels of the layer `caries`, because sound tissues have other
+    densities.
     """
     density = np.asarray(density_kg_m3)
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
@@ -153,14 +154,14 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
 
 
 _LEAST_RISE_M = 0.4e-3
-"""Smallest distance between the centres of enamel and dentin.
+"""Smallest distance [m] between the centres of enamel and dentin in a valid tooth.
 
-The distance is 6.3 mm in the procedural molar, and 2.2 mm in its crown without roots.
+The distance is 6.3 mm in the procedural molar, and 2.2 mm in the molar's crown without roots.
 """
 _MOST_LEANING = math.cos(math.radians(25.0))
 """Cosine of the angle up to which a principal axis counts as the tooth's long axis.
 
-The angle is 0 degrees in the procedural molar, and 5 degrees in its crown without roots.
+The angle is 0 degrees in the procedural molar, and 5 degrees in the molar's crown without roots.
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
@@ -169,9 +170,9 @@ _AROUND_M = 0.5e-3
 For comparison, the voxel size is 0.1 to 0.15 mm.
 """
 _BEYOND_M = 1.0e-3
-"""Distance outside the nearest surface point at which the search along the normal ends."""
+"""Distance [m] beyond the nearest surface point at which the search for the origin ends."""
 _UPRIGHT = 0.7
-"""Cosine of the smallest angle between normal and tooth axis at which y points to the crown.
+"""Cosine of the smallest angle between site normal and tooth axis at which y points to the crown.
 
 The angle is 45 degrees. At smaller angles, the direction to the crown is nearly parallel to the
 normal.
@@ -180,7 +181,7 @@ normal.
 
 @dataclass(frozen=True, eq=False)
 class ToothAxes:
-    """Orientation of a tooth.
+    """Orientation of a tooth, found from points of the tooth.
 
     Attributes
     ----------

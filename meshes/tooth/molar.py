@@ -2,7 +2,7 @@
 
 The tooth has enamel with cusps, dentin, and a pulp with horns and canals.
 
-Sources, M = from memory of the literature, with confidence H, M or L.
+Sources: M = from memory of the literature, with confidence H, M or L.
 
 =============================  =============  ======================================================================
 crown, mesiodistal             11.0 mm        M, H: Nelson & Ash, mandibular first molar; 9.0 at the cervix
@@ -54,11 +54,11 @@ from meshes.tooth.molar_parts import (
 __all__ = ["MolarSizes", "molar"]
 
 _CREST_M = 1.5e-3
-"""Distance from the cervical line down to the bone crest, see the table above."""
+"""Distance [m] from the cervical line down to the bone crest, see the table above."""
 _LEAST_OVER_PULP_M = 0.3e-3
-"""Smallest thickness of dentin between a lesion and the pulp, six voxels of the scene."""
+"""Smallest thickness [m] of dentin between lesion and pulp, six voxels of the scene ``caries``."""
 _SHALLOWEST_LESION_M = 0.1e-3
-"""Depth of the shallowest lesion, two voxels of the scene."""
+"""Depth [m] of the shallowest lesion, two voxels of the scene ``caries``."""
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
 
 
@@ -85,13 +85,14 @@ class MolarSizes(Ranged):
     ligament_thickness_mm
         Thickness of the periodontal ligament [mm].
     socket_mm
-        Thickness of the bone around and below the roots, in a block with a flat crest [mm].
+        Thickness [mm] of the bone around and below the roots. The bone is a block with a flat
+        crest.
     caries_depth_mm
         Depth of a lesion under the fossa [mm]. With 0, there is no lesion. Otherwise, the depth
-        must be at least 0.1, and at least 0.3 less than the depth of the chamber's roof. The rim of
-        the lesion is an ellipsoid that extends from the fossa down. The softness is (1 - r²)²,
-        where r is the distance from the centre divided by the distance of the rim; see
-        `meshes.tooth.layers.caries_softness`.
+        must be at least 0.1, and at least 0.3 less than the depth of the chamber's roof. The
+        boundary of the lesion is an ellipsoid that extends from the fossa down to this depth. The
+        softness is (1 - r²)², where r is 0 at the centre and 1 at the boundary of the ellipsoid;
+        see `meshes.tooth.layers.caries_softness`.
     caries_diameter_mm
         Largest diameter of the lesion [mm].
     """
@@ -115,7 +116,7 @@ def molar(**sizes_mm: float) -> Anatomy:
     The origin is the bottom of the central fossa on the enamel. A thin bur that moves down the
     tooth's long axis first touches the tooth at the origin. A ball that is wider than the fossa
     touches the inclines of the cusps, slightly above the origin. x points mesially, y buccally, and
-    z outward. The bur comes from +z, and the roots point to -z.
+    z out of the tooth. The bur comes from +z, and the roots point to -z.
 
     Parameters
     ----------
@@ -226,7 +227,7 @@ def _layers(
     ligament: float,
     lesion: tuple[float, float] | None,
 ) -> Classify:
-    """Return a function that classifies points by their distances from the parts.
+    """Return a function that computes the layer and density of points.
 
     Pulp lies in dentin, and dentin lies in enamel. Ligament and bone lie around the roots.
     """
@@ -277,7 +278,7 @@ def _layers(
 
 
 def _softness(points: Floats, diameter: float, depth: float) -> Floats:
-    """Compute the softness (1 - r²)², with r relative to an ellipsoid; 0 outside.
+    """Compute the softness (1 - r²)², where r is 1 on an ellipsoid. The softness is 0 outside.
 
     The ellipsoid extends from the fossa down.
     """
@@ -291,10 +292,10 @@ def _true_distance(
     points: Floats,
     value: Floats,
 ) -> Floats:
-    """Compute the first-order distance [m] near the surface.
+    """Compute the distance [m] from a surface to first order, near the surface.
 
-    The distance is the value divided by the slope. The slope is computed from finite differences
-    over 20 µm.
+    The surface is the zero level of `function`. The distance is the function's value divided by the
+    slope of the function. The slope is computed from finite differences over 20 µm.
     """
     # 20 um: single precision resolves 1e-9 m here, and the curvature of the shapes is negligible
     # within 20 um.

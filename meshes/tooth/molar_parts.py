@@ -51,7 +51,7 @@ _WALL_ENAMEL = 0.62  # thickness at the wall / thickness above cusps
 _STEEPEST = 1.85
 """Upper bound of the slope of `tooth_distance`.
 
-The largest slope found for allowed sizes is 1.74.
+The largest slope that was found for valid sizes is 1.74.
 """
 _CANAL_RISE_M = 0.8e-3  # height above the roots at which canals start, within the chamber
 
@@ -80,7 +80,7 @@ class Crown:
 
     @property
     def cervix(self) -> float:
-        """Height of the cervical line on the buccal side [m]."""
+        """Height z of the cervical line on the buccal side [m]."""
         return self.cusp_height - self.height
 
     @property
@@ -95,7 +95,7 @@ class Crown:
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
-        """Compute the height of the chewing surface [m].
+        """Compute the height z of the chewing surface [m].
 
         Each cusp is a cone with a round tip that extends down to the fossa.
         """
@@ -113,7 +113,7 @@ class Crown:
     def _fossa(self) -> float:
         """Height [m] of the blended cones at the point where the seven cones meet.
 
-        At this point, the height of each cone is 0. Blending raises the surface.
+        At this point, the height of each cone is 0. Blending the cones raises the surface.
         """
         level = 0.0
         for _ in _CUSPS[1:]:
@@ -121,7 +121,7 @@ class Crown:
         return level
 
     def cervical_line(self, x: Floats) -> Floats:
-        """Compute the height of the cervical line [m].
+        """Compute the height z of the cervical line [m].
 
         The cervical line is higher on the mesial and distal sides.
         """
@@ -147,9 +147,9 @@ class Crown:
 
     @staticmethod
     def _bulge(height: Floats, axis: int) -> Floats:
-        """Compute the ratio of the half width to the largest half width, at given heights.
+        """Compute the ratio of the crown's half width to its largest half width at given heights.
 
-        The heights are 0 (cervix) to 1 (cusp tips).
+        The relative heights range from 0 (cervix) to 1 (cusp tips).
         """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
@@ -159,10 +159,10 @@ class Crown:
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
     def outside(self, p: Floats) -> Floats:
-        """Compute the distance from crown and trunk [m].
+        """Compute the distance [m] from the union of crown and root trunk.
 
-        Below the chewing surface, the distance is measured along z. At the wall, it is measured
-        horizontally.
+        The distance from the chewing surface is measured along z. The distance from the side wall
+        is measured horizontally.
         """
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
@@ -183,15 +183,15 @@ class Crown:
 
 @dataclass(frozen=True)
 class Root:
-    """Round cone with an axis that is curved in the x-z plane, wider along y.
+    """Round cone with a curved axis in the x-z plane. The cone is wider along y than along x.
 
     Attributes
     ----------
     top, length
         Height of the upper end, and length from the upper end to the apex [m].
     axis
-        x of the axis [m], given by the coefficients of 1, u and u², where u is 0 at the top and 1
-        at the apex.
+        Coefficients [m] of 1, u and u² in the x coordinate of the axis, where u is 0 at the top and
+        1 at the apex.
     radius, apex_radius
         Half width along x at the top and at the apex [m].
     flattening
@@ -213,14 +213,15 @@ class Root:
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
 
     def centre_x(self, z: Floats) -> Floats:
-        """Compute x of the axis [m] at the heights z [m]."""
+        """Compute the x coordinate [m] of the axis at the heights z [m]."""
         u = np.clip((self.top - z) * (1.0 / self.length), 0.0, 1.0)
         return self.axis[0] + u * (self.axis[1] + u * self.axis[2])
 
     def distance(self, p: Floats) -> Floats:
-        """Compute a bound of the distance [m], negative inside.
+        """Compute a bound of the signed distance [m] from the root, negative inside.
 
-        Along x, the bound is exact. Along y, the bound is `flattening` times the distance.
+        Along x, the bound is equal to the distance. Along y, the bound is `flattening` times the
+        distance.
         """
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
         return _round_cone(
@@ -247,7 +248,7 @@ class Root:
 
 
 def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
-    """Build the mesial and the distal root [m].
+    """Build the mesial and the distal root.
 
     The two apices lie `root_length` below the buccal cervical line.
     """
@@ -281,7 +282,8 @@ def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin:
 def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
     """Build the outer surface of the tooth as a shape.
 
-    The distance is divided by its largest slope, so it is a bound.
+    The value of `tooth_distance` is divided by the upper bound of its slope. The result is
+    therefore a bound of the true distance.
     """
     # A margin of a tenth includes the inclination of the crown, 7 % of its half length. A margin of
     # 2 % includes the tips.
@@ -293,7 +295,7 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 
 
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
-    """Build the pulp [m].
+    """Build the signed distance of the pulp [m].
 
     The pulp has a chamber with a horn under each cusp, two canals in the mesial root and one canal
     in the distal root.

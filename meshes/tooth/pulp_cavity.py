@@ -14,13 +14,13 @@ from meshes.voxels.volume import FULL, VoxelVolume
 __all__ = ["PulpCavity", "with_pulp"]
 
 _WIDEST_OPENING_M = 0.8e-3
-"""Diameter of the widest opening of a pulp cavity.
+"""Diameter [m] of the widest opening of a pulp cavity.
 
 The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1960, Oral Surg
 13:728).
 """
 _LARGEST_MOUTH_M2 = 1.0e-6
-"""Largest area of one opening in the roots.
+"""Largest area [m2] of one opening in the roots.
 
 A round opening with a diameter of 0.8 mm has an area of 0.5 mm2. In voxels, the stepped area of the
 opening is up to twice as large.
@@ -31,7 +31,7 @@ _CROWN_LEAK_M2 = 0.05e-6
 The value allows leaks of the segmentation with an area of five voxel faces.
 """
 _VOLUME_M3 = (1e-9, 200e-9)
-"""Limits of the volume of a pulp cavity.
+"""Limits of the volume of a pulp cavity [m3].
 
 Mean pulp volumes range from 6 mm3 in lower incisors to 68 mm3 in upper first molars (Fanibunda
 1986, Int Endod J 19:194). Pulps of old patients are several times smaller, and pulps of teeth with
@@ -43,7 +43,7 @@ _LEAST_DENTIN = 0.5
 The rest of the wall may be caries, or enamel if the crown is worn.
 """
 _ENAMEL_PERCENT = 2.0
-"""Percentage of the enamel that may lie below the neck of the tooth, such as mislabelled pieces."""
+"""Percentage of the enamel that may lie below the neck of a tooth, because it is mislabelled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,9 @@ class PulpCavity:
     """Void in the dentin of a whole tooth that may be its pulp.
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
-    apical foramina. A ball with a diameter of more than 0.8 mm cannot enter the void. Its openings
-    lie in the roots and are at most 1 mm2 each. Fissures, grooves and clefts between roots are not
-    pulp cavities, because they are open along their length.
+    apical foramina. A ball with a diameter of more than 0.8 mm cannot enter the void. The openings
+    of the void lie in the roots and are at most 1 mm2 each. Fissures, grooves and clefts between
+    roots are not pulp cavities, because they are open along their length.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ class PulpCavity:
     inside
         Mask of the voxels of the cavity, bool, shape of the tooth.
     away_m
-        Distance of each voxel from the region that a ball with a diameter of 0.8 mm can reach [m],
-        shape of the tooth.
+        Distance [m] of each voxel from the region that the centre of a ball with a diameter of 0.8
+        mm can reach from outside, shape of the tooth.
     """
 
     tooth: VoxelVolume
@@ -111,9 +111,9 @@ class PulpCavity:
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> Flags:
-        """Return a mask of the voxels in the cavity, for voxels of any size of the same tooth.
+        """Return a mask of the cavity in another voxel volume of the same tooth.
 
-        The mask is bool and has the shape of the volume.
+        The voxels may have any size. The mask is bool and has the shape of the volume.
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
@@ -123,7 +123,7 @@ class PulpCavity:
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
-        """Return whether points outside all layers lie in the cavity, shape (n,).
+        """Return whether each of n points outside all layers lies in the cavity, shape (n,).
 
         The points [m] have the shape (3, n).
         """

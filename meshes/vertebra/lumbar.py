@@ -45,11 +45,11 @@ _BLEND_M = 3e-3  # width of the blend between parts
 _SPINOUS_M = 32e-3
 _TRANSVERSE_M = 21e-3
 _ISTHMUS_M = 4e-3
-"""Distance from the back wall of the body to the isthmus of the pedicle."""
+"""Distance [m] from the back wall of the body to the isthmus (narrowest part) of the pedicle."""
 _ENTRY_M = 19e-3
-"""Distance from the back wall of the body to the entry behind the pedicle, along its axis.
+"""Distance [m] from the back wall of the body to the entry behind the pedicle, along its axis.
 
-The distance includes pedicle and pars, and is a prior.
+The distance includes pedicle and pars. It is an assumed value.
 """
 _REACH_M = 75e-3
 """Half side of a box that contains the bone [m]. The default spinous process ends at 71 mm."""
@@ -57,7 +57,7 @@ _REACH_M = 75e-3
 
 @dataclass(frozen=True)
 class _HalfSizes:
-    """Half sizes [m] in the frame of the body.
+    """Half of the vertebra's sizes [m], in the frame of the vertebral body.
 
     x points left, y back and z up. The origin is the centre of the body.
     """
@@ -80,7 +80,7 @@ class _HalfSizes:
     def isthmus(self) -> Array:
         """Middle of the narrowest part of the left pedicle [m].
 
-        This point lies next to the canal, in the middle between the two cortices.
+        The point lies beside the canal, in the middle between the two cortices of the pedicle.
         """
         return np.array(
             [
@@ -92,12 +92,12 @@ class _HalfSizes:
 
     @property
     def axis(self) -> Array:
-        """Unit vector along the left pedicle, pointing backward and outward."""
+        """Unit vector along the axis of the left pedicle that points backward and outward."""
         return np.array([math.sin(self.angle), math.cos(self.angle), 0.0])
 
     @property
     def entry(self) -> Array:
-        """Point on the axis behind the pedicle, near the entry [m]."""
+        """Point on the axis of the left pedicle behind the pedicle, near the entry [m]."""
         return self.isthmus + (_ENTRY_M - _ISTHMUS_M) * self.axis
 
 
@@ -114,13 +114,14 @@ class VertebraSizes(Ranged):
     pedicle_width_mm, pedicle_height_mm
         Width and height of the elliptic pedicle [mm].
     pedicle_angle_deg
-        Angle by which the pedicle is inclined medially toward the front [degrees].
+        Angle [degrees] by which the axis of the pedicle is inclined medially toward the front.
     pedicle_cortex_mm
         Thickness of the cortex of pedicle and arch [mm], less than a third of the pedicle's width.
     cortical_density_kg_m3
         Apparent density of the cortex [kg/m3].
     trabecular_density_kg_m3, pedicle_density_kg_m3
-        Apparent densities of the trabecular bone in the body, and in pedicle and arch [kg/m3].
+        Apparent density of the trabecular bone in the body, and apparent density of the trabecular
+        bone in pedicle and arch [kg/m3].
     """
 
     body_width_mm: float = ranged(48.0, 36.0, 60.0)
@@ -216,7 +217,7 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
 
 
 def _bone(sizes: _HalfSizes) -> Shape:
-    """Return the outer surface with the canal filled, in the frame of the body."""
+    """Return the outer surface of the vertebra with the canal filled, in the frame of the body."""
     pedicles = Shape(lambda p: _pedicles(sizes, p))
     body = Shape(lambda p: _body(sizes, p))
     back = sizes.canal_y + sizes.canal_depth
@@ -295,11 +296,10 @@ def _canal(sizes: _HalfSizes) -> Shape:
 def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
     """Compute the signed distance from an ellipse with the half axes a and b [m].
 
-    After three steps, the error is 1e-5 of the size of the ellipse.
-
-    Each step approximates the ellipse by its circle of curvature at the last point (A. Nash,
-    "Computing the distance between a point and an ellipse"). The first point lies in the direction
-    of 45 degrees.
+    The nearest point of the ellipse is computed in steps. Each step approximates the ellipse by its
+    circle of curvature at the last point (A. Nash, "Computing the distance between a point and an
+    ellipse"). The first point lies in the direction of 45 degrees. After three steps, the error is
+    1e-5 of the size of the ellipse.
     """
     px = np.abs(x)
     py = np.abs(y)
@@ -321,9 +321,9 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
 
 
 def _layers(sizes: _HalfSizes, given: VertebraSizes, turn: Array, origin: Array) -> Classify:
-    """Return a function that classifies points by depth.
+    """Return a function that computes the layer and density of points from their depths.
 
-    The body has a thin shell and endplates. The other parts have a thicker cortex.
+    The body has a thin cortical shell and endplates. The other parts have a thicker cortex.
     """
 
     cortex = 1e-3 * given.pedicle_cortex_mm

@@ -1,1 +1,1 @@
-"""Voxel grids, and their filling."""
+"""Voxel grids, and functions that fill them from an anatomy."""

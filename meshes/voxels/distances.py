@@ -1,11 +1,12 @@
 """Distances from voxel centres to the bone's surface and to boundaries between layers, in bytes.
 
-The distances are interpolated between voxel centres. The position of the surface or of a boundary
-is therefore accurate to second order in the spacing, and not only to the nearest voxel.
+The distances are interpolated between voxel centres. The error of the surface's or boundary's
+position is therefore of second order in the spacing, and not of the size of a voxel.
 
 Distances to the nearest boundary are computed from a function that returns the layer at any point,
-or from the labels of the voxels. They are computed only for voxels in a cell of eight centres with
-at least two different layers. The distance of other voxels is never used.
+or from the labels of the voxels. These distances are computed only for voxels at the corners of
+cells with at least two different layers. A cell is the cube between eight neighbouring voxel
+centres. The distances of other voxels are never used.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ _SMALLEST_COMPONENT = 1e-5  # see `cube_fraction`
 def cube_fraction(distance: Floats, normal: Floats) -> Array:
     """Compute the volume of the part of a unit cube behind a plane, n·x <= -distance.
 
-    The centre of the cube is the origin. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. Here, a
-    is the height of the plane above the cube's lowest corner, divided by the extent of the cube
-    along n. The volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets
-    S of the three axes. The formula is inclusion-exclusion over the cube's corners. It is
-    equivalent to the formula of Scardovelli & Zaleski 2000, J. Comput. Phys. 164:228. Components
-    below 1e-5 are set to 1e-5, which changes the volume by less than 2e-5.
+    The centre of the cube is the origin. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. The
+    number a is the height of the plane above the cube's lowest corner along n, divided by the
+    extent of the cube along n. The volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3),
+    summed over the subsets S of the three axes. The formula is inclusion-exclusion over the cube's
+    corners. It is equivalent to the formula of Scardovelli & Zaleski 2000, J. Comput. Phys.
+    164:228. Components of m below 1e-5 are set to 1e-5, which changes the volume by less than 2e-5.
 
     Parameters
     ----------
@@ -75,13 +76,13 @@ def cube_fraction(distance: Floats, normal: Floats) -> Array:
 
 
 SURFACE_STEPS = 63
-"""Stored steps per voxel; stored distances reach two voxels."""
+"""Number of stored steps per voxel. Surface distances are stored up to two voxels."""
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
-"""Stored distances on the surface, and two or more voxels inside and outside the surface."""
+"""Stored values on the surface, two or more voxels inside it, and two or more voxels outside it."""
 _BISECTIONS = 14
-"""Number of halvings in the search for the distance of a plane.
+"""Number of bisection steps in the search for the distance of a plane.
 
 The remaining interval is 1e-4 voxels, which is small compared with a stored step of 0.016 voxels.
 """
@@ -102,8 +103,8 @@ def near_the_surface(
     """Return surface distance, layer, density and boundary distance of a volume.
 
     The arrays have the shape of the volume. Layer and density are extended beyond the surface, as
-    far as the surface distance is known. A point between the last voxel centre inside the bone and
-    the first voxel centre outside also needs a layer.
+    far as the surface distance is known. The reason is that a point between the last voxel centre
+    inside the bone and the first voxel centre outside also needs a layer.
     """
     surface = (
         volume.surface_distance
@@ -146,12 +147,12 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     The result is uint8, shape (nx, ny, nz).
 
     For each voxel that the surface crosses, or that is next to the surface, a plane is computed.
-    The part of the voxel behind the plane is the filled fraction. The plane is normal to the
-    gradient of the fractions. For voxels near these voxels, the mean distance from their planes is
-    used. The space outside the array has no bone. On a ball, the mean distance is smaller than the
-    true distance, and interpolation between centres increases the distance. Each of these two
-    opposite biases is a twelfth of the sum of the principal curvatures. In the interpolated
-    surface, a quarter of such a bias remains.
+    The plane is normal to the gradient of the fractions, and the part of the voxel behind the plane
+    is the filled fraction. The surface distance of a voxel is the weighted mean of the voxel's
+    distances from nearby planes. The space outside the array counts as empty. On a ball, the mean
+    distance is smaller than the true distance, and interpolation between voxel centres increases
+    the distance. Each of these two opposite biases is a twelfth of the sum of the principal
+    curvatures. In the interpolated surface, a quarter of such a bias remains.
     """
     from scipy.ndimage import binary_dilation, maximum_filter
 
@@ -191,9 +192,9 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 
 
 def _plane_distance(share: Floats, normal: Floats) -> Array:
-    """Compute the signed distance of unit cubes' centres from a plane.
+    """Compute the signed distance of the centre of each unit cube from a plane.
 
-    `share` is the part of each cube behind its plane.
+    Each cube has its own plane, given by its normal and by the part `share` of the cube behind it.
     """
     half = 0.5 * np.abs(normal).sum(axis=1)
     low = -half
@@ -209,7 +210,8 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 def _outward(fraction: Bytes, at: Ints) -> Array:
     """Return unit vectors opposite to the gradient of the fractions, shape (n, 3).
 
-    The gradient is computed in 3 x 3 x 3 voxels. The vector is z if the gradient is zero.
+    The gradient is computed in 3 x 3 x 3 voxels. If the gradient is zero, the vector points along
+    z.
     """
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
@@ -231,36 +233,40 @@ def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 
 
 BOUNDARY_STEPS = 127
-"""Stored steps per voxel; stored distances reach two voxels."""
+"""Number of stored steps per voxel. Boundary distances are stored up to two voxels."""
 FAR = 254
 """Stored distance of voxels that are far from every boundary between layers.
 
-No boundary lies within two voxels of such a voxel, or in a cell that has the voxel as a corner.
+Such a voxel is farther than two voxels from every boundary, or no cell with the voxel as a corner
+contains a boundary.
 """
 _UNKNOWN = 255
 _PADDED = 6
-"""Width of the border of unknown voxels, the radius of the larger ball."""
+"""Width [voxel] of the border of unknown voxels, equal to the radius of the larger ball."""
 _AT_ONCE = 1 << 18
-"""Number of pairs of voxel and neighbour that are summed at once. They take some MB."""
+"""Number of pairs of a voxel and a neighbour that are summed at once. The pairs take some MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Step [voxel] of the search for a change along a direction, and number of bisections.
+"""Step [voxel] of the search for a change of layer along a direction, and number of bisections.
 
 The middle of the remaining interval has an error of up to 0.008 voxels, which is a stored step.
 """
 _WIDE = 6.0
 _NARROW = 3.0
-"""Radii of the balls [voxel] in which shares are computed for the distance.
+"""Radii [voxel] of the two balls in which the share of a voxel's layer is computed.
 
-With radii of 6 and 3 voxels, the RMS error is 0.07 voxels on a ball with a radius of 14 voxels, and
-0.18 voxels on a block. With 4 instead of 6, the errors are 0.11 and 0.16 voxels. With 8 instead of
-6, they are 0.05 and 0.20 voxels. With 2 instead of 3, the error on the block is 0.29 voxels.
+With radii of 6 and 3 voxels, the RMS error of the distance is 0.07 voxels on a ball and 0.18 voxels
+on a block. The radius of the ball is 14 voxels. With 4 instead of 6, the errors are 0.11 and 0.16
+voxels. With 8 instead of 6, they are 0.05 and 0.20 voxels. With 2 instead of 3, the error on the
+block is 0.29 voxels.
 """
 _DISAGREES = 0.25
 _REACH = 2
-"""Deviation [voxel] of a label above which the narrow ball is used, and range of its use [voxel].
+"""Depth of a voxel's centre in another layer, and range around this voxel [voxel].
 
-For deviations of 0.1 to 1 and ranges of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
+The narrow ball is used above this depth and within this range, see `boundary_of_layers`.
+
+For depths of 0.1 to 1 and ranges of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
 """
 
 LayerAt = Callable[[Singles], Bytes]
@@ -268,7 +274,7 @@ LayerAt = Callable[[Singles], Bytes]
 
 
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
-    """Compute the stored distance from voxel centres to the nearest boundary between layers.
+    """Compute the stored distance from each voxel centre to the nearest boundary between layers.
 
     The result has the shape (nx, ny, nz).
 
@@ -307,14 +313,15 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest boundary between layers from the labels of voxels.
+    """Compute the stored distance to the nearest boundary between layers from the voxels' layers.
 
     The distance is computed from the share of a voxel's layer in a ball with a radius of six voxels
-    around the voxel, see `_ball`. At corners and thin layers, labels may contradict this distance
-    by more than a quarter of a voxel. In this case, a ball with a radius of three voxels is used.
-    Each voxel's centre remains in its layer, so no boundary is shifted by more than half a voxel.
-    If most neighbours of a voxel are in other layers, the voxel keeps a distance of up to half a
-    voxel. A layer with a thickness of one voxel therefore does not vanish.
+    around the voxel, see `_ball`. At corners and thin layers, this distance may place a voxel's
+    centre in another layer, more than a quarter of a voxel behind the boundary. For such a voxel
+    and for voxels up to two voxels away, a ball with a radius of three voxels is used. The final
+    distances keep each voxel's centre in the voxel's layer, so no boundary is shifted by more than
+    half a voxel. If most neighbours of a voxel are in other layers, the distance is increased to up
+    to half a voxel. A layer with a thickness of one voxel therefore does not vanish.
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
@@ -335,7 +342,7 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
 
 
 def _codes(layer: Bytes, known: Flags) -> Bytes:
-    """Return layers with a border around them.
+    """Return an array of layers with a border around the array.
 
     The value is 255 in the border and in voxels whose layer is not known.
     """
@@ -345,7 +352,7 @@ def _codes(layer: Bytes, known: Flags) -> Bytes:
 def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
     """Convert distances [voxel] of the chosen voxels to stored bytes, without the border.
 
-    All other voxels are `FAR`.
+    All other voxels get the value `FAR`.
     """
     result = np.full(codes.shape, FAR, dtype=np.uint8)
     result.ravel()[chosen] = np.rint(np.minimum(BOUNDARY_STEPS * distance, FAR))
@@ -353,10 +360,10 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 
 
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
-    """Return flat indices of the known voxels in cells with two layers.
+    """Return flat indices of the known voxels in cells with at least two layers.
 
-    A cell has 2 x 2 x 2 voxels. It has two layers if two neighbouring voxels in the cell have
-    different layers.
+    A cell consists of 2 x 2 x 2 voxels. A cell counts if two face neighbours in the cell have
+    different known layers.
     """
     flat = codes.ravel()
     steps = _strides(codes)
@@ -376,12 +383,12 @@ def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
 def _sums(
     codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]
 ) -> tuple[Singles, Singles]:
-    """Compute weighted sums over the known voxels around each voxel, shapes (rows, n).
+    """Compute weighted sums over the known voxels around each of n voxels, shapes (rows, n).
 
     The first sum is over voxels of the same layer. The second sum is over voxels of other layers.
 
-    ``weights`` has the shape (rows, offsets). Sums of integers up to 2**24 are exact on any
-    machine.
+    ``weights`` has the shape (rows, offsets), so there are several sums per voxel. Sums of integers
+    up to 2**24 are exact on any machine.
     """
     flat = codes.ravel()
     shifts = (offsets @ _strides(codes))[:, None]
@@ -400,8 +407,8 @@ def _sums(
 def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Array:
     """Compute the distance [voxel] of a plane from the share of a voxel's layer in a ball.
 
-    The centre of the ball is the voxel. The part of the ball behind the plane has the given share.
-    The distance is negative if the voxel lies in front of the plane.
+    The ball is centred on the voxel. The weighted part of the ball behind the plane is the share of
+    the layer. The distance is negative if the voxel lies in front of the plane.
     """
     offsets, weights, share, distance = _ball(radius)
     same, other = (sums[0].astype(np.float64) for sums in _sums(codes, at, offsets, weights))
@@ -410,14 +417,15 @@ def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Arr
 
 @cache
 def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
-    """Compute the offsets and weights in a ball, and the share behind a plane.
+    """Compute the voxel offsets and weights in a ball, and the weighted share behind a plane.
 
     The share is tabulated as a function of the plane's distance [voxel] from the centre.
 
-    The weight is (1 - r²)² (1 - 5/2 r²), where r is relative to the radius. Its second moment in a
-    plane through the centre is zero. The share behind a surface through the centre therefore does
-    not depend on the curvature, to first order. The share increases with the distance t up to t² =
-    1/5. The integral of the weight over the plane at t is, up to a factor, (1 - t²)³ (5/8 (1 - t²)
+    The weight is (1 - r²)² (1 - 5/2 r²), where r is the distance from the centre, relative to the
+    radius. In a plane through the centre, the second moment of the weight is zero. The share behind
+    a surface through the centre therefore does not depend on the curvature, to first order. The
+    share increases with the distance t of the plane, relative to the radius, up to t² = 1/5. The
+    integral of the weight over the plane at t is, up to a factor, (1 - t²)³ (5/8 (1 - t²)
     - 1/2).
     """
     offsets = _offsets(radius)
@@ -442,12 +450,12 @@ def _offsets(radius: float) -> Ints:
 
 
 def _strides(array: Bytes) -> Ints:
-    """Return the index step along each axis in the flat array."""
+    """Return the index step in the flat array that corresponds to one step along each axis."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Compute the distance [voxel] from voxel centres to the layer's boundary along a direction.
+    """Compute the distance [voxel] from voxel centres to a change of layer along given directions.
 
     The distance is at most 2, shape (n,).
     """

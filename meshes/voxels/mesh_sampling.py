@@ -1,12 +1,13 @@
 """Bone fraction and depth of voxels under a triangle surface.
 
-Fraction: there are 3 x 3 lines along z in each voxel column. The winding number along a line
-changes where the line crosses triangles. The parts of a line with a positive winding number are
-bone. The fraction is exact along z. Across z, it is a quadrature with nine lines. Depth: the
-distance to the surface is computed on a lattice with a spacing of 0.4 mm or one voxel, and
-interpolated to the voxels.
+The bone fraction is computed from 3 x 3 lines along z in each voxel column. The winding number
+along a line changes where the line crosses triangles. The parts of a line with a positive winding
+number are bone. The fraction is exact along z. Across z, the fraction is a quadrature with nine
+lines. For the depth, the distance to the surface is computed on a lattice with a spacing of 0.4 mm
+or one voxel, and interpolated to the voxels.
 
-Crossings of vertical lines with triangles also determine whether scattered points lie inside.
+Crossings of vertical lines with triangles also determine whether scattered points lie inside a
+surface.
 """
 
 from collections.abc import Callable, Iterator
@@ -59,8 +60,8 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
     Only crossings at which the winding number becomes positive, or stops being positive, are
     returned.
 
-    The test of a common edge uses the same arithmetic for its two triangles. A line near the edge
-    therefore passes through exactly one of the two triangles.
+    The test of an edge uses the same arithmetic for the two triangles that share the edge. A line
+    near the edge therefore passes through exactly one of the two triangles.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
 def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
     """Return whether points [m], shape (n, 3), lie where the winding number is positive.
 
-    Each point is tested with the vertical line through it. Triangles are sorted into square
+    Each point is tested with the vertical line through the point. Triangles are sorted into square
     columns, so a point is only tested against the triangles of its column.
     """
     points = np.asarray(points, dtype=np.float64)
@@ -127,7 +128,7 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
 
 
 def _batches(pairs: Ints) -> Iterator[slice]:
-    """Yield consecutive ranges of entries with about `_PAIRS_AT_ONCE` pairs in total.
+    """Yield slices of consecutive entries, each with about `_PAIRS_AT_ONCE` pairs in total.
 
     `pairs` is the number of pairs of each entry.
     """
@@ -141,15 +142,15 @@ def _batches(pairs: Ints) -> Iterator[slice]:
 
 
 def _repeated(counts: Ints) -> tuple[Ints, Ints]:
-    """Repeat each index `counts` times. Also number the repetitions of each index from 0."""
+    """Repeat each index k `counts[k]` times. Also number the repetitions of each index from 0."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
-    """Return the triangles whose box overlaps each of count x count columns, sorted by column.
+    """Return the triangles whose box overlaps a column, for each of count x count columns.
 
-    Also return the index at which each column starts.
+    The triangles are sorted by column. Also return the index at which each column starts.
     """
     boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
     first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
@@ -163,7 +164,7 @@ def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Int
 
 
 def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high: float) -> Ints:
-    """Return the triangles whose box overlaps an interval along an axis."""
+    """Return the triangles whose bounding box overlaps an interval along an axis."""
     below = vertices[:, axis] < low
     above = vertices[:, axis] > high
     a, b, c = faces.T
@@ -172,7 +173,7 @@ def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high:
 
 
 def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
-    """Return the first line and the number of lines along x and y within each triangle's box.
+    """Return the first line and the number of lines in each triangle's box, along x and along y.
 
     Each result has the shape (m, 2).
     """
@@ -276,16 +277,16 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
 _LINES = 3
 """Number of lines through a voxel along x and along y."""
 _WIDEST_LATTICE_M = 0.41e-3
-"""Largest spacing of the lattice on which depth is evaluated, 0.4 mm plus 0.01 mm for rounding."""
+"""Largest spacing [m] of the lattice for the depth, 0.4 mm plus 0.01 mm for rounding errors."""
 _CELLS_BEYOND = 4
-"""Number of lattice cells by which the range of used triangles extends beyond the threshold.
+"""Number of lattice cells by which the range of triangles extends beyond the depth threshold.
 
 The depth near the threshold is therefore correct.
 """
 _OFFSET = np.array([0.0137, 0.0071])
-"""Shift of the lines, relative to their distance.
+"""Shift of the lines, relative to the distance between them.
 
-Edges of boxes and symmetric meshes then do not lie on a line.
+With this shift, the edges of boxes and symmetric meshes do not lie on a line.
 """
 
 
@@ -300,8 +301,8 @@ class TriangleSampler:
     faces
         Triangles with outward normals, shape (m, 3).
     threshold_m
-        Depth that decides the layer of a voxel. In lattice cells that lie completely above or below
-        this depth, the computed depth may be inaccurate, but it is on the correct side of the
+        Depth [m] that decides the layer of a voxel. In lattice cells that lie completely above or
+        below this depth, the computed depth may be inaccurate, but it is on the correct side of the
         threshold. Infinite: the depth is accurate everywhere.
     """
 
@@ -332,7 +333,7 @@ class TriangleSampler:
     def __call__(self, grid: Grid) -> tuple[Singles, Singles]:
         """Compute bone fraction, 0 to 1, and depth [m], positive inside.
 
-        The two arrays are float32 and have the shape of the blocked grid.
+        The two arrays are float32 and have the shape of `grid`, which consists of whole blocks.
 
         The depth is computed only in lattice cells with bone. In other cells, the depth has no
         meaning.
@@ -415,7 +416,7 @@ def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> t
 
 
 def _corners_of(cells: Flags) -> Flags:
-    """Return the lattice points at the corners of cells."""
+    """Return flags of the lattice points at the corners of flagged cells."""
     points = np.zeros(np.add(cells.shape, 1), dtype=bool)
     for i, j, k in np.ndindex(2, 2, 2):
         points[i : i + cells.shape[0], j : j + cells.shape[1], k : k + cells.shape[2]] |= cells
@@ -423,7 +424,7 @@ def _corners_of(cells: Flags) -> Flags:
 
 
 def _whole_cells(points: Flags) -> Flags:
-    """Return the cells whose corners are all in the lattice points."""
+    """Return flags of the cells whose corners are all flagged lattice points."""
     return ~_corners_of(~points)[1:-1, 1:-1, 1:-1]
 
 
@@ -436,7 +437,7 @@ def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
 
 
 def surface_distance(vertices: Array, faces: Ints) -> Callable[[Floats], Array]:
-    """Return `triangle_distance` of a surface, as a function of one or more points.
+    """Return the function `triangle_distance` of one surface, which takes only the points.
 
     Repeated calls are fast, because the triangles are sorted only once.
     """

@@ -14,7 +14,7 @@ from meshes.base.placement import Placement
 __all__ = ["FULL", "VoxelVolume", "density_volume"]
 
 DENSEST_KG_M3 = 2e4
-"""Largest accepted density, the density of the densest implant metals.
+"""Largest accepted density [kg/m3], the density of the densest implant metals.
 
 A larger value indicates that the densities have another unit.
 """
@@ -29,7 +29,7 @@ class VoxelVolume:
     Attributes
     ----------
     origin_m
-        Corner of voxel (0, 0, 0) with the lowest coordinates [m], shape (3,), float64.
+        Corner with the lowest coordinates [m] of voxel (0, 0, 0), shape (3,), float64.
     spacing_m
         Edge of a voxel [m].
     fraction
@@ -97,12 +97,12 @@ class VoxelVolume:
 
     @property
     def bounds_m(self) -> tuple[Array, Array]:
-        """Lowest and highest corner of the block [m], each shape (3,)."""
+        """Corners of the block with the lowest and the highest coordinates [m], each shape (3,)."""
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
     @property
     def bone_bounds_m(self) -> tuple[Array, Array]:
-        """Lowest and highest corner of a box around the bone [m], each shape (3,)."""
+        """Corners of a box around the bone, with the lowest and the highest coordinates [m]."""
         box = box_of(self.fraction > 0)
         low = np.array([side.start for side in box])
         high = np.array([side.stop for side in box])
@@ -158,7 +158,7 @@ def density_volume(
     layer_names: tuple[str, ...] = ("bone",),
     margin: int = 0,
 ) -> VoxelVolume:
-    """Make a voxel volume from densities. Voxels with a density other than 0 are completely bone.
+    """Make a voxel volume from densities. A voxel with a density above 0 is completely bone.
 
     Parameters
     ----------
@@ -167,15 +167,15 @@ def density_volume(
     spacing_mm
         Edge of a voxel [mm].
     origin_mm
-        Corner of the first voxel with the lowest coordinates [mm].
+        Corner with the lowest coordinates [mm] of voxel (0, 0, 0).
     layer
         Layer index of each voxel, same shape. Default: 0 for all voxels.
     layer_names
         Name of each layer.
     margin
-        Number of empty voxels that are added on each side. The surface is interpolated between
-        voxels on its two sides. With 0, the force on a cutter is therefore up to 3 % too low where
-        bone extends to the edge of the array.
+        Number of empty voxels that are added on each side. The surface is interpolated between the
+        voxels on both sides of the surface. With 0, the force on a cutter is therefore up to 3 %
+        too low where bone extends to the edge of the array.
 
     Raises
     ------

@@ -2,11 +2,11 @@
 
 Each voxel has a sub-voxel bone fraction, a layer and a density.
 
-A signed distance is first evaluated at the centres of blocks of 8 x 8 x 8 voxels. A block whose
-centre is farther from the surface than its half diagonal is completely empty or solid, because a
-signed distance is 1-Lipschitz. Only blocks that the surface may cross are evaluated voxel by voxel.
-In solid blocks, the density is interpolated trilinearly between the corners if the layer is the
-same at the corners of the block and its neighbours.
+A signed distance is first evaluated at the centres of blocks of 8 x 8 x 8 voxels. If the centre of
+a block is farther from the surface than half the block's diagonal, the block is completely empty or
+solid, because a signed distance is 1-Lipschitz. Only blocks that the surface may cross are
+evaluated voxel by voxel. In solid blocks, the density is interpolated trilinearly between the
+corners if all corners of the block and of its neighbours have the same layer.
 """
 
 from __future__ import annotations
@@ -52,13 +52,16 @@ _BLOCKS_AT_ONCE = 256
 The coordinates of 131,072 voxels, 1.5 MB, fit in the cache.
 """
 _WIDEST_INTERPOLATION_M = 1.0e-3
-"""Largest block whose density is interpolated. Densities vary smoothly over a millimetre."""
+"""Largest edge [m] of a block in which the density is interpolated.
+
+Densities vary smoothly over a millimetre.
+"""
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
-"""Change of slope within a voxel above which the distance has a crease.
+"""Change of slope within a voxel above which the distance counts as creased.
 
-The volume of a block with sharp edges is 0.04 % too large with the values 0.03 and 0.1, 0.08 % too
-large with 0.3, and 0.17 % too large with 1.
+With the values 0.03 and 0.1, the volume of a block with sharp edges is 0.04 % too large. With 0.3,
+it is 0.08 % too large. With 1, it is 0.17 % too large.
 """
 _PARTS = 4
 """Number of parts along the edge of a voxel with a crease.
@@ -70,7 +73,7 @@ _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 @dataclass(frozen=True, eq=False)
 class VoxelArrays:
-    """Arrays of a `VoxelVolume` on a blocked grid while they are filled.
+    """Arrays of a `VoxelVolume` on a grid of whole blocks, while the arrays are filled.
 
     All arrays have the shape of the grid.
     """
@@ -87,7 +90,7 @@ class VoxelArrays:
         return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
-        """Return views of the part with the x indices `start` to `stop`."""
+        """Return views of the part of the arrays with the x indices `start` to `stop` - 1."""
         part = slice(start, stop)
         return VoxelArrays(
             self.fraction[part], self.layer[part], self.density[part], self.surface[part]
@@ -102,7 +105,7 @@ def voxel_fraction(
     *,
     split_creases: bool = True,
 ) -> Singles:
-    """Compute the fraction of each voxel inside a shape. The surface in a voxel is a plane.
+    """Compute the fraction of each voxel inside a shape, with a plane as the surface in a voxel.
 
     If the distance has a crease within a voxel (an edge or corner), the voxel is divided into 4 x 4
     x 4 parts, each with its own plane.
@@ -118,8 +121,8 @@ def voxel_fraction(
 
     Returns
     -------
-    Fractions from 0 to 1, shape (n,). The gradient is computed from central differences over half a
-    voxel.
+    Fractions from 0 to 1, shape (n,). The normal of the plane is computed from central differences
+    of the distance over half a voxel.
     """
     fraction = (distance < 0.0).astype(np.float32)
     crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
@@ -154,7 +157,7 @@ def voxel_fraction(
 
 
 def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
-    """Compute the fraction of voxels from 4 x 4 x 4 parts per voxel, shape (n,)."""
+    """Compute the fraction of each voxel inside a shape from 4 x 4 x 4 parts, shape (n,)."""
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
     local = lattice(offsets, offsets, offsets)
     points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
@@ -165,7 +168,7 @@ def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles
 
 
 def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
-    """Fill `out` on the blocked `grid` from the anatomy's signed distance."""
+    """Fill `out` on a grid of whole blocks from the anatomy's signed distance."""
     firsts = grid.block_firsts()
     distance = anatomy.shape.distance(centres_of(firsts, grid.spacing_m, 0.5 * BLOCK))
     reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
@@ -195,12 +198,12 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
 
 
 def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
-    """Find the blocks with the same layer at all corners of the block and of its neighbours.
+    """Find the blocks for which all corners of the block and of its neighbours have the same layer.
 
     Returns
     -------
-    Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block
-    corners [kg/m3], shape (bx + 1, by + 1, bz + 1).
+    Flags of the n blocks in C order, shape (n,); layer of each block, shape (n,); densities at the
+    corners of the blocks [kg/m3], shape (bx + 1, by + 1, bz + 1).
     """
     counts = [n // BLOCK for n in grid.shape]
     axes = [
@@ -250,7 +253,7 @@ def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
 
 
 def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a view of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
+    """Return a view of an array of whole blocks, with the shape (bx, by, bz, 8, 8, 8)."""
     nx, ny, nz = (n // BLOCK for n in array.shape)
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 
@@ -269,7 +272,7 @@ Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
 AROUND_VOXELS = 2
 """Width of the region around the bone in which the surface distance is stored [voxel]."""
 _ROUNDING = 1e-6
-"""Distance of a corner from a grid line that counts as a rounding error [voxel]."""
+"""Largest distance [voxel] of a corner from a grid line that counts as a rounding error."""
 _MAXIMUM_THREADS = 4
 """Largest number of threads. Each thread stores the points and distances of a slab."""
 _SAMPLED_BLOCKS = 4
@@ -288,8 +291,8 @@ def voxelise(
 
     Grid lines lie at integer multiples of the spacing, so the content of a voxel does not depend on
     the region. The fraction of a voxel that the surface crosses is the part of its cube behind the
-    surface's tangent plane. The error of the volume is of second order in the spacing. It is of
-    first order in voxels in which two surfaces cross.
+    surface's tangent plane. The error of the volume is of second order in the spacing. In voxels in
+    which two surfaces cross, the error is of first order.
 
     Parameters
     ----------
@@ -298,11 +301,12 @@ def voxelise(
     spacing_m
         Edge of a voxel [m].
     region_m
-        Lowest and highest corner [m] of the region, extended to whole voxels. None: the anatomy's
-        bounding box and a margin of two voxels, in which the surface distance is also stored.
+        Corners [m] of the region with the lowest and the highest coordinates. The region is
+        extended to whole voxels. None: the anatomy's bounding box and a margin of two voxels, in
+        which the surface distance is also stored.
     minus
-        Solid in the site frame that is subtracted with sub-voxel accuracy, such as a pilot hole. It
-        does not change the layers.
+        Solid in the site frame that is subtracted with sub-voxel accuracy, such as a pilot hole.
+        The subtraction does not change the layers.
     progress
         Function that is called with the finished fraction, 0 to 1, in the calling thread.
 
@@ -364,7 +368,7 @@ def voxelise(
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
     """Return a function that gives the anatomy's layer at points in voxel coordinates.
 
-    If the anatomy samples the depth, the depth is interpolated.
+    If the anatomy has a sampler, depths are interpolated from the sampled depth.
     """
     first = np.array(grid.first, dtype=np.float32)
     spacing = np.float32(grid.spacing_m)
