@@ -80,7 +80,7 @@ class _HalfSizes:
     def isthmus(self) -> Array:
         """Middle of the narrowest part of the left pedicle [m].
 
-        The point lies beside the canal, in the middle between the two cortices of the pedicle.
+        The point lies lateral to the canal, in the middle between the two cortices of the pedicle.
         """
         return np.array(
             [

@@ -101,7 +101,7 @@ class CuttingTool(HeldTool):
     Newton's method solves the balance. The force is differentiable except at kinks, where it has
     different slopes on the two sides (semi-smooth).
 
-    For a device that plays torque, the angular velocity is computed in the same way. The balance of
+    For a device that plays torque, the angular velocity is computed likewise. The balance of
     torques contains the moment of inertia about the tip, the rotational spring and a damper. For
     any other device, the tool turns with the device.
 
