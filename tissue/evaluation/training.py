@@ -119,12 +119,12 @@ class Recording:
         """Return training coordinates (n, COORDINATES, 3) and targets (n, 2 HORIZON, 3).
 
         The n ticks are those for which all targets are known. Before the first tick, the device is
-        assumed to be at rest. There are two kinds of targets [m]. The first kind are the
-        displacements from the measured position to the later true positions of the device, which
-        have no encoder steps. The second kind are the changes from the present stretch to the later
-        stretches between the true positions and the tool. For a tool that cuts, the filter of the
-        loop is applied to the true positions first. For other tools, the later stretches are
-        averaged with those of the ideal force, see `IDEAL_SHARE`.
+        assumed to be at rest. All targets are in metres. The first targets are the displacements
+        from the measured position to the later true positions of the device, which have no encoder
+        steps. The other targets are the changes from the present stretch to the later stretches
+        between the true positions and the tool. For a tool that cuts, the filter of the loop is
+        applied to the true positions first. For other tools, the later stretches are averaged with
+        those of the ideal force, see `IDEAL_SHARE`.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if self.contact[0].cuts:

@@ -102,7 +102,7 @@ class HeldTool(Page):
         return dict(_measured())
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest amplifications with and almost without mass with their bound."""
+        """Check the largest amplifications, with and almost without mass, against the bound."""
         largest = {
             rule: {name: table[rule].max() for name, table in data.items()} for rule in RULES
         }

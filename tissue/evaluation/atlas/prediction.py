@@ -66,7 +66,7 @@ The delay and the filter of the loop take several milliseconds together.
 HORIZON_TICKS = 5
 """Horizon at which the operators are compared [ticks], half of `LEADS_MS`."""
 LAGS = 6
-"""Number of earlier ticks whose positions the regression uses, besides the present tick."""
+"""Number of earlier ticks whose positions the regression uses, in addition to the present tick."""
 
 
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:

@@ -264,7 +264,7 @@ class WildInput(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the force at one wrong sample without the guard with the force under it."""
+        """Compare the force at one wrong sample with and without the sample guard."""
         table = data["jump"]
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])

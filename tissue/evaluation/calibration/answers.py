@@ -51,7 +51,7 @@ __all__ = [
 
 
 Answer = Callable[[Comparison | Magnitude, int], float]
-"""Function of a trial and its number in the session that returns the answer."""
+"""Function that returns the answer to a trial, given the trial and its number in the session."""
 DIRECTION = np.array([0.0, 0.0, -1.0])
 """Direction in which forces push the hand: down."""
 LENGTH_S = 0.8

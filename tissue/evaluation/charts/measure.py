@@ -141,7 +141,7 @@ def reference_words(scene: Scene, gap: float) -> str:
 
 
 def float32_error(scene: Scene) -> float:
-    """Return the relative change of a cutting force by a shift of the path of `LAST_PLACE_MM`.
+    """Return the relative change of a cutting force if the path is shifted by `LAST_PLACE_MM`.
 
     The removal of voxels is computed in float32, which rounds all coordinates to about
     `LAST_PLACE_MM`. If a tool only grazes voxels, the rounding decides whether the tool touches
@@ -165,7 +165,10 @@ BOUNDS = ("law", "rounding")
 EXCERPT_S = {True: 1.2, False: 3.0}
 """Simulated time after the first contact [s], for a quick chart (True) or a full chart (False)."""
 LATE_S = 0.3
-"""Additional simulated time if a hand moves the tool, which lags behind the scripted path [s]."""
+"""Additional simulated time if a hand moves the tool [s].
+
+Such a tool lags behind the scripted path.
+"""
 MARGIN_MM = 0.5
 """Width of the bone that is modelled around the region that a scripted tool reaches [mm].
 

@@ -290,7 +290,8 @@ class Order:
     ----------
     order
         Observed order of convergence. It is infinite if the forces on the two finer grids agree,
-        and NaN if all three forces agree. It is negative if the forces do not converge.
+        and NaN if all three forces agree. It is negative if the forces on the two finer grids lie
+        farther apart than those on the two coarser grids.
     index
         Grid-convergence index of each grid, coarsest first.
     distance

@@ -161,7 +161,7 @@ def rejection_rates(
     groups
         Group of every user, shape (users,).
     rng
-        Generator of the sign flips.
+        Random generator of the sign flips.
     questions
         Questions to answer. Questions that the design cannot answer are skipped. For several
         metrics, there is no test of group x method.

@@ -31,11 +31,11 @@ SPARC_CUTOFF_HZ = 10.0
 Published values range from 5 to 20 Hz.
 """
 SPARC_AMPLITUDE = 0.05
-"""Fraction of the peak of a spectrum below which SPARC ignores it (Balasubramanian et al. 2015)."""
+"""Fraction of the peak below which SPARC ignores the spectrum (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
 """Padding level of SPARC (Balasubramanian et al. 2015).
 
-Zero padding makes the spectrum 2 to this power times as fine.
+Zero padding refines the spectrum by a factor of 2 to this power.
 """
 POINTS = 800
 """Largest number of samples of each path that are aligned.

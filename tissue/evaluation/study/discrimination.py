@@ -150,8 +150,8 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 
     The rows are the change of d', the change of d' in percent, and the change of right answers in
     percentage points. All are changes of means over the observers. The columns are the value and
-    the ends of its 95 % interval. The interval is computed with Student's t from results without
-    one person of the trials at a time, under both methods (jackknife, Efron 1982).
+    the ends of its 95 % interval. For the interval, each person of the trials is left out in turn,
+    under both methods (jackknife, Efron 1982). The interval uses Student's t.
     """
     from scipy.stats import t
 

@@ -18,8 +18,8 @@ COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "dri
 
 The values were measured by ``python tests/bench/bench_study.py --costs`` with one trial of six
 methods. On a busy machine, the time of the probe varied from 0.25 to 0.48 s. The value of reaming
-was not measured in this way. It is 1.49 times the value of drilling, the ratio of their processor
-times in docs/performance.md.
+is 1.49 times the value of drilling, which is the ratio of their processor times in
+docs/performance.md.
 """
 REFERENCE_COST = 3.2
 """Time of a trial of the reference variant, divided by the time of a usual trial with one method.

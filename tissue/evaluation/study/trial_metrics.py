@@ -149,10 +149,10 @@ def intensity_ratios(
     """Return the errors of intensity ratios for the played force and three comparison forces.
 
     The error is the standard deviation of ln S(F) - ln S_ref(F_ideal) over windows of 0.1 s that
-    lie entirely in contact. S is the intensity by Stevens' law of the person, and S_ref that of the
-    reference observer. The exponents are the true exponents. An error of 0.1 is a ratio error of a
-    tenth, and 0 is perfect. A common factor has no effect, because it cannot be separated from the
-    way in which a person uses numbers.
+    lie entirely in contact. S is the intensity that the person perceives by Stevens' law, and S_ref
+    the intensity that the reference observer perceives. The exponents are the true exponents. An
+    error of 0.1 is a ratio error of a tenth, and 0 is perfect. A common factor has no effect,
+    because it cannot be separated from the way in which a person uses numbers.
 
     Returns
     -------
