@@ -1,4 +1,4 @@
-"""Training of the predictors of a scene: fit to recorded runs, prediction errors, and validation."""
+"""Training of the predictors of a scene: fit to recorded runs, prediction errors, validation."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy

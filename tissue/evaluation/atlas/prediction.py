@@ -1,4 +1,4 @@
-"""Pages on predicted forces: prediction horizon, and walls of another stiffness than in training."""
+"""Pages on predicted forces: prediction horizon, and walls on which no predictor was trained."""
 
 from dataclasses import replace
 from pathlib import Path
