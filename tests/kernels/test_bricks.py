@@ -42,7 +42,6 @@ def cut_volumes(normals, distances):
     return out.numpy()
 
 
-
 def test_bricks_have_the_size_of_the_blocks_in_which_voxels_are_made():
     assert BRICK == BLOCK
 

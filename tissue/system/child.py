@@ -232,8 +232,8 @@ NICE = 5
 
 The default is 0, and 19 is the lowest priority. Each step divides the share of a core by about
 1.25. At 5, the process gets a third of the share of a process at 0 if both need the same core
-(weights 335 and 1024 in ``sched_prio_to_weight`` of Linux). The value is a choice, not the result of
-a measurement.
+(weights 335 and 1024 in ``sched_prio_to_weight`` of Linux). The value is a choice; it does not come
+from a measurement.
 """
 
 
