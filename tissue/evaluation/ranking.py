@@ -282,9 +282,9 @@ def ranking_lines(found: Ranking) -> list[str]:
                 line += ": the attempts show no change, because this interval contains 0"
         lines.append(line)
         lines += [f"   least distance to {each}" for each in _distance_texts(person, structures)]
-    for note, runs in found.notes.items():
+    for note, noted in found.notes.items():
         lines.append(f"note: {note}")
-        lines += [f"   {each}" for each in _runs_by_trainee(runs)]
+        lines += [f"   {each}" for each in _runs_by_trainee(noted)]
     return lines + [f"left out: {each}" for each in found.left_out]
 
 
