@@ -101,9 +101,9 @@ class SiteWindow:
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
-        """Move the site to the bone under a pixel; return False if there is no bone.
+        """Move the site to the point of the bone under a pixel; return False if there is no bone.
 
-        The pixel is counted from the lower left.
+        `x` and `y` are counted in pixels from the lower left corner of the window.
         """
         found = picked(self.plotter, self._bone, x, y)
         if found is None:
@@ -166,7 +166,10 @@ class SiteWindow:
 
 
 def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
-    """Open the window, or draw it into a PNG file; return a sentence on the view."""
+    """Show an imported bone with its site in a window, or draw it into a PNG file.
+
+    A text about the site is returned.
+    """
     window = SiteWindow(folder, off_screen=screenshot is not None)
     if screenshot is not None:
         window.plotter.screenshot(str(screenshot))
