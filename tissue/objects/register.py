@@ -222,11 +222,10 @@ class register:
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """Register a rendering law, which has methods `render` and `pause`; ``make(loop)`` takes a
-        `WallLoop`.
+        """Register a rendering law, which ``make(loop)`` returns for a `WallLoop`.
 
-        The stability check assumes the stiffness ``loop.stiffness_N_m``. It does not detect a law
-        that renders a higher stiffness.
+        The law has the methods `render` and `pause`. The stability check assumes the stiffness
+        ``loop.stiffness_N_m``. It does not detect a law that renders a higher stiffness.
         """
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
@@ -248,9 +247,9 @@ class register:
         name
             Value of ``prediction``.
         make
-            Class or function that makes the predictor. It is called without arguments; if `trained`
-            is set, with the `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the
-            scene.
+            Class or function that makes the predictor. If `trained` is set, it is called with the
+            `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the scene. Otherwise
+            it is called without arguments.
         trained
             Whether `make` takes a `Trained`.
         """
