@@ -115,7 +115,7 @@ class Springs:
         Parameters
         ----------
         share
-            Share of the way from the start to the present targets, 0 to 1. With 0 the springs have
+            Position between the targets at the start (0) and the present targets (1). With 0 the springs have
             no force at the start.
         start_m
             Displacement of the nodes at the start [m], shape (n, 3).

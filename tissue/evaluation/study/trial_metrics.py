@@ -152,7 +152,7 @@ def intensity_ratios(
     lie entirely in contact. S is the intensity that the person perceives by Stevens' law, and S_ref
     the intensity that the reference observer perceives. The exponents are the true exponents. An
     error of 0.1 is a ratio error of a tenth, and 0 is perfect. A common factor has no effect,
-    because it cannot be separated from the way in which a person uses numbers.
+    because it cannot be separated from a person's use of numbers.
 
     Returns
     -------
