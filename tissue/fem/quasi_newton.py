@@ -115,8 +115,8 @@ class Springs:
         Parameters
         ----------
         share
-            Position between the targets at the start (0) and the present targets (1). With 0 the springs have
-            no force at the start.
+            Position between the targets at the start (0) and the present targets (1). With 0 the
+            springs have no force at the start.
         start_m
             Displacement of the nodes at the start [m], shape (n, 3).
         """
