@@ -114,10 +114,11 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """Compute the derivative of a displacement along one axis in four cubes from its modes.
+    """Compute the derivative of a displacement component along one axis, in each of four cubes.
 
     Along the two other axes, the cubes are at (-, -), (-, +), (+, -) and (+, +). The arguments are
-    the linear mode, the two bilinear modes and the trilinear mode.
+    modes of the displacement: the linear mode of the axis, the two bilinear modes that contain the
+    axis, and the trilinear mode.
     """
     low = linear - first
     high = linear + first
@@ -150,7 +151,7 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def put(values: Strips, at: int, linear: V, first: V, second: V, both: V):
-        """Write the derivative of a displacement in four cubes to four entries of ``values``."""
+        """Write the four results of `to_cubes` to four entries of ``values``."""
         v0, v1, v2, v3 = to_cubes(linear, first, second, both)
         values[at] = v0
         values[at + 1] = v1

@@ -229,7 +229,9 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Return a copy of a `Descent`, with the motion that leads to the goal (zero spring force).
+    """Return a copy of a `Descent`, with the motion from the last free pose to the goal.
+
+    At the goal, the spring force is zero.
 
     The number of stalls is increased by one if the energy of the springs has hardly decreased.
     Otherwise, the number is reset to 0.

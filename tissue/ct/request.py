@@ -199,7 +199,11 @@ class ImportRequest:
 
     @property
     def is_soft(self) -> bool:
-        """True if the region's name contains a word for a soft organ, or parts have moduli."""
+        """True if the import is of a soft organ.
+
+        This is the case if moduli are given for parts of the region, or if the name of the region
+        contains a word for a soft organ.
+        """
         return bool(self.parts) or (
             self.region is not None and re.search(SOFT, self.region.lower()) is not None
         )
@@ -402,7 +406,9 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
 def kept_clear(
     request: ImportRequest, labels: Labels | None, report: Progress
 ) -> tuple[dict[str, Surface], list[str]]:
-    """Return surfaces of the structures that the tool must not touch, and sentences on them.
+    """Return the surfaces of structures that the tool must not touch, and sentences for the user.
+
+    The sentences describe the structures.
 
     The surfaces are keyed by the names that `plain_names` returns.
 

@@ -67,11 +67,11 @@ IDEAL_SHARE = 0.25
 """Weight of the ideal force in the training targets, for a tool that does not cut.
 
 The ideal force contains no encoder steps and no noise of friction. The weight was chosen in the
-scene ``needle``, by the excess error 4 ms ahead, divided by that of the zero-order hold. This ratio
-is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With larger weights, the predicted
-force differs more from the observed force, so the guard uses the fallback. The ideal force of a
-cutting tool belongs to another cut than the recorded force. In the scene ``caries``, it is a worse
-target.
+scene ``needle``, by the excess error of predictions 4 ms ahead, divided by the excess error of the
+zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With
+larger weights, the predicted force differs more from the observed force, so the guard uses the
+fallback. The ideal force of a cutting tool belongs to another cut than the recorded force. In the
+scene ``caries``, it is a worse target.
 """
 DELAYS_MS = (0, 4, 8)
 """Latencies that the training runs use in turn [ms].
@@ -119,12 +119,16 @@ class Recording:
         """Return training coordinates (n, COORDINATES, 3) and targets (n, 2 HORIZON, 3).
 
         The n ticks are those for which all targets are known. Before the first tick, the device is
-        assumed to be at rest. All targets are in metres. The first targets are the displacements
-        from the measured position to the later true positions of the device, which have no encoder
-        steps. The other targets are the changes from the present stretch to the later stretches
-        between the true positions and the tool. For a tool that cuts, the filter of the loop is
-        applied to the true positions first. For other tools, the later stretches are averaged with
-        those of the ideal force, see `IDEAL_SHARE`.
+        assumed to be at rest. All targets are in metres.
+
+        The first half of the targets are displacements from the measured position of the device to
+        its later true positions, which have no encoder steps.
+
+        The other half are changes of the stretch (force divided by spring stiffness) from the
+        present tick to later ticks. A later stretch is the vector from the true position of the
+        device to the tool, or zero without contact. For a tool that cuts, the filter of the loop is
+        applied to the true positions first. For other tools, a later stretch is the weighted mean
+        of this vector and of the ideal force divided by the spring stiffness; see `IDEAL_SHARE`.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if self.contact[0].cuts:
@@ -355,7 +359,9 @@ training range. The value is assumed.
 def train(
     scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent
 ) -> Trained:
-    """Train the predictors of a scene on runs by hands of all groups, and validate them.
+    """Train the predictors of a scene on runs with simulated hands, and validate the predictors.
+
+    The hands are of all expertise groups.
 
     The validation uses runs that are not used for training.
 
@@ -495,7 +501,10 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
 
 
 def _largest_square(moments: Moments, seen_in_runs: Iterable[Array]) -> float:
-    """Return the largest mean square of scaled coordinates in any tick, over all axes together."""
+    """Return the largest value, over all ticks, of the mean square of the scaled coordinates.
+
+    The mean is taken over all axes together.
+    """
     inverse = 1.0 / np.diag(moments.coordinates)
     squares = (np.einsum("tca,c->t", seen**2, inverse).max() for seen in seen_in_runs)
     return float(max(squares)) / COORDINATES

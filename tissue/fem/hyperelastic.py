@@ -158,8 +158,9 @@ class NonlinearBody:
         displacement_m
             Displacement of the nodes [m], shape (n, 3).
         definite
-            True to make the eigenvalues of a hyperelastic law positive at each quadrature point.
-            The matrix is then positive definite for any supports that prevent rigid motions.
+            If true, the eigenvalues of the tangent of a hyperelastic law are made positive at each
+            quadrature point. The matrix is then positive definite for any supports that prevent
+            rigid motions.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches[int(definite)]:

@@ -45,7 +45,7 @@ than the load. Such a small load need not be balanced.
 MANY = 8
 """Number of steps after which the stiffness at the present displacement is factorised anew."""
 SMALLEST_PART = 1.0 / 16.0
-"""Smallest part of a change of load that is tried before the solve keeps its last equilibrium."""
+"""Smallest fraction of a change of load that is tried; then the last equilibrium is kept."""
 
 
 class Body(Protocol):
@@ -152,8 +152,8 @@ class Followed:
     steps
         Number of steps.
     reached
-        Share of the change of load and springs that was applied, 0 to 1. If it is less than 1, the
-        displacement is the equilibrium for this share.
+        Fraction, 0 to 1, of the change of load and springs that was applied. If this fraction is
+        less than 1, the displacement is the equilibrium for this fraction of the change.
     """
 
     displacement_m: Array
@@ -296,14 +296,15 @@ class QuasiNewton:
         self._tangent = None
 
     def state(self) -> dict[str, Any]:
-        """Return the state that later solves depend on, without the attributes in `RECORD`.
+        """Return the state on which later solutions depend, without the attributes in `RECORD`.
 
-        Nothing is copied, because a solve replaces these arrays and does not write to them.
+        The arrays in the state are not copied, because `follow` replaces them and does not write to
+        them.
         """
         return {"last": self._last, "memory": list(self._memory), "tangent": self._tangent}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Return to an earlier state, of this solver or of an equal solver."""
+        """Restore an earlier state of this solver or of an equal solver."""
         tangent: _Tangent | None = state["tangent"]
         factor = self.at_rest
         if tangent is not None:

@@ -55,8 +55,8 @@ class ConstantFit:
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this
-        specimen.
+        ``TABLE.MATERIAL.NAME``; or ``density.LAYER`` for the factor by which the density of a layer
+        is multiplied in this specimen.
     prior
         Cited median and range.
     low, value, high
@@ -115,7 +115,7 @@ class Fitted:
     Attributes
     ----------
     source
-        Kind of the measurement, in a word.
+        Kind of the measurement, one word.
     meaning
         Explanation of the numbers in the file of constants that the fit writes.
     """
@@ -228,7 +228,7 @@ class SceneFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Numbers that describe the size of the measurement, for the file of results."""
+        """Entry of the results file: the time over which samples were averaged [s]."""
         return {"block_s": self.block_s}
 
     @property
@@ -274,7 +274,7 @@ class TableFit(SceneFit):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """See `SceneFit`."""
+        """Sentences that summarise the fit for the user, as for `SceneFit`."""
         return (*law_sentences(self.laws), *self.notes, *self._warnings)
 
 

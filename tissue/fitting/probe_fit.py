@@ -158,7 +158,7 @@ class ProbeFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Numbers that describe the size of the measurement, for the file of results."""
+        """Entry of the results file: the number of measured presses."""
         return {"presses": len(self.table.forces_N)}
 
     @property

@@ -62,7 +62,7 @@ DEEPEST = 0.8
 
 @dataclass(frozen=True)
 class LayerScene:
-    """Geometry and law of a scene with which a table of presses can be fitted."""
+    """Geometry and elastic law of a scene that can be fitted to a table of presses."""
 
     organ: Organ
     radius_m: float
@@ -91,7 +91,7 @@ class ProbeCurves:
 
 
 def layer_scene(scene: Scene) -> LayerScene:
-    """Return the layer, the ball and the law of a scene.
+    """Return the radius of the ball, the thickness of the layer and its elastic law in a scene.
 
     Raises
     ------
@@ -149,7 +149,8 @@ def probe_curves(
     Parameters
     ----------
     layer
-        Layer and law. Shape constants of the law that are not in `keys` keep their values.
+        Geometry and elastic law of the scene. Shape constants of the law that are not in `keys`
+        keep their values.
     depths_m
         Depths [m], not all of them zero, shape (d,).
     keys

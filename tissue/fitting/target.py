@@ -37,8 +37,8 @@ class NoiseTerms:
     by_residuals
         Derivative by each residual, shape (m, channels). It is 0 where there is no residual.
     by_log_scale, by_correlation, by_freedom
-        Derivatives by ln scale, the correlation and the degrees of freedom of each channel, shape
-        (channels,).
+        Derivatives by the logarithm of the scale, the correlation and the degrees of freedom of
+        each channel, shape (channels,).
     weights
         Weight of each squared innovation in reweighted least squares [1/unit²], shape (m,
         channels).
@@ -120,7 +120,9 @@ def place_information(freedom: Array) -> Array:
 
 
 def freedom_information(freedom: Array) -> tuple[Array, Array]:
-    """Return the Fisher information of the degrees of freedom, and its cross term with ln scale.
+    """Return the Fisher information of the degrees of freedom, and a cross term.
+
+    The cross term is the information of the degrees of freedom and of the logarithm of the scale.
 
     The formulas are from Lange, Little and Taylor (1989). Both results have the shape of
     `freedom`.
@@ -379,7 +381,10 @@ class Target:
     def noise_gradient(
         self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
     ) -> Array:
-        """Convert derivatives by ln scale, correlation and freedom to derivatives by u.
+        """Convert derivatives by noise parameters to derivatives by the numbers `u` of the fit.
+
+        The noise parameters are the logarithm of the scale, the correlation and the degrees of
+        freedom.
 
         The result has shape (3 * channels,).
         """
@@ -394,11 +399,11 @@ class Target:
         )
 
     def _by_noise(self, each: Unpacked) -> Array:
-        """Return the derivative of ln scale of each channel by u, shape (channels,)."""
+        """Return the derivative of the log of each channel's scale by u, shape (channels,)."""
         return NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale)
 
     def start(self, offset_s: float) -> Array:
-        """Return the start of an optimiser.
+        """Return the numbers at which an optimiser starts.
 
         The constants follow from linear least squares, starting from the middle of their priors.
         """

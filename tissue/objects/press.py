@@ -55,7 +55,7 @@ The force error of a press is 4 % if the edges are twice as long as recommended,
 have the recommended length.
 """
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
-"""Names of the caller's arguments, keyed by the names that the press uses."""
+"""Names of the user's arguments, keyed by the names of these arguments in `press`."""
 ACROSS = 7
 """Number of points along each side of the reachable area at which a loop searches for contact.
 
@@ -463,8 +463,10 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
 ) -> LiverModel:
-    """Return an organ that a tool can press within `reach_m` around and below the start of the
-    tool.
+    """Return the model of an organ that a tool can press near the tool's start position.
+
+    The tip of the tool may move from `start_m` by up to `reach_m` [m] in each direction
+    perpendicular to `axis`, and by up to `reach_m` opposite to `axis`, into the organ.
     """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath

@@ -73,7 +73,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``tool.kind``.
+            Name that selects the tool in a scene: a value of the key ``tool.kind``.
         profile
             Function that returns a `tissue.cutters.profile.Profile`. Its arguments are
             ``diameter_m`` and the sizes of `keys`, in metres and radians: ``length_m`` for the key
@@ -113,7 +113,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``motion.kind``.
+            Name that selects the motion in a scene: a value of the key ``motion.kind``.
         parameters
             Parameters of the motion in a scene: a subclass of `tissue.scene.anatomy.Part` whose
             ``kind`` is the name.
@@ -141,12 +141,13 @@ class register:
     ) -> Any:
         """Register a tissue.
 
-        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
+        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the objects of a run,
+        such as the motion and the tissue model.
 
         Parameters
         ----------
         name
-            Value of ``anatomy.kind``.
+            Name that selects the tissue in a scene: a value of the key ``anatomy.kind``.
         parameters
             Parameters of the tissue in a scene: a subclass of `tissue.scene.anatomy.Part` whose
             ``kind`` is the name.
@@ -177,7 +178,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``device``.
+            Name that selects the device in a scene: a value of the key ``device.kind``.
         numbers
             Values of `tissue.haptics.device.device.DeviceParameters` in SI units for the stability
             check; ``mass_kg`` and ``damping_N_s_m`` are required.
@@ -245,7 +246,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``prediction``.
+            Name that selects the predictor in a scene: a value of the key ``device.prediction``.
         make
             Class or function that makes the predictor. If `trained` is set, it is called with the
             `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the scene. Otherwise

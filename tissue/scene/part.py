@@ -1,4 +1,4 @@
-"""Base class of scene tables, marks of keys, and registries of names.
+"""Base class of scene tables, annotations of scene keys, and registries of names.
 
 `Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` mark
 keys whose choices come from a registry.
@@ -194,7 +194,7 @@ class Registry(Generic[T]):
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Mark of a text key whose value is a name in a registry, or one of a few other names.
+    """Annotation of a text key that allows the names in a registry, and a few other names.
 
     The value is checked when the scene is validated.
     """
@@ -268,7 +268,7 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Mark of a key that may hold one of several tables, which the key ``kind`` chooses.
+    """Annotation of a key that may hold one of several tables; ``kind`` selects the table.
 
     If a kind has several tables, the table is chosen by the source of the shape.
 
@@ -347,11 +347,11 @@ Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 Rule = tuple[str, bool, str, str]
-"""Keys separated by blanks, True if the keys have no effect, the condition, and the remedy."""
+"""Keys (separated by blanks), True if they have no effect, reason, and remedy."""
 
 
 class Idle(NamedTuple):
-    """Condition under which a key has no effect, such as ``without a nodule``, and remedy."""
+    """Reason why a key has no effect, such as ``without a nodule``, and the remedy."""
 
     where: str
     remedy: str
@@ -360,7 +360,8 @@ class Idle(NamedTuple):
 def is_given(part: "Part", name: str) -> bool:
     """Return whether an entry was set to a value other than its default.
 
-    The functions that build a run use it for keys whose effect is not known before.
+    The functions that build a run check keys with this function, if the effect of the keys is known
+    only then.
     """
     return (
         name in part.model_fields_set
@@ -375,9 +376,10 @@ def is_file_key(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Needs:
-    """Mark of a scene key that has an effect only together with another key of the same table.
+    """Annotation of a scene key that has an effect only together with another key.
 
-    The other key must differ from its default, have a given value, or be absent.
+    The other key is in the same table. It must differ from its default, have a given value, or be
+    absent.
 
     Attributes
     ----------
@@ -429,7 +431,7 @@ class Part(BaseModel):
     )
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys without effect that the mark `Needs` cannot express."""
+        """Yield the rules for keys without effect that the annotation `Needs` cannot express."""
         yield from ()
 
     def idle(self) -> dict[str, Idle]:
@@ -449,7 +451,7 @@ class Part(BaseModel):
         return found
 
     def changed_entries(self, prefix: str = "") -> dict[str, object]:
-        """Return the dotted keys whose values differ from the defaults, with these values.
+        """Return the present values of all keys that differ from their defaults, by dotted key.
 
         The keys ``kind`` are left out.
         """

@@ -187,7 +187,7 @@ def _without_stress(value: object) -> object:
 
 
 OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
-"""Mark of a table that the text ``none`` leaves out, as in ``--set stress=none``."""
+"""Annotation of a table that the text ``none`` removes, as in ``--set stress=none``."""
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
@@ -300,7 +300,7 @@ class Scene(Part):
         return Materials.read(self.materials) if self.materials else Materials.cited
 
     def require_valid(self) -> None:
-        """Check that tool, anatomy and stress fit each other."""
+        """Check that anatomy, tool, voxel size and stress cells can be used together."""
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):

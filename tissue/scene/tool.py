@@ -142,7 +142,7 @@ class Tool(Shaped):
         return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
     def require_valid(self) -> None:
-        """Check the spin, the web and the peg against the diameter."""
+        """Check the spin, and check that the web and the peg are thin enough for the diameter."""
         # At such a low spin, chips would be thicker than the tool at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(

@@ -69,7 +69,7 @@ HEADS = {
 
 @dataclass(frozen=True)
 class PredictorComparison:
-    """Measurements of all predictors on a scene.
+    """Errors and computing times of all predictors for one scene.
 
     Attributes
     ----------
@@ -290,7 +290,7 @@ LIMIT_US = 20.0
 
 
 def draw_scene(found: PredictorComparison, path: Path) -> None:
-    """Draw the results of all predictors on a scene.
+    """Draw the results of all predictors for one scene.
 
     The three panels show the error against the horizon, the error against the cost, and the error
     with a model at 100 Hz.

@@ -316,8 +316,8 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacings of the three grids, all different, in any unit. All other lengths of a grid must be
-        proportional to its spacing.
+        Spacings of the three grids, all different, in any unit. If a grid has further lengths, such
+        as the distance between cutting elements, these lengths must be proportional to its spacing.
     """
     order = np.argsort(spacings)[::-1]
     h = [float(spacings[k]) for k in order]

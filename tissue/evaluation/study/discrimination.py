@@ -282,7 +282,7 @@ def people_of(group: str, seed: int) -> SimulatedObservers:
 
 
 def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
-    """Return the trials of a case study that did not fail, or None if there are none."""
+    """Return those trials of a case study that did not fail; None if there are no such trials."""
     try:
         table = folder.table(task).complete()
     except InputError:
@@ -291,7 +291,10 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 
 def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str], str]:
-    """Return findings and main finding in words, from the changes by pair, group and method."""
+    """Return sentences with all findings, and a sentence with the main finding.
+
+    The findings are computed from the changes, keyed by pair of forces, group and method.
+    """
     headline = ""
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being "

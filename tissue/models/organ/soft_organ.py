@@ -226,7 +226,7 @@ class SoftOrgan:
 
     @cached_property
     def body(self) -> HeldBody:
-        """Stiffness [N/m], capsule included, and supports.
+        """Body with the stiffness of organ and capsule [N/m], and with the supports.
 
         Raises
         ------

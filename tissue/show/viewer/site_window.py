@@ -27,8 +27,9 @@ EYE = np.array([0.35, -1.0, 0.35])
 from the left and above.
 """
 ASIDE = 0.6
-"""Ratio of the lateral offset of the eye to its distance along the normal, so that the arrow is
-visible.
+"""Ratio of the eye's lateral offset to its distance along the normal.
+
+With this offset, the arrow along the normal is visible.
 """
 MARK = 0.012
 ARROW = 0.16
@@ -47,7 +48,7 @@ def is_imported(folder: Path) -> bool:
 
 
 class SiteWindow:
-    """Window with an imported bone and its site.
+    """Window with an imported bone and the site on the bone where the tool works.
 
     Parameters
     ----------
@@ -61,7 +62,8 @@ class SiteWindow:
     plotter
         PyVista's plotter.
     centre_mm, normal
-        Shown site in the frame of the image (LPS), shape (3,); None if there is no site.
+        Centre [mm] and outward normal of the shown site in the frame of the image (LPS), each of
+        shape (3,). Both are None if there is no site.
     text
         Text about the site.
     """

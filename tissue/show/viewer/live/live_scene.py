@@ -111,7 +111,9 @@ ORGAN = "#CC8E7D"
 def live_tissue(
     plotter: Plotter, start: Start, arrays: SharedArrays
 ) -> "LiveBone | LiveOrgan | None":
-    """Return the tissue of a live run, drawn from the arrays that `tissue.simulation.live` shares.
+    """Draw the tissue of a live run in a plotter, and return the drawn object.
+
+    The data come from the arrays that `tissue.simulation.live` shares between processes.
 
     The result is None if the tissue has no shared arrays.
     """
