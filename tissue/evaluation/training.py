@@ -273,7 +273,7 @@ class Recorder:
         return rendered_force_N(parts, len(times_s))
 
     def _parts(self, scene: Scene) -> Parts:
-        """Build the parts of a scene, including the motion of the hand and the tissue."""
+        """Build the objects that simulate a scene, including the hand's motion and the tissue."""
         # Only a linear elastic organ is unchanged by a run.
         organ = (
             isinstance(scene.tool, Probe)

@@ -240,7 +240,7 @@ class Loop:
         reach_m: float,
         keep_clear: Structures | None,
     ) -> Parts:
-        """Return the parts of a run, with the tissue prepared under the tool at its start."""
+        """Build the objects of a run; the tissue is prepared at the start position of the tool."""
         motion = StaysAt(start_m, along)
         if isinstance(tissue, Bone):
             assert isinstance(tool, Cutter)

@@ -184,7 +184,7 @@ def bar_solver(law: Law, poisson_ratio: float) -> NewtonSolver:
 
 
 def turned(nodes_m: Array, degrees: float) -> Array:
-    """Return the displacements of nodes by a rotation about z [m], shape of `nodes_m`."""
+    """Return the displacements [m] of nodes by a rotation about z, same shape as `nodes_m`."""
     turn = Rotation.from_euler("z", degrees, degrees=True)
     return turn.apply(nodes_m) - nodes_m
 

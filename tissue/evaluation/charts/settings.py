@@ -401,7 +401,7 @@ PACKAGES = ("meshes", "kernels", "tissue")
 
 
 def scene_text(scene: Scene) -> str:
-    """Return the parts of a scene that determine its results, as text.
+    """Return, as text, the values of a scene that determine its results.
 
     Description and fidelity are left out.
     """

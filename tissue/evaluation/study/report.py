@@ -181,7 +181,10 @@ def found_section(sections: Sequence[Section]) -> Section:
 
 
 def _agreement(sections: Sequence[Section]) -> str:
-    """Return a sentence on how many results agree with published values, and which do not."""
+    """Return a sentence with the number of results that agree with published values.
+
+    The sentence also lists the results that do not agree.
+    """
     compared = 0
     apart = []
     for section in sections:

@@ -207,7 +207,7 @@ LARGEST_PREFIX = "greatest_"
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
-    """Return the figures of a run.
+    """Return the numbers that summarise a run.
 
     The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
     An event is named by its sentence without numbers, and only its first occurrence counts. Events
