@@ -66,7 +66,7 @@ SOFT = (
     "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle"
     "|gluteus|iliopsoas"
 )
-"""Words that mark the name of a label as a soft organ."""
+"""Words in the name of a label that indicate a soft organ."""
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,12 @@ class ImportRequest:
                 raise InputError(name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
-        """Raise an error for coordinates that are not finite, lack a frame, or have a wrong order.
+        """Check the points of the request and their coordinate system.
 
-        A frame without coordinates that are given as numbers is also an error.
+        Raise an error if coordinates are not finite, if the coordinate system is unknown, or if the
+        two corners of the box have a wrong order.
+
+        The coordinate system RAS is also an error if no coordinates are given as numbers.
         """
         points: dict[str, Sequence[object]] = {
             "site": [self.site],

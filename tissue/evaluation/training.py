@@ -92,7 +92,7 @@ class Recording:
     force_N
         Force on the device without delay [N], shape (n, 3).
     contact
-        Data on the contact that the loop passes to predictors in every tick.
+        Contact data that the loop passes to predictors, one entry for each tick.
     group, seed
         Expertise group of the hand, and seed of the run.
     model_s
@@ -206,8 +206,8 @@ class Recorder:
     def record(self, scene: Scene, *, encoder_step_m: float | None = None) -> Recording:
         """Run a scene with its simulated hand; return the recorded data.
 
-        The encoder step of the simulated device is that of its parameters, unless `encoder_step_m`
-        is given [m].
+        The encoder step is taken from the parameters of the simulated device, unless
+        `encoder_step_m` [m] is given.
 
         Raises
         ------

@@ -161,7 +161,7 @@ class SceneFit(Fitted):
     notes
         Findings and assumptions, in sentences.
     fixed
-        Fixed constants that the free constants depend on, by their names.
+        Values of fixed constants on which the free constants depend, keyed by name.
     """
 
     name: str

@@ -43,7 +43,7 @@ RESAMPLES = 1000
 The ends of a 90 % interval then have a standard error of 2 % of its width.
 """
 FINER = 1.5
-"""Ratio of the edges of the two meshes whose difference is the error of the mesh.
+"""Ratio of the edge lengths of two meshes; their results differ by the error of the mesh.
 
 The force converges with second order, so the difference is more than half of the error of the
 coarser mesh.

@@ -235,7 +235,10 @@ def _axis(key: str, count: int) -> Array:
 
 
 def _scale(key: str, values: Array) -> Array:
-    """Return the interpolation coordinate: a share itself, or the logarithm of another constant."""
+    """Return the coordinate of a constant for the interpolation.
+
+    The coordinate is the logarithm of the constant, or the value itself for `second_share`.
+    """
     return values if key == "second_share" else np.log(values)
 
 

@@ -429,7 +429,10 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
 
 
 def _across(along: Any) -> Any:
-    """Return the direction perpendicular to a press that is closest to -y."""
+    """Return a direction perpendicular to a press.
+
+    The direction is as close to -y as possible, or to x if the press is nearly parallel to y.
+    """
     # A press nearly parallel to y leaves no usable perpendicular component of y.
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
@@ -447,7 +450,7 @@ def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
 
 
 def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter with a white background, and remove its options from the given mapping."""
+    """Return a plotter with a white background, and remove its options from `options`."""
     import pyvista
 
     mine = {

@@ -54,7 +54,10 @@ ENTERED: dict[type[Part], str] = {
     Needle: "needle.liver.linear_N_mm",
     Blade: "soft.skin.toughness_J_m2",
 }
-"""Constant of a tissue that a tool enters, as an example in messages, by the class of the tool."""
+"""Constant of a tissue that a tool enters, keyed by the class of the tool.
+
+Messages use this constant as an example.
+"""
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
@@ -272,7 +275,7 @@ class Scene(Part):
 
     @property
     def held(self) -> Device:
-        """Device of the scene, which must have one."""
+        """Device of the scene; the scene must have a device."""
         assert self.device is not None, "the scene has no device"
         return self.device
 

@@ -122,7 +122,7 @@ class FeltPair:
     Attributes
     ----------
     less, more
-        Forces on the softer specimen, and on the stiffer specimen, of the same people.
+        Forces that the same people feel on the softer specimen and on the stiffer specimen.
     """
 
     less: Felt

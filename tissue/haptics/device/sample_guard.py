@@ -150,9 +150,9 @@ PLAIN = {float, int, np.float64}
 HALF_TURN = 1e-3
 """Difference between 1 and the x component of a quaternion that means a half-turn about x.
 
-A first orientation with a smaller difference is reported, because a device that gives w first
-starts with it. The tolerance allows for a rotation of 5 degrees, because a device may start near
-its zero orientation.
+A device that gives w as the first component starts near such an orientation. Therefore, a first
+orientation with a smaller difference is reported. The tolerance allows for a rotation of 5 degrees,
+because a device may start near its zero orientation.
 """
 UNIT = " (positions must be in metres)"
 """Hint in messages about a motion that is too fast or too far for a hand.
