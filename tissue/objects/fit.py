@@ -77,6 +77,9 @@ class Fit:
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write ``fitted.toml`` for scenes, a report, pictures and numbers; return the folder.
 
+        ``fitted.toml`` is only written if a constant of a material was fitted. The report gives the
+        fitted keys of the scene, such as ``organ.young_kPa``, as options.
+
         Raises
         ------
         InputError
