@@ -125,8 +125,9 @@ class Loop:
             For bone: distance around the tool within which bone is prepared [mm]; default 5. More
             bone is prepared after the tool has moved by half of this distance; that tick takes
             longer. For an organ: distance from the start within which the organ may be touched;
-            default 5. For a scene: distance to the sides of its path; default 2. For an organ or a
-            scene, no further tissue is prepared later.
+            default 5. For a scene: distance from its path, across the axis of the tool; default 2.
+            The path determines the depth. For an organ or a scene, no further tissue is prepared
+            later.
         longest_s, keep_clear
             Time for which rows of the trace are allocated [s]; and structures that a cutter must
             not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
