@@ -211,7 +211,7 @@ class ProbeFit(Fitted):
         pattern = common_pattern(self.table.forces_N, self.force_N)
         if self.misfit > POOR and pattern > SYSTEMATIC:
             found.append(
-                f"all presses deviate from the law {self.law} with one pattern, and the fitted "
+                f"all presses show the same deviation from the law {self.law}, and the fitted "
                 f"curve differs from their median by {self.misfit:.1%}. Try another organ.law, or "
                 "leave out the largest depths"
             )

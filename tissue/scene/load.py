@@ -227,8 +227,9 @@ def load_scene(
         for key in _settled(table)[1]:
             _drop(table, key)
     scene = _replaced(table, overrides or {}, live=live)
-    if scene.materials:
-        # A file that cannot be used is refused here, not when the run reads its constants.
+    # A file that cannot be used is refused here, not when the run reads its constants. The scene of
+    # a saved run is loaded without this check, because its file may no longer exist.
+    if scene.materials and not was_kept:
         Materials.read(scene.materials)
     return scene
 

@@ -178,7 +178,7 @@ def test_residuals_that_all_presses_share_are_a_doubt():
     fitted = curve * stiffening[0, -1] / curve[-1]
     assert common_pattern(stiffening, fitted) > 10.0
     (doubt,) = fit_of(stiffening, fitted, 0.0).doubts
-    assert "all presses deviate from the law linear with one pattern" in doubt
+    assert "all presses show the same deviation from the law linear" in doubt
 
 
 @pytest.mark.parametrize("name", ["organ.exponent", "other.exponential_rate", "modulus_kPa.x"])

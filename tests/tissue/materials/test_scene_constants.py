@@ -6,7 +6,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.materials.constants import constants
 from tissue.materials.scene_constants import Materials, energy_note
-from tissue.scene.load import load_scene
+from tissue.scene.load import load_scene, saved_text
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import note_own_constants
 
@@ -109,6 +109,15 @@ def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
 def test_a_scene_with_a_file_without_constants_is_refused_when_it_is_loaded(tmp_path):
     with pytest.raises(InputError, match="holds no constant"):
         load_scene("palpation", {"materials": str(written(tmp_path, "# nothing"))})
+
+
+def test_the_scene_of_a_saved_run_is_loaded_without_its_file_of_constants(tmp_path):
+    file = written(tmp_path, entry("soft.liver.modulus_kPa", 5.0))
+    scene = load_scene("palpation", {"materials": str(file)})
+    kept = tmp_path / "scene.toml"
+    kept.write_text(saved_text(scene), "utf-8")
+    file.unlink()
+    assert load_scene(kept) == scene
 
 
 @pytest.mark.parametrize(
