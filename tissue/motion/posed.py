@@ -60,8 +60,9 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
         return 1e-3 * values, rotation
     if values.shape == (7,):
         length = float(np.linalg.norm(values[3:]))
-        # The network protocol has the same limit. Rounding of the length is removed here.
-        if not is_nearly_unit(tuple(values[3:].tolist())):
+        x, y, z, w = values[3:].tolist()
+        # The network protocol has the same limit. Rounding of the length is removed below.
+        if not is_nearly_unit((x, y, z, w)):
             raise InputError(
                 "pose",
                 "hold a quaternion (x, y, z, w) of length 1, within 1 %",
