@@ -100,7 +100,8 @@ int main(int count, char **words) {
   line = socket(AF_INET, SOCK_DGRAM, 0);
   connect(line, (struct sockaddr *)&place, sizeof place);
   setsockopt(line, SOL_SOCKET, SO_RCVTIMEO, &longest, sizeof longest);
-  while (!ask(HELLO, "", 0, HELLO, wrench, 0)) {
+  for (int tries = 0; !ask(HELLO, "", 0, HELLO, wrench, 0); tries++) {
+    if (tries == 0) fprintf(stderr, "no server answers at 127.0.0.1:%d yet\n", port);
     usleep(100000);
   }
   for (int step = 0; step < steps; step++) { /* 2 mm/s at steps of 1 ms */

@@ -28,8 +28,12 @@ class PoseClient:
         self.line.settimeout(0.1)
         self.sent = 0
         self.seen = 0
+        waits = False
         while self.ask(HELLO, b"", HELLO) is None:
-            pass
+            if not waits:
+                print(f"no server answers at 127.0.0.1:{port} yet", file=sys.stderr, flush=True)
+            waits = True
+            time.sleep(0.1)
 
     def move(
         self, tip_m: tuple[float, float, float], quaternion: tuple[float, ...] = (0, 0, 0, 1)

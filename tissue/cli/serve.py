@@ -1,5 +1,7 @@
 """``tissue serve``."""
 
+import signal
+
 from tissue.cli.terminal import Flag, Overrides, Whole, console, left_out, problems
 
 __all__ = ["serve"]
@@ -35,19 +37,28 @@ def serve(
     step_ms
         Simulated time of a step, in whole milliseconds.
     reach_mm
-        Distance from the scene's path within which tissue is prepared for contact, in mm; default
-        2.
+        Distance from the path of the scene, across the axis of the tool, within which tissue is
+        prepared, in mm; default 2. The path determines the depth.
     """
     from tissue.links.pose_server import serve_network, serve_ros2
     from tissue.objects.loop import Loop
     from tissue.scene.coupling import Hardware
     from tissue.scene.load import load_scene, parse_overrides
+    from tissue.system.stopping import signals_handled
 
     if ros2:
         left_out("with --ros2", "remove it", address=address)
-    with problems.status(f"building {scene}"):
-        loaded = load_scene(scene, parse_overrides(set_))
-        loop = Loop(loaded, step_ms=step_ms, reach_mm=reach_mm)
+    try:
+        # A handler in Python would wait for the end of a native call, such as a factorisation.
+        # The preparation writes no output, so SIGTERM may end the process at once.
+        with signals_handled((signal.SIGTERM,), signal.SIG_DFL):
+            problems.print(f"preparing the tissue of {scene}; clients are answered afterwards")
+            with problems.status(f"building {scene}"):
+                loaded = load_scene(scene, parse_overrides(set_))
+                loop = Loop(loaded, step_ms=step_ms, reach_mm=reach_mm)
+    except KeyboardInterrupt as stopped:
+        stopped.args = ("stopped before the server was ready",)
+        raise
     for about, note in loop.notes.items():
         console.print(f"{about}: {note}", markup=False)
 

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -322,7 +323,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Apply one action for `ticks` ticks."""
         self._require_episode("step")
-        command = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        command = np.clip(self._checked(action), -1.0, 1.0)
         start = self._potential()
         peak = 0.0
         excess = 0.0
@@ -354,6 +355,21 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         }
         truncated = not terminated and self._done_steps >= self._steps
         return self._observe(), reward, terminated, truncated, info | self._facts()
+
+    def _checked(self, action: ArrayLike) -> Array:
+        """Return an action as an array; refuse an action of another shape."""
+        wanted = (self.action_count,)
+        found: Array | None = None
+        with suppress(TypeError, ValueError):
+            found = np.asarray(action, np.float64)
+        if found is None or found.shape != wanted:
+            raise InputError(
+                "action",
+                f"be an array of shape {wanted}, with numbers in [-1, 1]",
+                "an object of another type" if found is None else f"shape {found.shape}",
+                "sample one with env.action_space.sample() to see the form",
+            )
+        return found
 
     def snapshot(self) -> State:
         """Return a copy of the state, which can be pickled.

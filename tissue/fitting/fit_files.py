@@ -122,7 +122,10 @@ def write_fit(fit: SceneFit | ProbeFit, folder: Path, *, overwrite: bool) -> Non
     """
     digest = sha256(fit.path.read_bytes()).hexdigest()
     with OwnedFolder(folder, "fit", FILES, overwrite=overwrite):
-        _write_constants(fit, folder / "fitted.toml", digest)
+        # Keys of a scene are no constants of a material: a scene refuses a file of constants
+        # without any constant.
+        if fit.of_material:
+            _write_constants(fit, folder / "fitted.toml", digest)
         if isinstance(fit, ProbeFit):
             _write_presses(fit, folder)
         elif isinstance(fit, TableFit):
@@ -208,14 +211,28 @@ def _write_constants(fit: SceneFit | ProbeFit, path: Path, digest: str) -> None:
         entries[each.name] = Constant(each.value, each.low, each.high, text, confidence)
     text = "the density at which the fitted coefficients are stated"
     fixed = {name: Constant(value, value, value, text, "H") for name, value in fit.fixed.items()}
-    keys = " ".join(f"--set {name}={value:.4g}" for name, value in fit.scene_keys.items())
     remark = (
         f"Constants fitted by tissue {package_version()}; a scene takes them by: materials = "
         f'"{path.name}"',
-        f"keys of the scene: {keys or 'none'}",
+        f"keys of the scene: {_key_options(fit) or 'none'}",
         fit.meaning,
     )
     write_fitted(path, entries, fit.correlation, fixed=fixed, remark=remark)
+
+
+def _key_options(fit: SceneFit | ProbeFit) -> str:
+    """Return the options of `tissue run` that set the fitted keys of the scene."""
+    return " ".join(f"--set {name}={value:.4g}" for name, value in fit.scene_keys.items())
+
+
+def _use_of_result(fit: SceneFit | ProbeFit) -> str:
+    """Return the sentences of a report on the use of the fitted constants in a scene, as HTML."""
+    found = []
+    if fit.of_material:
+        found.append('A scene takes the constants by <code>materials = "fitted.toml"</code>.')
+    if fit.scene_keys:
+        found.append(f"Set the fitted keys of the scene by <code>{_key_options(fit)}</code>.")
+    return " ".join(found)
 
 
 def shown_constant(each: ConstantFit) -> FittedConstant:
@@ -352,8 +369,7 @@ def _report(fit: SceneFit | ProbeFit, folder: Path) -> str:
     """Return the content of the report, with the pictures in a folder."""
     parts = [
         f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, tissue "
-        f"{package_version()}. A scene "
-        'takes the result by <code>materials = "fitted.toml"</code>.</p>'
+        f"{package_version()}. {_use_of_result(fit)}</p>"
         f"<h2>What the {fit.source} determines</h2>{html_list(verdicts(fit))}"
     ]
     if isinstance(fit, TableFit):

@@ -21,6 +21,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.axisymmetric import FIRST
 from tissue.fitting.fit import ConstantFit, Fitted
+from tissue.fitting.log_files import LogColumns
 from tissue.fitting.organ_runs import organ_parameters
 from tissue.fitting.probe_laws import (
     SHAPES,
@@ -28,13 +29,22 @@ from tissue.fitting.probe_laws import (
     ProbeCurves,
     layer_scene,
     probe_curves,
+    require_shallow,
     shape_keys,
 )
-from tissue.fitting.probe_table import ProbeTable
+from tissue.fitting.probe_table import ProbeTable, at_common_depths, read_presses
 from tissue.materials.constants import Prior
 from tissue.scene.scene import Scene
 
-__all__ = ["FittedCurve", "ProbeFit", "fit_curves", "fit_probes", "median_curve"]
+__all__ = [
+    "FittedCurve",
+    "ProbeFit",
+    "common_pattern",
+    "fit_curves",
+    "fit_probes",
+    "median_curve",
+    "presses_for",
+]
 
 
 RESAMPLES = 1000
@@ -51,6 +61,16 @@ coarser mesh.
 DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
+POOR = 0.03
+"""Smallest misfit of a fitted curve that a doubt reports (judgement).
+
+The interpolation of the forces has an error of 0.3 %, a tenth of this value.
+"""
+SYSTEMATIC = 3.0
+"""Smallest ratio of the mean residual of presses to its standard error for a doubt (judgement).
+
+The ratio is about 1 if the residuals of different presses are independent.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +183,8 @@ class ProbeFit(Fitted):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences about constants that the presses do not limit."""
-        found = []
+        """Sentences about constants that the presses do not limit, and about a poor fit."""
+        found = self._misfits()
         for each in self.constants:
             key = each.name.rpartition(".")[2]
             if key not in SHAPES:
@@ -177,6 +197,27 @@ class ProbeFit(Fitted):
                     "ends. Press deeper, or use a law with fewer constants"
                 )
         return tuple(found)
+
+    def _misfits(self) -> list[str]:
+        """Return sentences about an implausible zero, and about residuals with a pattern."""
+        middle = median_curve(self.table.forces_N)
+        smallest = float(np.abs(middle[self.table.depths_m > 0.0]).min())
+        found = []
+        if abs(self.bias_N) > smallest:
+            found.append(
+                f"the fitted zero of the force sensor, {1e3 * self.bias_N:.3g} mN, is larger than "
+                f"the smallest measured force, {1e3 * smallest:.3g} mN: the law {self.law} does "
+                "not follow the first depths. Check the zeros of force and depth, or try another "
+                "organ.law"
+            )
+        pattern = common_pattern(self.table.forces_N, self.force_N)
+        if self.misfit > POOR and pattern > SYSTEMATIC:
+            found.append(
+                f"all presses show the same deviation from the law {self.law}, and the fitted "
+                f"curve differs from their median by {self.misfit:.1%}. Try another organ.law, or "
+                "leave out the largest depths"
+            )
+        return found
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -205,6 +246,67 @@ def half_differences(forces_N: Array, *, splits: int = 200, seed: int = SEED) ->
         second = median_curve(forces_N[order[half:]])
         found.append(np.linalg.norm(first - second) / np.linalg.norm(second))
     return np.array(found)
+
+
+def common_pattern(forces_N: Array, fitted_N: Array) -> float:
+    """Return the size of the mean residual of presses, divided by its standard error.
+
+    The fitted curve is scaled and shifted to each press before the residual is computed. Residuals
+    are divided by the range of the press. Both sizes are L2 norms over the depths.
+
+    Parameters
+    ----------
+    forces_N
+        Presses, shape (n, d).
+    fitted_N
+        Fitted curve, shape (d,).
+    """
+    curve = fitted_N - fitted_N.mean()
+    power = float(np.sum(curve**2))
+    if power == 0.0:
+        return 0.0
+    centred = forces_N - forces_N.mean(axis=1, keepdims=True)
+    scale = centred @ curve / power
+    residuals = centred - scale[:, None] * curve
+    # 1e-300 avoids a division by zero for presses of constant force, and for equal residuals.
+    residuals = residuals / np.maximum(np.ptp(forces_N, axis=1), 1e-300)[:, None]
+    error = np.std(residuals, axis=0, ddof=1) / np.sqrt(len(forces_N))
+    size = float(np.linalg.norm(residuals.mean(axis=0)))
+    return size / max(float(np.linalg.norm(error)), 1e-300)
+
+
+def presses_for(
+    scene: Scene, path: Path, found: LogColumns, columns: Sequence[str] = ()
+) -> ProbeTable:
+    """Read a table of presses, and check that it can be fitted with a scene.
+
+    No force is computed. The parameters are those of `tissue.fitting.probe_table.read_presses`.
+
+    Raises
+    ------
+    InputError
+        If the columns cannot be read. If the table or the scene does not fit, one error contains
+        all reasons.
+    """
+    presses, notes = read_presses(path, found, columns)
+    refused: list[InputError] = []
+    table: ProbeTable | None = None
+    try:
+        table = at_common_depths(path, presses, notes)
+    except InputError as error:
+        refused.append(error)
+    try:
+        layer = layer_scene(scene)
+        deepest_m = max((float(depth[-1]) for depth, _ in presses if len(depth)), default=0.0)
+        require_shallow(layer, deepest_m if table is None else float(table.depths_m.max()))
+    except InputError as error:
+        refused.append(error)
+    if len(refused) > 1:
+        raise InputError(". ".join(map(str, refused)))
+    if refused:
+        raise refused[0]
+    assert table is not None
+    return table
 
 
 def fit_probes(

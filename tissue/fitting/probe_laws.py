@@ -23,7 +23,15 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.builders.organ import hindrance, law_of, with_cited_shape
 
-__all__ = ["SHAPES", "LayerScene", "ProbeCurves", "layer_scene", "probe_curves", "shape_keys"]
+__all__ = [
+    "SHAPES",
+    "LayerScene",
+    "ProbeCurves",
+    "layer_scene",
+    "probe_curves",
+    "require_shallow",
+    "shape_keys",
+]
 
 
 SHAPES = {
@@ -57,7 +65,9 @@ Between these depths, force / depth^1.5 is interpolated.
 UNIT_PA = 1e3
 """Modulus of the solutions [Pa]."""
 DEEPEST = 0.8
-"""Largest depth for which the solver is verified, divided by the ball's radius."""
+"""Largest depth divided by the ball's radius for which the solver is verified."""
+THICKNESSES = 0.7
+"""Largest depth divided by the thickness of the layer (judgement)."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +146,25 @@ def layer_scene(scene: Scene) -> LayerScene:
     return LayerScene(organ, 0.5e-3 * tool.size_mm, 1e-3 * anatomy.size_mm[2], ratio)
 
 
+def require_shallow(layer: LayerScene, deepest_m: float) -> None:
+    """Refuse a depth [m] for which the solver is not verified.
+
+    Raises
+    ------
+    InputError
+        If the ball is pressed too deep for its radius or for the layer.
+    """
+    largest_m = min(DEEPEST * layer.radius_m, THICKNESSES * layer.thickness_m)
+    if deepest_m > largest_m:
+        raise InputError(
+            "measured",
+            f"hold depths up to {1e3 * largest_m:.3g} mm ({DEEPEST:g} radii of the ball, and at "
+            f"most {THICKNESSES:g} thicknesses of the slab)",
+            f"{1e3 * deepest_m:.3g} mm",
+            "check tool.diameter_mm and anatomy.size_mm, or drop the deeper rows",
+        )
+
+
 def probe_curves(
     layer: LayerScene,
     depths_m: Array,
@@ -166,13 +195,7 @@ def probe_curves(
         If the ball is pressed too deep for its radius or for the layer.
     """
     deepest_m = float(depths_m.max())
-    if deepest_m > min(DEEPEST * layer.radius_m, 0.7 * layer.thickness_m):
-        raise InputError(
-            "measured",
-            f"hold depths up to {DEEPEST:g} radii of the ball and 0.7 thicknesses of the layer",
-            f"{1e3 * deepest_m:.3g} mm",
-            "check tool.diameter_mm and anatomy.size_mm, or drop the deeper rows",
-        )
+    require_shallow(layer, deepest_m)
     mesh = layer_mesh(layer.radius_m, layer.thickness_m, first=first)
     if not keys:
         curve = _curve(mesh, layer, {}, deepest_m)

@@ -13,7 +13,7 @@ from meshes.base.units import column_of, name_of, unit_of
 from tissue.fitting.log_columns import TIMES, parsed, quantity
 from tissue.fitting.log_files import LogColumns, refusal
 
-__all__ = ["ProbeTable", "is_probe_table", "read_probes"]
+__all__ = ["ProbeTable", "at_common_depths", "is_probe_table", "read_presses", "read_probes"]
 
 
 DEPTH = "depth_mm"
@@ -27,6 +27,8 @@ FEWEST_PROBES = 3
 """Smallest number of presses. The intervals follow from the scatter between presses."""
 FEWEST_STEPS = 4
 """Smallest number of depths of a press: one more than modulus, shape and bias."""
+Press = tuple[Array, Array]
+"""Rising depths [m] and forces [N] of one press."""
 SHORT = 0.9
 """Limit of a press's largest depth, relative to the median; shallower presses are not used."""
 
@@ -73,7 +75,18 @@ def _column(name: str, names: Sequence[str]) -> str | None:
 
 
 def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> ProbeTable:
-    """Read presses from the columns of a file.
+    """Read presses from the columns of a file, at common depths.
+
+    Parameters and errors are those of `read_presses` and `at_common_depths`.
+    """
+    presses, notes = read_presses(path, found, columns)
+    return at_common_depths(path, presses, notes)
+
+
+def read_presses(
+    path: Path, found: LogColumns, columns: Sequence[str] = ()
+) -> tuple[list[Press], tuple[str, ...]]:
+    """Read presses from the columns of a file; return the presses and notes.
 
     Parameters
     ----------
@@ -88,7 +101,7 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
     Raises
     ------
     InputError
-        If a column is missing, a press has too few depths, or there are too few presses.
+        If a column is missing.
     """
     asked = parsed(columns, tuple(MEASURES))
     notes = [*found.notes]
@@ -113,19 +126,23 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
         starts = np.flatnonzero(np.diff(values[PROBE], prepend=np.nan) != 0.0)
     else:
         starts = np.flatnonzero(np.diff(depths, prepend=np.inf) < 0.0)
-    presses = []
+    presses: list[Press] = []
     for rows in np.split(np.arange(len(depths)), starts[1:]):
         known = rows[np.isfinite(depths[rows]) & np.isfinite(forces[rows])]
         order = known[np.argsort(depths[known], kind="stable")]
         depth, first = np.unique(depths[order], return_index=True)
         presses.append((depth, forces[order][first]))
-    return _at_common_depths(path, presses, tuple(notes))
+    return presses, tuple(notes)
 
 
-def _at_common_depths(
-    path: Path, presses: list[tuple[Array, Array]], notes: tuple[str, ...]
-) -> ProbeTable:
-    """Return the table of all presses, with forces at the median depths of the presses."""
+def at_common_depths(path: Path, presses: list[Press], notes: tuple[str, ...]) -> ProbeTable:
+    """Return the forces of presses at the medians of their depths.
+
+    Raises
+    ------
+    InputError
+        If a press has too few depths, or there are too few presses.
+    """
     if not presses:
         raise refusal(path, "hold presses", "none", "add rows")
     largest = np.array([depth[-1] if len(depth) else 0.0 for depth, _ in presses])

@@ -227,14 +227,27 @@ def _parsed(text: str, path: str) -> Materials:
                 full = f"{table}.{material}.{name}"
                 given[full] = checked_constant(full, entry, path)
     if not given:
-        raise InputError(
-            "materials must hold a constant such as [cutting.bone.radial_chip_N_mm2], got "
-            f"none in {path}"
-        )
+        raise InputError(f"materials: {path} holds no constant. {_instead_of(text)}.")
     if correlation is None:
         return Materials(given, file=path)
     names, matrix = _correlation(correlation, given, path)
     return Materials(given, names, matrix, path)
+
+
+FITTED_KEYS = "# keys of the scene: --set "
+"""Start of a comment in a file of `tissue fit`, before the options that set the fitted keys."""
+
+
+def _instead_of(text: str) -> str:
+    """Return the remedy for a file without constants, from the keys that its comment names."""
+    for line in text.splitlines():
+        if line.startswith(FITTED_KEYS):
+            keys = line.removeprefix(FITTED_KEYS).replace(" --set ", " and ")
+            return f"Leave materials out and set {keys} instead"
+    return (
+        "Leave materials out, or add a constant to the file, such as "
+        "[cutting.bone.radial_chip_N_mm2]"
+    )
 
 
 def _table(found: object, name: str, path: str) -> dict[str, object]:

@@ -9,6 +9,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import StaysAt, matrix_of
+from tissue.motion.quaternion import is_nearly_unit
 
 __all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
 
@@ -32,8 +33,9 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     pose
-        Tip [mm], shape (3,); tip and quaternion (x, y, z, w), shape (7,); or a matrix from the tool
-        frame to the tissue frame [mm], shape (4, 4).
+        Tip [mm], shape (3,); tip and unit quaternion (x, y, z, w), shape (7,); or a matrix from the
+        tool frame to the tissue frame [mm], shape (4, 4). A quaternion whose length is within 1 %
+        of 1 is normalised.
     rotation
         Rotation that is used if the pose has none.
 
@@ -58,10 +60,14 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
         return 1e-3 * values, rotation
     if values.shape == (7,):
         length = float(np.linalg.norm(values[3:]))
-        # A quaternion near zero has no orientation. A quaternion of any other length is normalised.
-        if length < 1e-6:
+        x, y, z, w = values[3:].tolist()
+        # The network protocol has the same limit. Rounding of the length is removed below.
+        if not is_nearly_unit((x, y, z, w)):
             raise InputError(
-                "pose", "hold a unit quaternion", "a zero quaternion", "use 0, 0, 0, 1"
+                "pose",
+                "hold a quaternion (x, y, z, w) of length 1, within 1 %",
+                f"a quaternion of length {length:.4g}",
+                "divide the quaternion by its length",
             )
         return 1e-3 * values[:3], matrix_of(values[3:] / length)
     if (values[3] != (0.0, 0.0, 0.0, 1.0)).any():

@@ -12,8 +12,8 @@ from tissue.fitting.fit_files import verdicts, write_fit
 from tissue.fitting.laws import LawMisfit
 from tissue.fitting.log import log_of
 from tissue.fitting.log_files import read_columns
-from tissue.fitting.probe_fit import ProbeFit, fit_probes
-from tissue.fitting.probe_table import is_probe_table, read_probes
+from tissue.fitting.probe_fit import ProbeFit, fit_probes, presses_for
+from tissue.fitting.probe_table import is_probe_table
 from tissue.fitting.table import is_table, read_table
 from tissue.scene.scene import Scene
 from tissue.system.progress import Bar, reporting
@@ -75,6 +75,9 @@ class Fit:
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write ``fitted.toml`` for scenes, a report, pictures and numbers; return the folder.
+
+        ``fitted.toml`` is only written if a constant of a material was fitted. The report gives the
+        fitted keys of the scene, such as ``organ.young_kPa``, as options.
 
         Raises
         ------
@@ -154,7 +157,7 @@ def fit(
         with memory_limit(max_memory_GB):
             found = read_columns(path)
             if is_probe_table(found.names, maps):
-                presses = read_probes(path, found, maps)
+                presses = presses_for(scene, path, found, maps)
                 return Fit(fit_probes(scene, presses, free=free, progress=report))
             if is_table(found.names) and not any(each.startswith("time_s=") for each in maps):
                 _require_own_names(maps)

@@ -17,6 +17,7 @@ from meshes.base.errors import InputError, is_file
 from meshes.base.hints import nearest, suggests_arguments
 from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
+from tissue.materials.scene_constants import Materials
 from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.part import is_file_key
 from tissue.scene.plugins import refusal
@@ -226,7 +227,12 @@ def load_scene(
         # A run of version 0.2 saved all defaults, even of keys without effect.
         for key in _settled(table)[1]:
             _drop(table, key)
-    return _replaced(table, overrides or {}, live=live)
+    scene = _replaced(table, overrides or {}, live=live)
+    # A file that cannot be used is refused here, not when the run reads its constants. The scene of
+    # a saved run is loaded without this check, because its file may no longer exist.
+    if scene.materials and not was_kept:
+        Materials.read(scene.materials)
+    return scene
 
 
 def _parsed(text: str, path: Path) -> dict[str, Any]:

@@ -66,6 +66,11 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
         return unknown_name(key, choices, got)
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
     remedy = _corrected(key, got, kind, is_number=is_number) or _remedy(field)
+    if is_number and got in NOTHING and not field.is_required():
+        remedy += (
+            ", or remove the key from the scene file for its default. An override that changes a "
+            "kind or a law removes the keys that no longer apply"
+        )
     # a value that is too small may be in metres
     if key.endswith("_mm") and kind.startswith("greater_than"):
         remedy += ", in mm"
@@ -383,6 +388,8 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
     return f"add {table if _parts(field) else names[-1]}, {SEE}"
 
 
+NOTHING = ("", "none", "None", "null")
+"""Values by which users try to unset a key."""
 FITTING = (str, int, float, list, tuple, Mapping)
 """Types of values that can be shown in a remedy."""
 

@@ -311,9 +311,13 @@ class Scene(Part):
                 kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part)
             )
             got = self.tool.kind
-            raise InputError(
-                "tool.kind", f"be one of {names} for a {kind}", got, "choose one of these"
+            remedy = "choose one of these"
+            fitting = (
+                each for each in ANATOMIES.known if isinstance(self.tool, ANATOMIES[each].tool)
             )
+            if (other := next(fitting, None)) is not None:
+                remedy += f', or set anatomy.kind = "{other}" for a {got}'
+            raise InputError("tool.kind", f"be one of {names} for a {kind}", got, remedy)
         # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(

@@ -22,8 +22,10 @@ __all__ = ["PosedSession", "Region", "Snapshot", "posed_parts", "scene_arguments
 
 ACROSS = 5
 """Number of copies of a path in each direction across the tool's axis, chosen by judgement."""
-LEFT_REGION = "the tool left the region in which the tissue is prepared: use a larger reach_mm"
-"""Event that reports a tool outside the prepared region."""
+LEFT_REGION = "the tool left the region in which the tissue is prepared"
+"""Start of the event that reports a tool outside the prepared region; a remedy follows."""
+WIDER = "use a larger reach_mm"
+"""Remedy for a tip outside the prepared region, unless only a deeper path helps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +65,14 @@ class Region:
     low_m, high_m
         Coordinates of two corners of the box along these axes [m], shape (3,) each. The tip may not
         leave the box, except at its top, where the box is open.
+    deeper
+        Remedy for a tip below the box.
     """
 
     rotation: Array
     low_m: Array
     high_m: Array
+    deeper: str = WIDER
 
     @classmethod
     def of(cls, motion: Motion) -> "Region":
@@ -76,13 +81,19 @@ class Region:
         tips = motion.sweep_m() @ rotation
         high = tips.max(axis=0)
         high[2] = np.inf
+        # The copies of a path lie across the tool's axis, so they are not deeper than the path.
+        deeper = "give the motion of the scene a deeper path, because reach_mm adds no depth"
         # 1e-9 m allows for rounding of a tip on the boundary.
-        return cls(rotation, tips.min(axis=0) - 1e-9, high + 1e-9)
+        return cls(rotation, tips.min(axis=0) - 1e-9, high + 1e-9, deeper)
 
-    def holds(self, tip_m: Array) -> bool:
-        """Return whether a tip lies in the region."""
+    def remedies(self, tip_m: Array) -> list[str]:
+        """Return the remedies for a tip outside the region; empty for a tip inside."""
         place = tip_m @ self.rotation
-        return bool((place >= self.low_m).all() and (place <= self.high_m).all())
+        is_outside = (place < self.low_m) | (place > self.high_m)
+        found = [WIDER] if is_outside[:2].any() else []
+        if is_outside[2] and self.deeper not in found:
+            found.append(self.deeper)
+        return found
 
 
 class _Widened(Motion):
@@ -143,7 +154,8 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
         scene, motion, step_s=TICK_S, compute="cpu", cores=cores, report=lambda what, share: None
     )
     parts.notes["reach"] = (
-        f"the tissue is prepared along the path of the scene and {1e3 * reach_m:g} mm to its sides"
+        "the tissue is prepared along the path of the scene, to the depth of the path, and "
+        f"{1e3 * reach_m:g} mm to its sides"
     )
     return parts, Region.of(motion)
 
@@ -252,9 +264,12 @@ class PosedSession:
             loop.wait()
             loop.step()
         region = self._region
-        if region is not None and not self._left_region and not region.holds(loop.tool.tip_m):
-            self._left_region = True
-            loop.events.append((loop.ticks * TICK_S, LEFT_REGION))
+        if region is not None and not self._left_region:
+            remedies = region.remedies(loop.tool.tip_m)
+            self._left_region = bool(remedies)
+            if remedies:
+                event = f"{LEFT_REGION}: {', and '.join(remedies)}"
+                loop.events.append((loop.ticks * TICK_S, event))
         return loop.response.wrench.copy()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
@@ -303,7 +318,7 @@ class PosedSession:
             )
         self.loop.restore(snapshot.state)
         self._tool.put(self.loop.tool.tip_m, self.loop.tool.rotation)
-        self._left_region = any(what == LEFT_REGION for _, what in self.loop.events)
+        self._left_region = any(what.startswith(LEFT_REGION) for _, what in self.loop.events)
 
 
 def _velocity(velocity: ArrayLike) -> Array:

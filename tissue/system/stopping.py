@@ -125,9 +125,11 @@ def interrupt_is_free() -> bool:
 
 @contextmanager
 def signals_handled(
-    numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None]
+    numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None] | signal.Handlers
 ) -> Iterator[None]:
     """Call a handler for the given signals inside the ``with`` block, only in the main thread.
+
+    With `signal.SIG_DFL` the operating system ends the process.
 
     A signal that is ignored, for example under ``nohup``, stays ignored. A signal that is handled
     outside Python keeps its handler.

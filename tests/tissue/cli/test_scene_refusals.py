@@ -124,6 +124,17 @@ def test_a_shape_is_proposed_only_for_a_tool_that_can_enter_it(refused, here, sc
     assert ("anatomy.kind = liver and tool.kind = sphere-probe" in message) == ("Remove" in message)
 
 
+def test_a_tool_for_another_tissue_is_refused_with_its_tissue(refused, here):
+    message = refused("run", "needle", "--set", "anatomy.kind=liver")
+    assert 'got needle. Choose one of these, or set anatomy.kind = "layers" for a needle' in message
+
+
+@pytest.mark.parametrize("value", ["", "none"])
+def test_a_value_that_should_unset_a_key_is_refused_with_the_way_to_unset_it(refused, here, value):
+    message = refused("run", "liver-press", "--set", f"organ.young_kPa={value}")
+    assert "or remove the key from the scene file for its default" in message
+
+
 def test_a_refused_key_of_a_needle_names_the_needle_and_its_constants(refused):
     changes = ("--set", "anatomy.kind=soft-tissue", "--set", "anatomy.file=cut.stl")
     message = refused("run", "needle", *changes)

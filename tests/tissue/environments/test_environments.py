@@ -96,6 +96,19 @@ def test_an_option_fixes_what_would_be_drawn_and_leaves_the_rest(env):
             env.reset(options=options)
 
 
+def test_an_action_of_another_shape_is_refused_with_the_shape(env):
+    env.reset(seed=0)
+    count = env.action_space.shape[0]
+    for action, got in (
+        (np.zeros(count + 1), rf"got shape \({count + 1},\)"),
+        ("up", "another type"),
+    ):
+        with pytest.raises(
+            InputError, match=rf"action must be an array of shape \({count},\).*{got}"
+        ):
+            env.unwrapped.step(action)
+
+
 def test_a_picture_shows_the_episode(env):
     env.reset(seed=0)
     before = env.render()

@@ -86,13 +86,15 @@ def test_clocks_that_contradict_their_prior_determine_nothing(tmp_path):
 
 
 def test_a_fit_of_keys_of_the_scene_alone_is_saved(tmp_path):
-    """`fitted.toml` holds constants of materials only, so it is empty. `fit.json` lists the keys."""
+    """`fitted.toml` holds constants of materials only, so it is not written."""
     forward = coarse_slot()
     keys = ("organ.friction", "organ.young_kPa", "organ.exponent", "organ.share")
     renamed = [replace(one, name=key) for one, key in zip(forward.parameters, keys, strict=True)]
     fit = fitted(tmp_path, forward=replace(forward, parameters=tuple(renamed)))
     assert tuple(fit.scene_keys) == keys and fit.of_material == ()
     write_fit(fit, tmp_path / "fit", overwrite=False)
-    assert tomllib.loads((tmp_path / "fit" / "fitted.toml").read_text("utf-8")) == {}
+    assert not (tmp_path / "fit" / "fitted.toml").exists()
+    report = (tmp_path / "fit" / "report.html").read_text("utf-8")
+    assert "fitted.toml" not in report and "<code>--set organ.friction=" in report
     numbers = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))
     assert [one["name"] for one in numbers["constants"]] == list(keys)

@@ -8,7 +8,14 @@ import pytest
 import tissue
 from meshes.base.errors import InputError
 from tissue.fitting.log_files import read_columns
-from tissue.fitting.probe_fit import fit_curves, fit_probes, half_differences, median_curve
+from tissue.fitting.probe_fit import (
+    ProbeFit,
+    common_pattern,
+    fit_curves,
+    fit_probes,
+    half_differences,
+    median_curve,
+)
 from tissue.fitting.probe_laws import layer_scene, probe_curves
 from tissue.fitting.probe_table import FEWEST_PROBES, ProbeTable, is_probe_table, read_probes
 from tissue.scene.load import load_scene
@@ -20,17 +27,19 @@ TABLES = 80
 DEPTHS_M = 1e-3 * np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4, 2.8])
 
 
+FLAT = {
+    "anatomy.size_mm": [80, 80, 10],
+    "anatomy.nodule_diameter_mm": 0.0,
+    "tool.diameter_mm": 8.0,
+    "organ.parts": None,
+    "organ.young_kPa": None,
+    "organ.young_end_kPa": None,
+}
+
+
 def slab(**organ):
     """A layer of 10 mm of liver and a ball of 8 mm."""
-    keys = {
-        "anatomy.size_mm": [80, 80, 10],
-        "anatomy.nodule_diameter_mm": 0.0,
-        "tool.diameter_mm": 8.0,
-        "organ.parts": None,
-        "organ.young_kPa": None,
-        "organ.young_end_kPa": None,
-    }
-    return load_scene("palpation", keys | {f"organ.{name}": value for name, value in organ.items()})
+    return load_scene("palpation", FLAT | {f"organ.{name}": value for name, value in organ.items()})
 
 
 def presses(unit_N_Pa, modulus_Pa, count, *, seed, spread=0.4, noise_N=0.01, bias_N=0.02):
@@ -127,8 +136,49 @@ def test_a_scene_that_is_no_uniform_slab_is_refused(scene, sentence):
 
 
 def test_a_ball_that_is_pressed_too_deep_is_refused():
-    with pytest.raises(InputError, match=r"depths up to 0\.8 radii"):
+    with pytest.raises(InputError, match=r"depths up to 3\.2 mm \(0\.8 radii"):
         probe_curves(layer_scene(slab()), np.array([1e-3, 5e-3]), ())
+
+
+def test_all_reasons_against_a_table_are_given_in_one_message(tmp_path):
+    path = written(tmp_path / "presses.csv", [2.0 * DEPTHS_M])
+    with pytest.raises(InputError, match=r"at least 3 presses.*\. anatomy\.kind must be slab"):
+        tissue.fit(load_scene("liver-press"), path)
+    with pytest.raises(InputError, match=r"at least 3 presses.*depths up to 0\.8 mm"):
+        tissue.fit(load_scene("palpation", FLAT | {"tool.diameter_mm": 2.0}), path)
+
+
+def fit_of(forces_N, fitted_N, bias_N):
+    """Result of a fit with given curves, without the computation of forces."""
+    table = ProbeTable(Path("presses.csv"), DEPTHS_M, forces_N)
+    middle = median_curve(forces_N)
+    misfit = float(np.linalg.norm(fitted_N - middle) / np.linalg.norm(middle))
+    noise = np.array([0.0, 0.1, 0.2])
+    return ProbeFit("slab", table.path, table, "linear", (), fitted_N, bias_N, misfit, noise, ())
+
+
+def test_a_zero_above_the_smallest_force_is_a_doubt():
+    forces = np.array([1.0, 1.1, 0.9])[:, None] * (1e3 * DEPTHS_M) ** 1.5
+    smallest = forces[0, 1]
+    for bias, count in ((-0.9 * smallest, 0), (-1.1 * smallest, 1), (1.1 * smallest, 1)):
+        doubts = fit_of(forces, forces[0], bias).doubts
+        assert len(doubts) == count
+        assert all("larger than the smallest measured force" in each for each in doubts)
+
+
+def test_residuals_that_all_presses_share_are_a_doubt():
+    """The presses stiffen more than the fitted curve, or differ from it by noise only."""
+    curve = (1e3 * DEPTHS_M) ** 1.5
+    scale = np.array([1.0, 1.1, 0.9, 1.05])[:, None]
+    random = np.random.default_rng(1)
+    noisy = scale * curve + 0.2 * random.standard_normal((4, len(curve)))
+    assert common_pattern(noisy, curve) < 2.0
+    assert fit_of(noisy, curve, 0.0).doubts == ()
+    stiffening = scale * (1e3 * DEPTHS_M) ** 2.5 + 0.01 * random.standard_normal((4, len(curve)))
+    fitted = curve * stiffening[0, -1] / curve[-1]
+    assert common_pattern(stiffening, fitted) > 10.0
+    (doubt,) = fit_of(stiffening, fitted, 0.0).doubts
+    assert "all presses show the same deviation from the law linear" in doubt
 
 
 @pytest.mark.parametrize("name", ["organ.exponent", "other.exponential_rate", "modulus_kPa.x"])

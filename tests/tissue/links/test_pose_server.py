@@ -6,9 +6,12 @@ The packages of ROS 2 are a stand-in, as in `test_ros2`.
 import importlib.util
 import json
 import shutil
+import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +80,40 @@ def test_the_client_in_c_gets_the_same_force(served, tmp_path):
     ]
     by_c, by_python = (each.stdout.split(";")[0] for each in found)
     assert by_c == by_python and float(by_c.split()[2]) > 0.1
+
+
+def test_a_client_says_once_that_no_server_answers(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+        words = [sys.executable, CLIENTS / "pose_client.py", str(port), "10"]
+        with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as client:
+            first = client.stderr.readline()
+            time.sleep(0.5)
+            client.kill()
+            rest = client.stderr.read()
+    assert first == f"no server answers at 127.0.0.1:{port} yet\n" and rest == ""
+
+
+def test_a_server_says_that_it_prepares_and_ends_at_once_on_sigterm():
+    words = [
+        sys.executable,
+        "-m",
+        "tissue",
+        "serve",
+        "liver-press",
+        "--address",
+        "udp://127.0.0.1:0",
+    ]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as server:
+        first = server.stderr.readline()
+        server.terminate()
+        assert server.wait(20.0) == -signal.SIGTERM
+        rest = server.stderr.read()
+    assert first == "preparing the tissue of liver-press; clients are answered afterwards\n"
+    assert rest == ""
 
 
 def test_a_pose_that_cannot_be_used_is_refused_with_a_sentence(served):

@@ -6,7 +6,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.materials.constants import constants
 from tissue.materials.scene_constants import Materials, energy_note
-from tissue.scene.load import load_scene
+from tissue.scene.load import load_scene, saved_text
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import note_own_constants
 
@@ -83,7 +83,11 @@ PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
         (entry(RADIAL, 50.0).replace('"L"', '"X"'), "radial_chip_N_mm2.confidence"),
         (entry(RADIAL, 50.0) + "range = [", "valid TOML"),
         ("cutting = 3", "must be a table"),
-        ("", "got none"),
+        ("", r"holds no constant\. Leave materials out, or add a constant"),
+        (
+            "# keys of the scene: --set organ.young_kPa=12.29 --set organ.friction=0.2\n",
+            r"Leave materials out and set organ\.young_kPa=12\.29 and organ\.friction=0\.2 instead",
+        ),
         (
             entry(RADIAL, 5.0)
             + entry("cutting.bone.radial_edge_N_mm", 3.0)
@@ -100,6 +104,20 @@ PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
 def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
     with pytest.raises(InputError, match=words):
         Materials.read(written(tmp_path, text))
+
+
+def test_a_scene_with_a_file_without_constants_is_refused_when_it_is_loaded(tmp_path):
+    with pytest.raises(InputError, match="holds no constant"):
+        load_scene("palpation", {"materials": str(written(tmp_path, "# nothing"))})
+
+
+def test_the_scene_of_a_saved_run_is_loaded_without_its_file_of_constants(tmp_path):
+    file = written(tmp_path, entry("soft.liver.modulus_kPa", 5.0))
+    scene = load_scene("palpation", {"materials": str(file)})
+    kept = tmp_path / "scene.toml"
+    kept.write_text(saved_text(scene), "utf-8")
+    file.unlink()
+    assert load_scene(kept) == scene
 
 
 @pytest.mark.parametrize(

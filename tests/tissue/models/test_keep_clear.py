@@ -85,6 +85,9 @@ def test_the_result_table_has_the_smallest_distance_and_the_simulated_volume(run
     assert rows[f"removed {layer}"] == f"{removed:.3g} of the simulated {start:.4g} mm³"
     summary = run.summary | {"start_mm3": {layer: 0.0}}
     assert f"removed {layer}" not in dict(run_rows(summary))
+    law = {"solve_ms": {"median": 282.44, "p99": 920.4}}
+    name = "solve of the law, median / 99 %"
+    assert dict(run_rows(run.summary | {"law": law}))[name] == "282 / 920 ms" and name not in rows
 
 
 def test_a_breach_is_an_event_with_its_depth(run):

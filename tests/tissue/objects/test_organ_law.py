@@ -1,11 +1,14 @@
 """Presses of an organ under a law of large strains, and the laws that it refuses."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from device_doubles import Recording
 
 import tissue
 from meshes.base.errors import InputError
+from tissue.models.organ.law import LawOffset
 
 INDEPENDENT_N = 0.4009
 """Force on a ball of 16 mm pressed 6.4 mm into the slab below, neo-Hookean [N].
@@ -109,6 +112,20 @@ def test_a_loop_presses_a_law(in_capsule, real_time):
     assert depth_mm > 4.0
     # Beyond two radii the organ of a loop is linear.
     assert force_N == pytest.approx(float(pressed.force_N[2]), rel=0.02)
+
+
+def test_the_first_slow_solve_is_an_event_and_later_ones_are_not():
+    law = object.__new__(LawOffset)
+    law.solves = law.unsettled = 0
+    law.took_s, law.notices = [], []
+    law.interval_s, law._late, law._thread = 0.025, False, None
+    law.windows = SimpleNamespace(indefinite=0)
+    for took_s in (0.01, 0.282, 0.9):
+        law._report(SimpleNamespace(residual=0.0, reached=1.0), took_s, first=False)
+    assert law.notices == [
+        "first slow solve of the law: it took 0.282 s, longer than its interval of 0.025 s. "
+        "In this run the tick waits for the solution, so the force is unchanged"
+    ]
 
 
 def test_the_linear_law_may_be_named():

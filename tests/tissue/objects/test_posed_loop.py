@@ -138,6 +138,40 @@ def test_a_tool_that_leaves_the_prepared_region_is_reported():
         loop.restore(inside)
 
 
+def test_the_remedy_for_a_tool_outside_the_prepared_region_depends_on_the_side():
+    deeper = "give the motion of the scene a deeper path, because reach_mm adds no depth"
+    wider = "use a larger reach_mm"
+    # A larger reach adds no depth.
+    loop = made("needle", reach_mm=2.0)
+    assert loop._session._region.remedies(1e-3 * np.array([3.0, 0.0, -70.0])) == [wider, deeper]
+    for end, remedy in (([0, 0, -70], deeper), ([3, 0, 5], wider)):
+        loop.reset([0, 0, 5])
+        moved(loop, along([[0, 0, 5], end], 60))
+        (event,) = [what for _, what in loop.events if "left the region" in what]
+        assert event.endswith(f"is prepared: {remedy}")
+
+
+def test_a_larger_reach_helps_below_a_loop_of_an_organ():
+    loop = pressed()
+    moved(loop, along([[0, 0, 1], [0, 0, -3]], 40))
+    (event,) = [what for _, what in loop.events if "left the region" in what]
+    assert event.endswith("is prepared: use a larger reach_mm")
+
+
+@pytest.mark.parametrize("length", [2.0, 0.98, 0.0])
+def test_a_quaternion_of_another_length_is_refused(length):
+    loop = made("needle")
+    with pytest.raises(tissue.InputError, match=f"of length {length:.4g}\\. Divide"):
+        loop.step([0, 0, 5, 0, 0, 0, length])
+
+
+def test_a_quaternion_with_rounding_is_normalised():
+    loop = made("needle")
+    loop.reset([0, 0, 5])
+    loop.step([0, 0, 5, 0, 0, 0, 1.005])
+    assert loop.row["tool_qw"] == pytest.approx(1.0, abs=1e-12)
+
+
 def test_a_snapshot_of_another_resolution_is_refused_and_changes_nothing():
     name = "milling"
     loop = made(name)

@@ -475,9 +475,10 @@ class LawOffset:
             )
         if 0.0 < self.interval_s < took_s and not self._late:
             self._late = True
-            effect = "the run waits for it, a device would not"
+            effect = "the tick waits for the solution, so the force is unchanged"
             if self._thread is not None:
-                effect = "the ticks go on with the last solution"
+                effect = "the ticks continue with the last solution"
             self.notices.append(
-                f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: {effect}"
+                f"first slow solve of the law: it took {took_s:.3g} s, {SLOW} of "
+                f"{self.interval_s:g} s. In this run {effect}"
             )

@@ -79,6 +79,13 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
         (f"smallest distance to {name}", f"{each['least_distance_mm']:.3g} mm")
         for name, each in summary.get("keep_clear", {}).items()
     ]
+    # Only the summary of an organ with a hyperelastic law has this table.
+    law = summary.get("law", {}).get("solve_ms")
+    solves = (
+        [("solve of the law, median / 99 %", f"{law['median']:.3g} / {law['p99']:.3g} ms")]
+        if law
+        else []
+    )
     return [
         *rows,
         (
@@ -97,6 +104,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
             "missed 1 ms deadlines",
             f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}",
         ),
+        *solves,
     ]
 
 
