@@ -37,7 +37,11 @@ __all__ = [
     "voxel_row",
 ]
 
-BRICK = 8  # voxels along an edge; the lowest three bits of a coordinate are the position in a brick
+BRICK = 8
+"""Number of voxels along the edge of a brick, equal to `meshes.base.grid.BLOCK`.
+
+The lowest three bits of a coordinate are the position in a brick.
+"""
 BRICK_VOXELS = BRICK**3
 corner8i = wp.types.vector(length=8, dtype=wp.int32)
 corner8f = wp.types.vector(length=8, dtype=wp.float32)

@@ -11,7 +11,11 @@ from meshes.base.arrays import Array, Ints, lattice
 __all__ = ["BLOCK", "Grid"]
 
 BLOCK = 8
-"""Number of voxels along the edge of a block."""
+"""Number of voxels along the edge of a block.
+
+`kernels.bricks.BRICK` has the same value. Neither package imports the other, and a test compares
+both.
+"""
 
 
 @dataclass(frozen=True)

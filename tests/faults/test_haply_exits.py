@@ -146,11 +146,8 @@ FAULTS = {
 }
 
 
-def after_fault(name):
-    """Return the time from a fault of the service to zero force while the run continues [s].
-
-    `zeroed` asserts that the last force is zero.
-    """
+def run_with_fault(name):
+    """Return the commands of a run with a fault of the service, and the callback that made it."""
     with RemoteService(press_m=0.03) as service:
         pressing = Pressing(service, lambda: FAULTS[name](service))
         if name == "uncalibrated":
@@ -159,12 +156,22 @@ def after_fault(name):
             pressing.over.wait(PATIENCE_S)
         else:
             simulate(scene_on(service), on_tick=pressing)
-        return zeroed(service.commands(), pressing.began_s, pressing.over_s)
+        return service.commands(), pressing
 
 
 @pytest.mark.parametrize("name", ["dropped", "uncalibrated"])
 def test_a_fault_of_the_service_takes_the_force_off(name):
-    after_fault(name)
+    commands, pressing = run_with_fault(name)
+    before = [force for time_s, _, force in commands if time_s < pressing.began_s]
+    during = [force for time_s, _, force in commands if time_s < pressing.over_s]
+    assert np.linalg.norm(before, axis=1).max() > PUSHING_N
+    assert list(during[-1]) == [0.0, 0.0, 0.0]
+
+
+def after_fault(name):
+    """Return the time from a fault of the service to zero force while the run continues [s]."""
+    commands, pressing = run_with_fault(name)
+    return zeroed(commands, pressing.began_s, pressing.over_s)
 
 
 @pytest.mark.slow

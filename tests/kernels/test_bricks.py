@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from kernels.bricks import cube_behind_plane, plane_of, voxel_column, voxel_row
+from kernels.bricks import BRICK, cube_behind_plane, plane_of, voxel_column, voxel_row
+from meshes.base.grid import BLOCK
 from meshes.voxels.distances import INSIDE, OUTSIDE, SURFACE_ZERO
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks import BrickStore
@@ -39,6 +40,10 @@ def cut_volumes(normals, distances):
     ]
     wp.launch(evaluate_cut, dim=len(distances), inputs=arrays, outputs=[out], device="cpu")
     return out.numpy()
+
+
+def test_bricks_have_the_size_of_the_blocks_in_which_voxels_are_made():
+    assert BRICK == BLOCK
 
 
 def random_volume(shape=(21, 17, 30), seed=3):

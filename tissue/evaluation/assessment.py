@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.same_task import (
     AssessedRun,
@@ -227,54 +227,44 @@ def assess(
     require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
     theirs = _trace(reference, "reference")
-    path = mine.vectors("tool", "mm")
-    model = theirs.vectors("tool", "mm")
-    rows = aligned_rows(path, model)
-    apart = deviation_mm(path, model, rows)
-    force = mine.vectors("model_force", "N")
-    ideal = theirs.vectors("model_force", "N")
-    size = np.linalg.norm(force, axis=1)
-    ideal_size = np.linalg.norm(ideal, axis=1)
-    axis, start = _approach(theirs)
-    depth = (start - path) @ axis
-    plan = (start - model) @ axis
-    time = mine["time_s"]
-    deepest = float(plan.max())
-    limit = FORCE_MARGIN * float(ideal_size.max()) if force_limit_N is None else force_limit_N
+    aligned = _Aligned.of(mine, theirs)
+    force = np.linalg.norm(aligned.force, axis=1)
+    whole_ideal_force = np.linalg.norm(aligned.ideal_force, axis=1)
+    ideal_force = whole_ideal_force[aligned.rows]
+    limit = force_limit_N
+    if limit is None:
+        limit = FORCE_MARGIN * float(whole_ideal_force.max())
     # a reference without a force would give a default limit of zero
     require_positive(
         "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
     )
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
-    _require_shared_contact(size, ideal_size[rows])
+    _require_shared_contact(force, ideal_force)
     # In free air, the distance from the path harms no tissue.
-    touches = (size > 0.0) | (ideal_size[rows] > 0.0)
+    touches = (force > 0.0) | (ideal_force > 0.0)
+    deepest = float(aligned.ideal_depth.max())
+    ideal_depth = aligned.ideal_depth[aligned.rows]
     quantities = (
-        Quantity("distance from the path", "mm", apart, deviation_limit_mm, limited=touches),
-        Quantity("force", "N", size, limit, ideal_size[rows]),
-        Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, plan[rows]),
+        Quantity(
+            "distance from the path", "mm", aligned.deviation, deviation_limit_mm, limited=touches
+        ),
+        Quantity("force", "N", force, limit, ideal_force),
+        Quantity("depth", "mm", aligned.depth, deepest + overshoot_limit_mm, ideal_depth),
     )
-    worst = int(apart.argmax())
+    time = mine["time_s"]
+    breaches = sorted(
+        (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
+    )
     kept = _keep_clear(trainee.summary, mine)
     figures = {
         "scene": trainee.summary.get("scene"),
         "time_in_contact_s": _both(_contact_s, mine, theirs),
-        "deviation_mm": {
-            "mean": float(apart.mean()),
-            "worst": float(apart[worst]),
-            "worst_at_s": float(time[worst]),
-        },
-        "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
-        "force_error": force_error(force, ideal[rows]),
-        "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
+        **aligned.figures(time),
         "least_distance_mm": _least_distances(kept, _keep_clear(reference.summary, theirs)),
         "keep_clear": kept,
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
-    breaches = sorted(
-        (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
-    )
     scale = Materials.cited if reference.scene is None else reference.scene.constants
     hand, unscored = _steadiness(trainee, mine, scale)
     return Assessment(
@@ -287,6 +277,65 @@ def assess(
         tuple(_notes(trainee, reference)),
         unscored,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Aligned:
+    """Paths and forces of a run and of the reference, aligned by place.
+
+    Attributes
+    ----------
+    rows
+        Row of the reference that is aligned with each tick of the run, shape (ticks,).
+    deviation
+        Distance of the tool from the reference's path in each tick [mm], shape (ticks,).
+    depth, ideal_depth
+        Depths of the run and of the reference along the axis of the reference's tool, from its
+        first contact [mm], one for each tick of the run and of the reference.
+    force, ideal_force
+        Forces on the tool [N], shape (ticks, 3), one for each tick of the run and of the reference.
+    """
+
+    rows: Ints
+    deviation: Array
+    depth: Array
+    ideal_depth: Array
+    force: Array
+    ideal_force: Array
+
+    @classmethod
+    def of(cls, mine: Table, theirs: Table) -> "_Aligned":
+        """Return the alignment of two traces; raise InputError if the reference has no contact."""
+        path = mine.vectors("tool", "mm")
+        model = theirs.vectors("tool", "mm")
+        rows = aligned_rows(path, model)
+        axis, start = _approach(theirs)
+        return cls(
+            rows,
+            deviation_mm(path, model, rows),
+            (start - path) @ axis,
+            (start - model) @ axis,
+            mine.vectors("model_force", "N"),
+            theirs.vectors("model_force", "N"),
+        )
+
+    def figures(self, time_s: Array) -> dict[str, Any]:
+        """Return the figures of path and force, see `Assessment.figures`."""
+        worst = int(self.deviation.argmax())
+        peaks = {
+            name: float(np.linalg.norm(force, axis=1).max())
+            for name, force in (("trainee", self.force), ("reference", self.ideal_force))
+        }
+        return {
+            "deviation_mm": {
+                "mean": float(self.deviation.mean()),
+                "worst": float(self.deviation[worst]),
+                "worst_at_s": float(time_s[worst]),
+            },
+            "peak_force_N": peaks,
+            "force_error": force_error(self.force, self.ideal_force[self.rows]),
+            "overshoot_mm": overshoot_mm(self.depth, target_mm=float(self.ideal_depth.max())),
+        }
 
 
 def _require_shared_contact(size: Array, ideal_size: Array) -> None:

@@ -1,8 +1,8 @@
 """Ranking of trainees by the score of their runs against one reference, with learning curves."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -145,14 +145,13 @@ class Ranking:
         Sentence for each run that is not ranked. Such a run is of another task, has no score, or
         has no contact where the reference has contact.
     notes
-        Sentence for each difference between the scenes of runs and reference, with the names of
-        the runs.
+        Names of runs by the sentence on a difference between their scenes and the reference.
     """
 
     scene: str
     people: tuple[Person, ...]
     left_out: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def is_run(folder: Path) -> bool:
@@ -229,7 +228,7 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         )
     people.sort(key=lambda person: (person.breached_share, -person.mean))
     scene = str(reference.summary.get("scene"))
-    return Ranking(scene, tuple(people), tuple(left_out), notes.sentences)
+    return Ranking(scene, tuple(people), tuple(left_out), notes.runs)
 
 
 class _Notes:
@@ -255,9 +254,9 @@ class _Notes:
             self._runs.setdefault(note, []).append(name)
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """Notes, each with the names of its runs."""
-        return tuple(f"{', '.join(runs)}: {note}" for note, runs in self._runs.items())
+    def runs(self) -> dict[str, tuple[str, ...]]:
+        """Names of the runs of each note."""
+        return {note: tuple(runs) for note, runs in self._runs.items()}
 
 
 def ranking_lines(found: Ranking) -> list[str]:
@@ -280,11 +279,22 @@ def ranking_lines(found: Ranking) -> list[str]:
         if (gain := person.gain) is not None:
             line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
             if gain[1] <= 0.0 <= gain[2]:
-                line += ": too few attempts to show a change"
+                line += ": the attempts show no change, because this interval contains 0"
         lines.append(line)
         lines += [f"   least distance to {each}" for each in _distance_texts(person, structures)]
-    lines += [f"note: {each}" for each in found.notes]
+    for note, runs in found.notes.items():
+        lines.append(f"note: {note}")
+        lines += [f"   {each}" for each in _runs_by_trainee(runs)]
     return lines + [f"left out: {each}" for each in found.left_out]
+
+
+def _runs_by_trainee(runs: Sequence[str]) -> Iterator[str]:
+    """Yield the names of the runs of each trainee in one text."""
+    held: dict[str, list[str]] = {}
+    for run in runs:
+        held.setdefault(run.partition("/")[0], []).append(run)
+    for each in held.values():
+        yield ", ".join(each)
 
 
 def _structures(found: Ranking) -> list[str]:

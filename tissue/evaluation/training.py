@@ -461,8 +461,10 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
         )
     count = 0
     sums = np.zeros((COORDINATES, COORDINATES + 2 * HORIZON))
+    seen_in_runs = []
     for run in runs:
         seen, targets = run.samples()
+        seen_in_runs.append(seen)
         rows = seen.swapaxes(1, 2).reshape(-1, COORDINATES)
         wanted = targets.swapaxes(1, 2).reshape(-1, 2 * HORIZON)
         sums += rows.T @ np.hstack((rows, wanted))
@@ -475,17 +477,15 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
         "groups": [run.group for run in runs],
         "seeds": [run.seed for run in runs],
     }
-    operator = DelayOperator(moments, MARGIN * _largest_square(moments, runs))
+    operator = DelayOperator(moments, MARGIN * _largest_square(moments, seen_in_runs))
     return Trained(scene, operator, facts=facts)
 
 
-def _largest_square(moments: Moments, runs: Sequence[Recording]) -> float:
+def _largest_square(moments: Moments, seen_in_runs: Iterable[Array]) -> float:
     """Return the largest mean square of scaled coordinates in any tick, over all axes together."""
-    squares = np.diag(moments.coordinates)
-    return max(
-        float(np.einsum("tca,c->t", run.samples()[0] ** 2, 1.0 / squares).max()) / COORDINATES
-        for run in runs
-    )
+    inverse = 1.0 / np.diag(moments.coordinates)
+    squares = (np.einsum("tca,c->t", seen**2, inverse).max() for seen in seen_in_runs)
+    return float(max(squares)) / COORDINATES
 
 
 def forecast(

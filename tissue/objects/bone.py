@@ -485,15 +485,20 @@ class Bone:
 
 
 def constants_of(bone: Bone) -> tuple[object, ...]:
-    """Return the constants of a bone: coefficients, lattice, shape, and material of its voxels.
+    """Return the constants of a bone: coefficients, lattice, shape, and voxels before any cut.
 
-    The material is None for a bone whose voxels are made where a tool comes near. The shape is
-    empty for other bones, because their voxels are part of a snapshot.
+    The voxels are their materials and filled fractions. They are None for a bone whose voxels are
+    made where a tool comes near. The shape is empty for other bones. Both are needed: a snapshot
+    holds only the voxels that the tool has reached.
     """
     made = bone.voxel_bone
     store = made.store
-    material = None if made.on_demand else store.material.numpy()[: len(store.places)]
-    return made.coefficients, store.grid, bone._source.made_from, material
+    if made.on_demand:
+        return made.coefficients, store.grid, bone._source.made_from, None, None
+    material = store.material.numpy()[: len(store.places)]
+    assert store.volume is not None
+    fraction = store.volume.fraction
+    return made.coefficients, store.grid, bone._source.made_from, material, fraction
 
 
 def _anatomy_source(

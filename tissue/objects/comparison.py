@@ -4,10 +4,9 @@ import csv
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from meshes.base.errors import InputError
 from meshes.base.hints import suggests_arguments
@@ -58,6 +57,8 @@ LONGEST_LABEL = 40
 """Largest number of characters of a legend entry that shows how a run differs."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
 """Entries of a summary, other than the scene, that affect a run or its ticks."""
+Legend = Literal["values", "names", "both"]
+"""Texts in a legend: values that differ between the runs, names of the runs, or both."""
 
 
 class Comparison:
@@ -67,12 +68,9 @@ class Comparison:
     ----------
     runs
         At least two runs, by name.
-    are_named
-        Whether the user chose the names. Otherwise the legend of the figure shows the values that
-        differ between the runs.
-    are_folders
-        Whether the names are those of folders that the user chose. The legend then shows the names
-        in addition to the values.
+    legend
+        Texts in the legend of the figure: ``values`` that differ between the runs, ``names`` of the
+        runs, or ``both``.
 
     Attributes
     ----------
@@ -87,17 +85,14 @@ class Comparison:
         Other obstacles to the comparison, a sentence each.
     """
 
-    def __init__(
-        self, runs: Mapping[str, Run], *, are_named: bool = False, are_folders: bool = False
-    ) -> None:
+    def __init__(self, runs: Mapping[str, Run], *, legend: Legend = "values") -> None:
         if len(runs) < 2:
             raise InputError("compare", "be given at least two runs", len(runs), "name another run")
         self.runs = dict(runs)
         self.figures = {name: _figures(run) for name, run in runs.items()}
         self.scene_differences = _differences([run.scene for run in runs.values()])
         self.notes = list(_notes(self.runs, self.figures))
-        self._are_named = are_named
-        self._are_folders = are_folders
+        self._legend = legend
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
         """Return titles, and for each figure the values of all runs.
@@ -197,7 +192,7 @@ class Comparison:
         The texts are the values of the keys that differ, or the names of the runs if the values are
         long.
         """
-        if self._are_named:
+        if self._legend == "names":
             return list(self.runs)
         keys = {
             key: shortened(key, values)
@@ -208,7 +203,7 @@ class Comparison:
         for at in range(len(self.runs)):
             stated = [_stated(key, keys[key][at], self.scene_differences) for key in keys]
             labels.append(", ".join(stated))
-        if self._are_folders:
+        if self._legend == "both":
             labels = [f"{name}: {label}" for name, label in zip(self.runs, labels, strict=True)]
         are_usable = len(set(labels)) == len(labels) and max(map(len, labels)) <= LONGEST_LABEL
         return labels if are_usable else list(self.runs)
@@ -342,11 +337,13 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
         raise InputError(
             "names", f"be {len(held)} different names, one for each run", called, "change the names"
         )
-    return Comparison(
-        dict(zip(called, held, strict=True)),
-        are_named=names is not None,
-        are_folders=all(run.path is not None for run in held),
-    )
+    legend: Legend = "values"
+    if names is not None:
+        legend = "names"
+    elif all(run.path is not None for run in held):
+        # the names of the folders were chosen by the user, too
+        legend = "both"
+    return Comparison(dict(zip(called, held, strict=True)), legend=legend)
 
 
 def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -408,18 +405,22 @@ def _figures(run: Run) -> dict[str, float]:
     """Return the figures of a run; for a run that did not reach its end, those of its trace."""
     if run.status == "complete":
         return figures_of(run.summary)
-    # a run that was stopped before its first tick has no trace
-    with suppress(InputError):
-        return figures_of_trace(run.trace)
-    return {}
+    try:
+        trace = run.trace
+    except InputError:
+        # A damaged trace is refused when the run is loaded, so here the file is missing.
+        return {}
+    return figures_of_trace(trace)
 
 
 def _notes(runs: Mapping[str, Run], figures: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
     """Yield notes on incomplete runs, and on differences that are not in the scenes."""
     for name, run in runs.items():
         if run.status != "complete":
-            origin = ". Its time and loads are from its trace" if figures[name] else ""
-            yield f"{name} did not reach its end: it is {run.status}{origin}"
+            origin = "Its time and loads are from its trace"
+            if not figures[name]:
+                origin = "Its trace.csv is missing or holds no tick, so it has no figures"
+            yield f"{name} did not reach its end: it is {run.status}. {origin}"
         if note := path_note(run.summary):
             yield f"the path of {name} is {note}"
     outside: dict[str, list[object]] = {

@@ -21,8 +21,9 @@ from tissue.cutters import Cutter
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import run_held
 from tissue.haptics.hand_motion import HandMotion
+from tissue.models.bone.law_limits import LawLimits
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S, HasVoxels
+from tissue.models.tissue_model import TICK_S, HasVoxels, TissueModel
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Events, StaysAt
 from tissue.objects.bone import Bone
@@ -39,13 +40,13 @@ from tissue.objects.loop_settings import (
     made_from_of,
     region,
     start_above,
+    tissue_of,
 )
 from tissue.objects.organ import Organ
 from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool
 from tissue.objects.trace import Trace
-from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import require_known
@@ -172,15 +173,7 @@ class Loop:
             set.
         """
         require_known(options, LoopOptions, of="Loop")
-        if isinstance(tissue, str):
-            tissue = load_scene(tissue)
-        if not isinstance(tissue, Bone | Organ | Scene):
-            raise InputError(
-                "tissue",
-                "be a Bone, an Organ, a scene or its name",
-                type(tissue).__name__,
-                "make one of these",
-            )
+        tissue = tissue_of(tissue)
         extent = Extent.of(tissue, longest_s=longest_s, step_ms=step_ms, reach_mm=reach_mm)
         self._most = extent.rows
         self._closing = ExitStack()
@@ -232,9 +225,7 @@ class Loop:
             parts.motion = judged.motion
             self._loop = engine.Loop(parts, ticks=self._most, output=judged.output)
             self._loop.place()
-        model = self._loop.parts.tissue
-        milling = model.milling if isinstance(model, ToothModel) else model
-        self._limits = milling.limits if isinstance(milling, BoneModel) else None
+        self._limits = _limits_of(self._loop.parts.tissue)
         self._row = TickRow(self._loop.trace.columns, self._loop.trace.layer_names)
         self._row.values_of_tick = self._loop.trace.rows[0]
 
@@ -518,3 +509,9 @@ class Loop:
             f"Loop({type(self._loop.parts.tissue).__name__}, {self.ticks} ticks; "
             f"{self.notes.get('coupling', 'moved by step')})"
         )
+
+
+def _limits_of(model: TissueModel) -> LawLimits | None:
+    """Return the limits of the cutting law in bone or a tooth; None for other tissues."""
+    milling = model.milling if isinstance(model, ToothModel) else model
+    return milling.limits if isinstance(milling, BoneModel) else None

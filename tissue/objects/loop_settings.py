@@ -25,6 +25,7 @@ from tissue.objects.tools import PressingTool, ball
 from tissue.prediction.guard import GuardedMaker, Observes, copy_of
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
+from tissue.scene.load import load_scene
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output, Scene
 from tissue.scene.used_constants import used_of_device
@@ -46,6 +47,7 @@ __all__ = [
     "made_from_of",
     "region",
     "start_above",
+    "tissue_of",
 ]
 
 ARGUMENTS = {
@@ -243,6 +245,25 @@ def _limits(
         return device_parameters(given, constants)
     needed = ("mass_kg", "damping_N_s_m")
     return DeviceParameters(**checked_numbers(DeviceParameters, given, needed=needed, of="limits"))
+
+
+def tissue_of(tissue: Bone | Organ | Scene | str) -> Bone | Organ | Scene:
+    """Return a tissue, or the scene of a name.
+
+    Raises
+    ------
+    InputError
+        If the argument is of another type, or no scene has the name.
+    """
+    found = load_scene(tissue) if isinstance(tissue, str) else tissue
+    if not isinstance(found, Bone | Organ | Scene):
+        raise InputError(
+            "tissue",
+            "be a Bone, an Organ, a scene or its name",
+            type(found).__name__,
+            "make one of these",
+        )
+    return found
 
 
 @dataclass(frozen=True)

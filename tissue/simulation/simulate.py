@@ -22,7 +22,7 @@ from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.arguments import note_own_constants
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
-from tissue.simulation.findings import break_throughs, shortfalls
+from tissue.simulation.findings import BreakThrough, break_throughs, shortfalls
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
@@ -127,22 +127,7 @@ def simulate(
         device fails, the error is a `DeviceError`.
     """
     report = progress or silent
-    if cores is not None and not 1 <= cores <= MOST_CORES:
-        # The value in the message is cut, because a number may have thousands of digits.
-        raise InputError(
-            "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all"
-        )
-    if scene.fidelity is not None:
-        raise InputError(
-            "scene",
-            "state its settings",
-            "fidelity in their place",
-            "use tissue.simulate, which chooses the settings",
-        )
-    if device is not None and scene.device is None:
-        raise InputError(
-            "scene", "name the device that is given", "none", "set device, such as touch"
-        )
+    _require_runnable(scene, cores=cores, device=device)
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
         parts = build(
@@ -153,18 +138,7 @@ def simulate(
             allow_unstable=allow_unstable,
         )
         if device is not None:
-            assert isinstance(parts.motion, HandMotion), "a scene with a device"
-            require_stated_rate(
-                device,
-                device_parameters(scene.held.kind, scene.constants),
-                remedy=(
-                    f"state devices.{scene.held.kind}.rate_Hz in a file of constants for the key "
-                    "materials"
-                ),
-            )
-            parts.motion.device = device
-            # With a caller's device there is no simulated hand, which would need time to react.
-            parts.motion.after_s = 0.0
+            _use_device(device, scene, parts.motion)
         if observer is not None and observer.paces and isinstance(parts.tissue, MayLag):
             parts.tissue.waits = False
         ticks = tick_count(scene, parts.motion)
@@ -184,11 +158,7 @@ def simulate(
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
-        broke = []
-        if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
-            left = None if parts.region_end is None else parts.region_end.left_tick
-            valid = Table(trace.columns, trace.rows[:left], trace.layer_names)
-            broke = break_throughs(parts.volume, valid, radius_m=parts.cutter.profile.radius_m)
+        broke = _break_throughs(parts, trace)
         through = [
             (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
         ]
@@ -200,6 +170,51 @@ def simulate(
         run.scheduling = scheduling
         run.break_throughs = broke
     return run
+
+
+def _require_runnable(
+    scene: Scene, *, cores: int | None, device: Device | SafeDevice | None
+) -> None:
+    """Check the number of cores, and that the scene states its settings and the given device."""
+    if cores is not None and not 1 <= cores <= MOST_CORES:
+        # The value in the message is cut, because a number may have thousands of digits.
+        raise InputError(
+            "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all"
+        )
+    if scene.fidelity is not None:
+        raise InputError(
+            "scene",
+            "state its settings",
+            "fidelity in their place",
+            "use tissue.simulate, which chooses the settings",
+        )
+    if device is not None and scene.device is None:
+        raise InputError(
+            "scene", "name the device that is given", "none", "set device, such as touch"
+        )
+
+
+def _use_device(device: Device | SafeDevice, scene: Scene, motion: Motion) -> None:
+    """Replace the simulated device and hand of a motion by a caller's device."""
+    assert isinstance(motion, HandMotion), "a scene with a device"
+    kind = scene.held.kind
+    require_stated_rate(
+        device,
+        device_parameters(kind, scene.constants),
+        remedy=f"state devices.{kind}.rate_Hz in a file of constants for the key materials",
+    )
+    motion.device = device
+    # With a caller's device there is no simulated hand, which would need time to react.
+    motion.after_s = 0.0
+
+
+def _break_throughs(parts: Parts, trace: Table) -> list[BreakThrough]:
+    """Return the break-throughs of a tool that cuts, up to the end of the simulated region."""
+    if parts.volume is None or parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
+        return []
+    left = None if parts.region_end is None else parts.region_end.left_tick
+    valid = Table(trace.columns, trace.rows[:left], trace.layer_names)
+    return break_throughs(parts.volume, valid, radius_m=parts.cutter.profile.radius_m)
 
 
 def _run_ticks(

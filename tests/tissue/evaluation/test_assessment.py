@@ -307,13 +307,15 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
     assert found.people[1].mean > found.people[0].mean
     (left_out,) = found.left_out
     assert "wide is of another task than the reference: tool.diameter_mm = 5 and 6" in left_out
-    assert found.notes == (
-        "steady: coupling.motion_scale is 0.5, and 1 in careful: the scores of these runs are not "
-        "comparable",
+    ((note, noted),) = found.notes.items()
+    assert note == (
+        "coupling.motion_scale is 0.5, and 1 in careful: the scores of these runs are not "
+        "comparable"
     )
+    assert noted == ("steady",)
     lines = ranking_lines(found)
     assert "   least distance to pulp: -0.07 mm (breached)" in lines
-    assert f"note: {found.notes[0]}" in lines
+    assert lines[lines.index(f"note: {note}") + 1] == "   steady"
     write_ranking(found, tmp_path / "out", overwrite=False)
     header, *rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
     assert header.endswith(",least_distance_pulp_mm,breached_pulp")

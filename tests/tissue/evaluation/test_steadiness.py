@@ -201,13 +201,13 @@ def test_the_interval_of_a_mean_covers_95_percent_and_a_gain_is_the_slope():
     assert Scored([1.0, 2.0]).gain is None
 
 
-def test_a_gain_whose_interval_contains_zero_comes_from_too_few_attempts(monkeypatch):
+def test_a_gain_whose_interval_contains_zero_shows_no_change(monkeypatch):
     monkeypatch.setattr(Scored, "name", "p03", raising=False)
     monkeypatch.setattr(ranking, "_distance_texts", lambda *_: ())
     monkeypatch.setattr(ranking, "_structures", lambda _: [])
     few = [21.0, 37.0, 22.0]
     many = 10.0 + 4.0 * np.arange(6)
-    words = "too few attempts to show a change"
+    words = "the attempts show no change, because this interval contains 0"
     for scores, is_few in ((few, True), (many, False)):
         lines = ranking.ranking_lines(ranking.Ranking("cavity", (Scored(scores),)))
         assert any(line.endswith(words) for line in lines) == is_few

@@ -223,6 +223,11 @@ def test_a_run_that_was_stopped_has_the_time_and_loads_of_its_trace(run, tmp_pat
     assert found.figures["stopped"]["simulated_s"] == pytest.approx(0.2)
     assert found.figures["stopped"]["peak_force_N"] == pytest.approx(size.max(), rel=1e-6)
     assert "milling 0.3 s, stopped 0.2 s" in " ".join(found.notes)
+    (stopped / "trace.csv").write_text("".join([*rows[:100], f"?{rows[100]}", *rows[101:]]))
+    with pytest.raises(InputError, match=r"in line 101 of .*stopped.trace\.csv"):
+        tissue.compare(run, stopped)
     (stopped / "trace.csv").unlink()
     found = tissue.compare(run, stopped)
     assert found.figures["stopped"] == {} and not any("loads are from" in n for n in found.notes)
+    without = "Its trace.csv is missing or holds no tick, so it has no figures"
+    assert any(note.endswith(without) for note in found.notes)

@@ -331,6 +331,25 @@ def test_bone_from_another_file_or_of_another_density_has_another_fingerprint(tm
     assert first not in (constants(3.9), constants(cortical_density_kg_m3=1200.0))
 
 
+def test_a_snapshot_of_a_bone_with_other_filled_fractions_is_refused(tmp_path):
+    """Coarse voxels of both images have equal densities, but one of them is filled to 7/8."""
+
+    def over(name, grey_of_a_voxel):
+        grey = np.full((32, 32, 32), 1000.0)
+        grey[0, 0, 0] = grey_of_a_voxel
+        image = pyvista.ImageData(dimensions=(33, 33, 33), spacing=(0.25, 0.25, 0.25))
+        image.cell_data["grey"] = grey.ravel(order="F")
+        image.save(tmp_path / f"{name}.vti")
+        bone = tissue.Bone.from_image(tmp_path / f"{name}.vti", threshold=500, spacing_mm=0.5)
+        burr = ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+        return tissue.Loop(bone, burr, start_mm=(4, 4, 11))
+
+    snapshot = over("full", 1000.0).snapshot()
+    over("equal", 1000.0).restore(snapshot)
+    with pytest.raises(ValueError, match="equal arguments"):
+        over("hollow", 0.0).restore(snapshot)
+
+
 @pytest.mark.parametrize(
     "call",
     [

@@ -13,6 +13,7 @@ from tissue.cutters.profile import ball_burr
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.tissue_model import ToolMotion
+from tissue.show.figures.section import nearest_places
 
 BLOCK = {
     "name": "block",
@@ -51,7 +52,11 @@ def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_n
     assert reported(run, "Use a voxels.margin_mm above 0.5")
     assert not reported(run, "breached") and not reported(run, "broke through")
     assert "break_through" not in run.summary
-    assert run.summary["keep_clear"]["plate"]["least_distance_mm"] > 0.0
+    least_mm = run.summary["keep_clear"]["plate"]["least_distance_mm"]
+    assert least_mm > 0.0
+    # the picture states the distance of the summary, although the tool enters the plate later
+    assert run.trace["distance_plate_mm"].min() < 0.0
+    assert [each.least_mm for each in nearest_places(run)] == [pytest.approx(least_mm)]
 
 
 def test_in_a_larger_region_the_breach_is_reported(tmp_path):

@@ -345,7 +345,10 @@ class Nearest:
 
 
 def nearest_places(run: Run) -> list[Nearest]:
-    """Return the smallest distance between the tool and each structure to keep clear of."""
+    """Return the smallest distance between the tool and each structure to keep clear of.
+
+    As in the summary of the run, ticks after the tool left the simulated region do not count.
+    """
     from scipy.spatial.transform import Rotation
 
     clear = run.parts.keep_clear
@@ -353,8 +356,12 @@ def nearest_places(run: Run) -> list[Nearest]:
     found: list[Nearest] = []
     if clear is None:
         return found
+    end = run.parts.region_end
+    left_tick = None if end is None else end.left_tick
+    # the distance in the tick in which the tool leaves the region still counts
+    ticks = len(trace.rows) if left_tick is None else left_tick + 1
     for name, distance in clear.distances.items():
-        row = int(np.argmin(trace[f"distance_{name}_mm"]))
+        row = int(np.argmin(trace[f"distance_{name}_mm"][:ticks]))
         turn = Rotation.from_quat(tool_turns(trace)[row])
         body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m))
         point = body_m[int(np.argmin(distance(body_m)))]

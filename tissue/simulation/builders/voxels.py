@@ -11,6 +11,7 @@ import numpy as np
 
 from meshes.base.cache import Kept
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
+from meshes.base.grid import BLOCK
 from meshes.base.progress import Progress
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import CORTICAL_KG_M3, Anatomy, cortical_block
@@ -55,15 +56,6 @@ DENSE_BYTES_PER_VOXEL = 18
 
 The peak occurs while bricks (blocks of voxels) are made and results are written.
 """
-BRICK = 8
-"""Edge of a brick (cubic block of voxels) [voxels].
-
-A region consists of whole bricks of a fixed lattice, so a voxel has the same position in every
-region. Where a tool only grazes voxels, results in single ticks can still depend on the region,
-because float32 coordinates are relative to the origin of the region.
-"""
-
-
 MOST_KEPT = 1e7
 """Largest number of voxels of a volume that is kept for the next run (60 MB)."""
 _volumes: Kept[VoxelVolume] = Kept(2)
@@ -212,9 +204,12 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
 def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
     """Return a box of whole bricks (blocks of voxels) around the bone within a region [m].
 
-    The box includes some air next to the bone.
+    The box includes some air next to the bone. The bricks belong to a fixed lattice, so a voxel has
+    the same position in every region. Where a tool only grazes voxels, results in single ticks can
+    still depend on the region, because float32 coordinates are relative to the origin of the
+    region.
     """
-    brick = BRICK * spacing
+    brick = BLOCK * spacing
     around = AROUND_VOXELS * spacing
     low = np.maximum(region[0], bone[0] - around)
     high = np.minimum(region[1], bone[1] + around)
