@@ -57,12 +57,8 @@ LOST = "the process of this run was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; ``sweep.csv`` has all figures."""
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
-"""Figures of the machine's load, which vary between equal runs; `Sweep.plot` leaves them out."""
-OF_TIME = ("simulated_s", "left_region_s")
-"""Figures of the simulated time; `Sweep.plot` leaves them out.
-
-The simulated time follows from path and feed, so it is no result.
-"""
+NO_RESULTS = (*OF_MACHINE, "simulated_s", "left_region_s")
+"""Figures of machine load and simulated time, which `Sweep.plot` leaves out."""
 SAME = 1e-9
 """Largest relative difference of figures that is attributed to rounding."""
 
@@ -188,9 +184,7 @@ class Sweep:
         Parameters
         ----------
         figures
-            Names from `figure_names`. The default is the figures that differ between the runs,
-            except simulated times, which follow from path and feed, and the duration of ticks,
-            which varies between equal runs.
+            Names from `figure_names`. The default is the results that differ between the runs.
 
         Returns
         -------
@@ -228,10 +222,8 @@ class Sweep:
         """Return the results that differ between finished runs by more than rounding."""
         differing = []
         for name in self.figure_names:
-            if name in OF_MACHINE + OF_TIME:
-                continue
             values = [each.figures.get(name, np.nan) for each in self.finished]
-            if not np.allclose(values, values[0], rtol=SAME, atol=0.0):
+            if name not in NO_RESULTS and not np.allclose(values, values[0], rtol=SAME, atol=0.0):
                 differing.append(name)
         return differing
 
