@@ -1,7 +1,8 @@
-"""Types of the arrays that kernels and their structures take.
+"""Types of the arrays that kernels and Warp structures have as arguments and members.
 
-A type's name states the type of the array's elements. Its suffix states the number of dimensions,
-if the array has more than one. For example, `Doubles2D` is a matrix of numbers in double precision.
+The name of a type states the type of the array's elements. The suffix of the name states the number
+of dimensions, if the array has more than one. For example, `Doubles2D` is a matrix of numbers in
+double precision.
 """
 
 import warp as wp

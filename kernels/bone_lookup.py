@@ -1,12 +1,12 @@
-"""Uncut bone at a point, computed to second order in the voxel size.
+"""Lookup of the uncut bone at a point, with an error of second order in the voxel size.
 
-Each voxel has two numbers that do not change: the signed distance from its centre to the original
-surface, and the distance from its centre to the nearest boundary between layers. The two numbers
-are interpolated between voxel centres. A point lies in bone if the interpolated surface distance is
-negative. To find the layer of the point, the second distance is interpolated once per layer, with a
+Two constant distances are stored for the centre of each voxel: the signed distance to the original
+surface, and the distance to the nearest boundary between layers. These distances are interpolated
+between voxel centres. A point lies in bone if the interpolated surface distance is negative. To
+find the layer of the point, the distance to the boundary is interpolated once per layer, with a
 negative sign in the voxels of other layers. The layer with the largest result is chosen. Far from
-the surface and from every boundary between layers, the value of the nearest voxel is used. Lengths
-are in voxels.
+the surface and from every boundary between layers, the layer and density of the nearest voxel are
+used, and the distance is -2 inside and 2 outside. Lengths are in voxels.
 """
 
 import warp as wp
@@ -17,16 +17,16 @@ from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, 
 __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 
 SURFACE_STEPS = 63
-"""Number of stored steps per voxel of surface distance.
+"""Number of steps per voxel in the stored surface distance, an integer of 8 bits.
 
-The stored distance is limited to two voxels. The value 128 is the surface itself.
+The stored distance is limited to two voxels. The stored value 128 is a distance of zero.
 """
 BEYOND = 128 + 32
-"""Lower limit of the stored surface distance where no brick (block of voxels) is stored.
+"""Smallest surface distance that is assumed for a voxel outside the stored bricks, in stored steps.
 
-This limit is half a voxel outside the bone, which is the distance next to a grid whose outermost
-voxels are full. Next to a voxel whose distance is d, the value is d plus one voxel, if this is
-larger.
+A brick is a block of 8 x 8 x 8 voxels. The limit is a distance of half a voxel outside the bone,
+which is the distance next to a grid whose outermost voxels are full. If a neighbouring voxel has a
+distance d, the assumed distance is the larger of the limit and d plus one voxel.
 """
 CORNERS = wp.constant(8)
 # stored surface distance of 1.78 voxels inside: all corners of a cell lie inside the bone
@@ -55,7 +55,7 @@ def bone_at(
     column: int,
     point: wp.vec3,
 ):
-    """Return the uncut bone at ``point`` [voxel].
+    """Return surface distance, layer and density of the uncut bone at ``point`` [voxel].
 
     The point lies in the voxel with index ``column`` in the brick with index ``row``.
     """
@@ -94,9 +94,10 @@ def bone_at(
 
 @wp.func
 def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
-    """Interpolate the distance and its slope between the eight voxel centres of a cell.
+    """Interpolate the surface distance and its gradient between the eight voxel centres of a cell.
 
-    The position ``inside`` runs from 0 to 1 along each axis.
+    The components of ``inside``, the position in the cell, run from 0 to 1. The result is a copy of
+    ``nearest`` with the interpolated values.
     """
     found = nearest
     fx = inside[0]
@@ -122,12 +123,12 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
 
 @wp.func
 def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
-    """Return layer and density at a point whose eight voxels lie in several layers.
+    """Return layer and density at a point between eight voxels that belong to several layers.
 
     ``stored`` holds the distances of each voxel to the nearest boundary between layers (upper byte)
     and to the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer
-    (lower byte) of each voxel, or -1 where no brick is stored. This function reads the bits itself,
-    because 64 calls of `layer_of` would take too long.
+    (lowest 8 bits) of each voxel, or -1 where no brick is stored. This function extracts layers and
+    densities from the bits itself, because 64 calls of `layer_of` would take too long.
     """
     found = nearest
     far = corner8f()

@@ -1,4 +1,4 @@
-"""Storage of voxels in bricks, shared functions of the kernels that use bricks, and point sampling.
+"""Storage of voxels in bricks, access to these voxels, and interpolation between voxel centres.
 
 A voxel grid is divided into bricks of 8 x 8 x 8 voxels. Only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to the brick's row in the stored arrays, or to -1 if the
@@ -7,7 +7,7 @@ close together are therefore also close together in memory. Lengths are in voxel
 metres lies at ``(x - origin) / spacing``.
 
 The original material of a voxel is stored in one word. The upper 16 bits hold the density [kg/m3],
-and the lower 16 bits hold the layer.
+and the lowest 8 bits hold the index of the layer.
 """
 
 import warp as wp
@@ -70,7 +70,7 @@ def voxel_row(brick_of: Int32s3D, ix: int, iy: int, iz: int):
 
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
-    """Return the index of voxel (ix, iy, iz) in the row of its brick."""
+    """Return the index of voxel (ix, iy, iz) in the row that stores its brick."""
     # A coordinate in a brick has three bits. The upper two bits number the block, and the lowest
     # bit is the position in the block.
     block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
@@ -79,13 +79,13 @@ def voxel_column(ix: int, iy: int, iz: int):
 
 @wp.func
 def layer_of(word: wp.uint32):
-    """Return the layer from a voxel's material word."""
+    """Return the index of the layer from the material word of a voxel (see the module)."""
     return int(word & wp.uint32(255))
 
 
 @wp.func
 def density_of(word: wp.uint32):
-    """Return the density [kg/m3] from a voxel's material word."""
+    """Return the density [kg/m3] from the material word of a voxel (see the module)."""
     return int(word >> wp.uint32(16))
 
 
@@ -107,7 +107,7 @@ def stored(
 
 @wp.struct
 class Cell:
-    """The cell between eight voxel centres that holds a point."""
+    """Cube between eight neighbouring voxel centres, and a position in this cube."""
 
     x: wp.int32  # voxel with the lowest indices in the cell
     y: wp.int32
@@ -117,7 +117,7 @@ class Cell:
 
 @wp.func
 def cell_of(point: wp.vec3):
-    """Return the cell that holds ``point`` [voxel]."""
+    """Return the cell between voxel centres that contains ``point`` [voxel]."""
     ux = point[0] - 0.5
     uy = point[1] - 0.5
     uz = point[2] - 0.5
@@ -131,10 +131,10 @@ def cell_of(point: wp.vec3):
 
 @wp.struct
 class Corners:
-    """Storage locations of the eight voxels of a cell.
+    """Storage locations of the eight voxels whose centres are the corners of a cell.
 
-    Corners are numbered from 0 to 7. Bit 2 of the number is the corner's x, bit 1 is y, and bit 0
-    is z.
+    Corners are numbered from 0 to 7. Bit 2 of the number is 0 at the lower and 1 at the upper
+    corners along x. Bits 1 and 0 have this meaning for y and z.
     """
 
     row: corner8i  # row of the corner's brick, -1 if no brick is stored
@@ -145,7 +145,7 @@ class Corners:
 def corners_of(brick_of: Int32s3D, cell: Cell, row: int):
     """Find the storage locations of a cell's corners.
 
-    At least one corner lies in the brick of ``row``.
+    ``row`` is the row of a brick that contains at least one of the corners.
     """
     found = Corners()
     # These are the bits of `voxel_column`. They are computed once per axis and side of the cell,
@@ -175,7 +175,7 @@ def trilinear(
     remaining: Shorts2D,
     point: wp.vec3,
 ):
-    """Interpolate the filled fraction at ``point`` [voxel], trilinear between voxel centres."""
+    """Interpolate the filled fraction at ``point`` [voxel] trilinearly between voxel centres."""
     cell = cell_of(point)
     x = cell.x
     y = cell.y
@@ -201,7 +201,7 @@ def trilinear(
 
 @wp.struct
 class Plane:
-    """Direction of a plane, stored as the constants that `cube_behind_plane` needs."""
+    """Normal of a plane, stored as the constants that `cube_behind_plane` uses."""
 
     m1: wp.float32  # |components| of the normal, ascending, scaled to a sum of 1
     m2: wp.float32
@@ -233,7 +233,7 @@ def plane_of(normal: wp.vec3):
 def cube_behind_plane(plane: Plane, distance: float):
     """Compute the volume of the part of the unit cube behind a plane.
 
-    The plane lies ``distance`` behind the cube's centre.
+    The plane lies ``distance`` behind the cube's centre, that is, opposite to the plane's normal.
 
     The analytic relation is from Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228.
     """

@@ -1,8 +1,9 @@
 """Check of Warp's on-disk cache of compiled kernels.
 
-Warp loads the files in its cache without a check. A full disk or a crash can damage an entry, and
-every later process would then fail. Entries are verified when `kernels` is imported. A damaged
-entry is removed, and Warp compiles it again.
+An entry of the cache is a folder with the files of one compiled module. Warp loads these files
+without a check. A full disk or a crash can damage an entry, and every later process would then
+fail. Entries are verified when `kernels` is imported. A damaged entry is removed, and Warp compiles
+it again.
 """
 
 import json
@@ -20,7 +21,7 @@ __all__ = ["MANIFEST", "remove_damaged"]
 MANIFEST = "checksums.json"
 """Name of the file that holds the checksums of the other files of a cache entry.
 
-The checksums were computed when the files were first seen.
+Each checksum is computed when `remove_damaged` finds the file for the first time.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
 """Suffixes of the files that Warp loads. The source files in an entry are not loaded."""
@@ -36,9 +37,9 @@ ELF_MAGIC = b"\x7fELF\x02\x01"
 def remove_damaged(cache: Path) -> list[str]:
     """Remove damaged entries from a cache of compiled kernels and return their names.
 
-    An entry is damaged if a file differs from its checksum. A file without a checksum is new: it is
-    damaged if its structure is incomplete, and otherwise its checksum is recorded. A cache that
-    cannot be read or written is not changed, because Warp reports this error itself.
+    An entry is damaged if a file differs from its checksum. A file without a checksum is new. A new
+    file is damaged if its structure is incomplete. Otherwise, its checksum is recorded. If the
+    cache cannot be read or written, no error is raised, because Warp reports the error itself.
     """
     removed = []
     with suppress(OSError):
@@ -73,7 +74,7 @@ def _is_whole(entry: Path) -> bool:
 
 
 def _is_complete(ending: str, content: bytes) -> bool:
-    """Return whether a file of a new entry has the complete structure of its file type."""
+    """Return whether ``content`` is a complete file of the type that its ``ending`` names."""
     if not content:
         return False
     if ending == ".meta":
@@ -95,7 +96,7 @@ def _is_complete(ending: str, content: bytes) -> bool:
 
 
 def _read_manifest(file: Path) -> dict[str, str]:
-    """Return the checksums of an entry by file name; empty if the manifest cannot be read."""
+    """Return a dictionary from file name to checksum; empty if the manifest cannot be read."""
     try:
         stored = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError):

@@ -1,25 +1,26 @@
-"""Carving of the voxels that a moving surface of revolution sweeps.
+"""Removal of voxels that a moving tool sweeps; the tool is a surface of revolution.
 
-Each voxel stores the smallest distance that its centre has had to the tool. The remaining volume of
-a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the part of the voxel behind the
-tool's surface. The minimum does not depend on the order of the cuts, so overlapping cuts leave the
-same bone in any order. The minimum is exact where an old and a new surface are parallel. Where the
-two surfaces cross at a right angle, the remaining volume is on average a twelfth of a voxel too
-large. All lengths are in voxels.
+For the centre of each voxel, the smallest distance from the tool so far is stored. The remaining
+volume of a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the part of the voxel
+inside the tool. The minimum does not depend on the order of the cuts, so overlapping cuts leave the
+same bone in any order. The minimum is exact where the surfaces of an old and a new cut are
+parallel. Where these surfaces cross at a right angle, the remaining volume is on average a twelfth
+of a voxel too large. All lengths are in voxels.
 
-Each voxel also stores its smallest distance to older cuts. Older cuts are all cuts except the most
-recent ones. When the tool comes within reach of a block, all cuts in the block become older cuts.
-Behind a moving tool, a cut becomes an older cut after another 0.25 to 0.5 mm of travel. In front of
-a moving tool, older cuts are updated only after a change of direction. Older cuts therefore never
-reach the front of a moving tool. The most recent cuts are computed from the tool's last poses, see
-`kernels.recent_cuts`.
+The smallest distance of each voxel to older cuts is also stored. Older cuts are all cuts except the
+most recent ones. When the tool comes within reach of a block of 2 x 2 x 2 voxels, all cuts in the
+block become older cuts. Behind a moving tool, a cut becomes an older cut after another 0.25 to 0.5
+mm of travel. In front of a moving tool, older cuts are updated only after a change of direction.
+The surface of older cuts therefore never touches the front of a moving tool. The most recent cuts
+are computed from the tool's last poses, see `kernels.recent_cuts`.
 
 Each brick (block of 8 x 8 x 8 voxels) belongs to one of ``PHASES`` groups. A kernel launch visits
-only some of the groups, so that the carving of a slow tool is spread over several ticks. The pose
-of the last visit is stored for every group. Inside a brick, blocks of 2 x 2 x 2 voxels that are
-empty or that the surface cannot reach are skipped. Each worker processes whole columns of bricks,
-and adds the removed volume to a row of an array that only this worker writes. There are no atomic
-operations, and the results are the same integers on any number of threads.
+only some of the groups, so that the carving of a slow tool is spread over several ticks. The tool
+pose at the last visit is stored for every group. Inside a brick, blocks of 2 x 2 x 2 voxels are
+skipped if they are empty or out of reach of the tool's surface. Each worker (thread) processes
+whole columns of bricks, and adds the removed volume to a row of an array that no other worker
+writes. There are no atomic operations, and the results are the same integers on any number of
+threads.
 """
 
 import warp as wp
@@ -94,7 +95,7 @@ def carve(
     touched_out: Bytes,  # [brick], flags LOST and REACHED are added
     removed_out: Int64s2D,  # [worker, layer], stored steps removed in this launch
 ):
-    """Carve the planned groups of bricks.
+    """Carve the groups of bricks that ``plan`` selects.
 
     Each worker takes every ``worker_count``-th column of bricks under the tool.
     """
@@ -172,7 +173,7 @@ def carve_brick(
 ):
     """Carve one brick, block by block.
 
-    The direction of the tool's surface is evaluated once per block.
+    The normal of the tool's surface is evaluated once per block of 2 x 2 x 2 voxels.
     """
     alive = alive_out[row]
     if alive == wp.uint64(0):
@@ -274,10 +275,10 @@ def book(
     middle_out: Shorts2D,
     older_out: Shorts2D,
 ):
-    """Mark cuts in a block as older cuts.
+    """Mark cuts in a block of 2 x 2 x 2 voxels as older cuts (see the module).
 
-    If ``grows_old`` is set, the cuts up to the previous call for the block are marked. If
-    ``enters_reach`` is set, all cuts so far are marked.
+    If ``enters_reach`` is 1, all cuts so far are marked. Otherwise, if ``grows_old`` is 1, only the
+    cuts before the previous call for this block are marked.
     """
     for v in range(8):
         voxel = first + v
@@ -300,7 +301,7 @@ def clear_block(
     older_out: Shorts2D,
     removed_out: Int64s2D,
 ):
-    """Remove a block that lies completely inside the tool."""
+    """Remove a block of 2 x 2 x 2 voxels that lies completely inside the tool."""
     for v in range(8):
         voxel = first + v
         kept = int(remaining_out[row, voxel])
@@ -312,9 +313,9 @@ def clear_block(
 
 @wp.func
 def booked_by(removed: Int64s2D, worker: int):
-    """Return the volume that a worker has removed in this kernel launch from all layers.
+    """Return the volume that a worker (thread) has removed from all layers in this kernel launch.
 
-    The unit is the stored step, see `kernels.bricks.FULL`.
+    The unit is the stored step, 1/65535 of a voxel (see `kernels.bricks.FULL`).
     """
     total = wp.int64(0)
     for m in range(removed.shape[1]):
@@ -324,11 +325,12 @@ def booked_by(removed: Int64s2D, worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the `bend` of the tool minus the `bend` of the surface that the tool sweeps.
+    """Compute the `bend` of the tool minus the `bend` of the surface of the swept volume.
 
-    The swept surface is straight along the path of the tool. Where the tool's normal is
-    perpendicular to the path, to within one voxel, this surface touches the tool. There, the
-    difference is a sixth of the tool's curvature along ``step``. Elsewhere, the difference is 0.
+    The bend is a sixth of the sum of the principal curvatures (see `Nearest`). The swept surface is
+    straight along the path of the tool. It touches the tool where the tool's normal is
+    perpendicular to the path. Within one voxel of such a place, the difference is a sixth of the
+    tool's curvature along ``step``. Elsewhere, the difference is 0.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
@@ -363,7 +365,7 @@ def carve_block(
     swept_out: Shorts2D,
     removed_out: Int64s2D,
 ):
-    """Carve the eight voxels of a block.
+    """Carve the eight voxels of a block, whose first voxel has the index ``first`` in its brick.
 
     ``near`` is the point of the tool's surface nearest to the middle of the block.
     """
@@ -398,7 +400,7 @@ def carve_block(
 
 @wp.func
 def corner_offset(corner: int):
-    """Return the vector [voxel] from the middle of a 2 x 2 x 2 block to a voxel centre."""
+    """Return the vector [voxel] from the middle of a 2 x 2 x 2 block to the centre of a voxel."""
     return wp.vec3(
         float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5
     )
@@ -408,7 +410,7 @@ def corner_offset(corner: int):
 def distance_at(near: Nearest, offset: wp.vec3):
     """Compute the distance [voxel] to the tool at an offset from the middle of a block.
 
-    The tool is approximated by a tangent sphere.
+    The tool is approximated by a sphere that touches it at the point ``near``.
     """
     along = wp.dot(near.slope, offset)
     # The sphere's curvature is half of 6 bend. The distance grows by half of this curvature times

@@ -1,23 +1,25 @@
-"""Matrix-free product of a voxel body's stiffness with a vector, eight cells of a row at once.
+"""Matrix-free product of the stiffness of a voxel grid and a vector, for eight cells at once.
 
-Each cell consists of eight cubes. Each cube has its own Lame constants times volume, and is
-evaluated at its centre, at 1/4 or 3/4 of the cell's edges. The "modes" X, Y, Z, XY, XZ, YZ and XYZ
-of a displacement component u_c are sums and differences of its corner values along the three axes.
-With the modes, the gradient at the cube with the signs (r, s, t) is::
+Each cell consists of eight cubes. Each cube has its own product of Lame constants and volume. The
+gradient of the displacement is evaluated at the centre of each cube, at 1/4 or 3/4 of the cell's
+edges. The "modes" X, Y, Z, XY, XZ, YZ and XYZ of a displacement component u_c are sums and
+differences of its corner values along the three axes. With the edge length h of the cell, the
+gradient in the cube on the sides r, s and t (-1 or 1) along x, y and z is::
 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
-This takes 8 additions for all four (s, t). The forces follow from the transposed additions. One
-point per cube does not resolve all modes. Stiffness against the unresolved modes is added, as in
-:mod:`kernels.particle_stiffness`. A cell needs 17 numbers and about 500 operations. Its packed
-stiffness would need 324 numbers. The product is therefore limited by arithmetic and not by memory
-bandwidth.
+The computation takes 8 additions for all four pairs (s, t). The forces follow from the transposed
+additions. Some modes have a gradient that varies inside a cube, so one point per cube does not
+resolve them fully. Stiffness against these unresolved modes is added, as in
+:mod:`kernels.particle_stiffness`. The product needs 17 stored numbers and about 500 operations per
+cell. A packed cell stiffness would need 324 numbers. The product is therefore limited by arithmetic
+and not by memory bandwidth.
 
-A strip consists of eight cells in a row along z, and a pencil consists of strips. Vectors have the
-layout of `LaneVector`. Along each of the four edges of a strip, the values at the lower nodes of
-the eight cells are consecutive in memory, and so are the values at the upper nodes. Each thread
-processes one pencil. Pencils of one colour do not share nodes. The result has the same bits on any
-number of threads.
+A strip consists of eight cells in a row along z, and a pencil consists of several strips. Vectors
+have the layout of `LaneVector`. A strip has four edges along z. Along each of these edges, the
+values at the lower nodes of the eight cells are consecutive in memory. The values at the upper
+nodes of the cells are also consecutive. Each thread processes one pencil. Pencils of one colour do
+not share nodes. The result has the same bits on any number of threads.
 """
 
 from functools import cache
@@ -34,8 +36,9 @@ LANES = 8
 WEIGHTS = 17
 """Number of values stored per cell.
 
-The values are lambda and mu of the cell's eight cubes, times V / 16 h^2, and the modulus of the
-unresolved modes, times h / 12.
+The values are lambda and mu of the cell's eight cubes, times V / (16 h^2), and the modulus of the
+unresolved modes, times h / 12. V is the remaining volume of a cube, and h is the edge length of the
+cell.
 """
 OPTIONS = {
     "enable_backward": False,
@@ -44,7 +47,7 @@ OPTIONS = {
     "-mllvm=-inline-cold-callsite-threshold=3000"
     " -mllvm=-slp-recursion-max-depth=12",
 }
-"""Module options of Warp: Warp's default flags, except the recursion depth.
+"""Module options of Warp; the compiler flags are Warp's default flags except the recursion depth.
 
 With Warp's default depth of 4, the kernel takes 2.5 times as long. The flag ``native`` is safe even
 if several machines share a cache, because the name of every compiled file contains the instruction
@@ -54,15 +57,15 @@ sets of the processor.
 
 @cache
 def lanes_of(scalar: Any) -> Any:
-    """Return the vector type for one value per cell of a strip."""
+    """Return the Warp vector type with one value of type ``scalar`` for each cell of a strip."""
     return wp.types.vector(length=LANES, dtype=scalar)
 
 
 @wp.func
 def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
-    """Compute the modes X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ from corner values.
+    """Compute the modes X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ from values at the corners of a cell.
 
-    The modes are sums and differences along z, then y, then x.
+    The modes are sums and differences of the corner values along z, then y, then x.
     """
     s00 = a0 + a1
     d00 = a1 - a0
@@ -91,7 +94,7 @@ def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: 
 
 @wp.func
 def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
-    """Compute forces at the corners from forces on the modes: the transpose of `modes_of`."""
+    """Compute forces at the corners of a cell from forces on modes: the transpose of `modes_of`."""
     dd0 = yz - xyz
     dd1 = yz + xyz
     ds0 = z - xz
@@ -111,9 +114,11 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """Compute a derivative in four cubes from the modes of the displacement.
+    """Compute the derivative of a displacement component along one axis, in each of four cubes.
 
-    The cubes are (-, -), (-, +), (+, -) and (+, +) along the other two axes.
+    Along the two other axes, the cubes are at (-, -), (-, +), (+, -) and (+, +). The arguments are
+    modes of the displacement: the linear mode of the axis, the two bilinear modes that contain the
+    axis, and the trilinear mode.
     """
     low = linear - first
     high = linear + first
@@ -132,7 +137,7 @@ def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
 
 @cache
 def strip_products(scalar: Any) -> Any:
-    """Return a kernel that adds the product of stiffness and vector to a force.
+    """Return a kernel that adds the product of the stiffness and a vector to a force vector.
 
     ``scalar`` is `wp.float32` or `wp.float64`.
     """
@@ -146,7 +151,7 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def put(values: Strips, at: int, linear: V, first: V, second: V, both: V):
-        """Write a derivative in four cubes."""
+        """Write the four results of `to_cubes` to four entries of ``values``."""
         v0, v1, v2, v3 = to_cubes(linear, first, second, both)
         values[at] = v0
         values[at + 1] = v1
@@ -157,8 +162,8 @@ def strip_products(scalar: Any) -> Any:
     def take(stress: Strips, at: int, across: int, first: int, second: int):
         """Sum a stress along an axis, and compute the modes of the sum.
 
-        `across`, `first` and `second` are the steps in ``stress`` along that axis and the other
-        two.
+        `across`, `first` and `second` are the steps in the indices of ``stress`` along this axis
+        and along the two other axes.
         """
         both = first + second
         return from_cubes(
@@ -230,7 +235,7 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_unseen(w: V, mode_out: Strips):
-        """Convert the unresolved modes to the forces on these modes.
+        """Replace the unresolved modes by the forces on these modes.
 
         Modes whose strains are linear in one of x, y and z are converted first. Modes whose strains
         are linear in two of these coordinates follow.
@@ -261,7 +266,7 @@ def strip_products(scalar: Any) -> Any:
         s: wp.vec4i,
         force_out: Strips2D,
     ):
-        """Add the forces of a strip's corners: the transpose of `set_gradient`."""
+        """Add the forces at the corners of a strip's cells: the transpose of `set_gradient`."""
         for c in range(3):
             # indices of the stress along each axis; for c = 0, xx, xy and xz have the indices 0, 5
             # and 4

@@ -5,10 +5,11 @@ of the area of their common face conducts heat::
 
     C f dT/dt = sum over faces of G a (T_neighbour - T) + P,    a = min(max(f, g), 2 min(f, g))
 
-The part a is 1 between a full and a half full cell, because a cut parallel to the face leaves the
-whole face open. It tends to zero with the smaller filled fraction, so that an almost empty cell
-does not shorten the stable time step. An empty cell does not store or conduct heat, so the surface
-of the remaining body is insulated.
+T is the temperature, C the heat capacity of a full cell, G the conductance between two full cells,
+and P the heating power in the cell. The part a is 1 between a full cell and a cell that is half
+full, because a cut parallel to the face leaves the whole face open. The part a tends to zero with
+the smaller filled fraction, so that an almost empty cell does not shorten the stable time step. An
+empty cell does not store or conduct heat, so the surface of the remaining body is insulated.
 """
 
 import warp as wp
@@ -20,15 +21,15 @@ __all__ = ["OPEN", "conduct"]
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)
-"""Conducting part of a face, divided by the filled fraction of the emptier cell.
+"""Largest ratio between the conducting part of a face and the smaller filled fraction at the face.
 
-The stable time step is shorter by this factor.
+The stable time step is shorter by this factor than with a ratio of 1.
 """
 
 
 @wp.func
 def open_share(filled: float, other: float):
-    """Compute the part of the face between two cells that conducts heat."""
+    """Compute the conducting part of the face between two cells from their filled fractions."""
     return wp.min(wp.max(filled, other), OPEN * wp.min(filled, other))
 
 
@@ -48,7 +49,7 @@ def conduct(
     # out
     temperature_out: Singles3D,
 ):
-    """Compute the temperature rise after one time step."""
+    """Compute the temperature rise [K] in each cell after one time step."""
     i, j, m = wp.tid()
     i += plane_offset
     f = filled[i, j, m]

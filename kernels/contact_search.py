@@ -1,7 +1,7 @@
 """Search for the triangles that take part in a contact.
 
-These are the triangles near the tool, the triangles that carry force, and the triangles that the
-tool penetrates.
+These are the triangles near the tool, the triangles whose contact points carry force, and the
+triangles that the tool penetrates.
 """
 
 import warp as wp
@@ -43,9 +43,10 @@ __all__ = ["find_near", "join_touching", "start_over"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SLACK = wp.constant(wp.float64(1.25))
-"""Largest size of a triangle in the contact search, relative to its size at rest.
+"""Distance from a triangle's middle within which contact is searched, in triangle radii.
 
-If a triangle is stretched more, contact with a part of it may be missed.
+The radius of a triangle is the distance from its middle to its farthest corner. A value of 1 covers
+the whole triangle, and the excess is a margin.
 """
 
 
@@ -66,10 +67,11 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Find the triangles that are nearby or working, their nodes, and the positions of these nodes.
+    """Find the nearby and the working triangles, their nodes, and the displacements of these nodes.
 
-    A triangle is nearby if its rest position is within reach of the tool. A triangle is working if
-    its contact points are solved in the sweeps.
+    A triangle is nearby if the ball around its rest position is closer to the tool than ``reach``
+    plus the largest displacement of the last tick. A triangle is working if the contact forces at
+    its points are unknowns of the solver.
     """
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
@@ -105,10 +107,11 @@ def find_near(
 
 @wp.func
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
-    """Add a triangle to the working triangles, and return the number of points without compliance.
+    """Add a triangle to the working triangles, that is, to the triangles that the solver visits.
 
-    The nodes of a working triangle may carry load. Each of its contact points stores a compliance
-    and the place at which friction holds the point.
+    The nodes of the triangle may then carry load. For each of its contact points, the compliance
+    and the anchor of friction are stored. The anchor is the point's last position, moved along with
+    the tool. Return the number of contact points whose compliance is not available yet.
     """
     missing = int(0)
     lists.working[lists.count[WORKING]] = triangle
@@ -157,9 +160,10 @@ def join_touching(
 ):
     """Add nearby triangles that the tool penetrates to the working triangles.
 
-    Return the number of added triangles and the number of points without compliance.
+    Return the number of added triangles, and ``missing`` plus the number of their contact points
+    whose compliance is not available yet.
 
-    The tool touches a triangle only from the side of its outward normal.
+    A contact counts only if the tool is on the side of the triangle's outward normal.
     """
     joined = int(0)
     lost = int(missing)
@@ -202,9 +206,10 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild the work lists and the nodal loads from the forces at the contact points.
+    """Rebuild the working triangles and the nodal forces from the forces at the contact points.
 
-    Return the number of points without compliance.
+    A triangle is working if one of its contact points carries force. Return the number of contact
+    points whose compliance is not available yet.
     """
     for k in range(lists.count[WORKING]):
         lists.working_mark[lists.working[k]] = 0

@@ -1,28 +1,30 @@
 """State and functions shared by the contact kernels.
 
-The state consists of a body's surface, its contact points, work lists, and the indices of the
-results. The functions compute the distance to a tool and the force of one point under Coulomb
-friction.
+The state consists of a body's surface, its contact points, and lists of triangles. The results are
+stored in one array, and this module defines their indices. The functions compute the distance to a
+tool and the contact force at one point with Coulomb friction.
 
 Distance to the tool: signed distance and its gradient.
 
-A tool's tip is its lowest point and its z axis runs from the tip to the shank. The surface of a
-sphere passes through the tip. A cylinder has a flat lower face through the tip, with a rounded
-edge, and no upper end. A shell is a set of planes, each of which represents the tool's surface
-around one point.
+The tip of a tool is its lowest point, and the tool's z axis runs from the tip to the shank. The
+surface of a sphere passes through the tip. A cylinder has a flat lower face through the tip, a
+rounded edge, and no upper end. A shell consists of points on the tool's surface. Each point has a
+plane that represents the surface near this point.
 
 Force of one point: contact force at a point of a compliant body by the laws of Signorini and
 Coulomb. The force keeps the point out of the tool.
 
 W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
-the distance between point and tool. The gap is not negative, the force does not pull, and the gap
-or the force is zero. The tangential force is at most ``mu`` times the normal force. If it is equal
-to this bound, it acts against the slip. Sticking is a linear system. Slipping is ``s = -l f_t``
-with ``l >= 0``. Elimination of the normal force gives ``(S + l I) f_t = -r``, where S is the
-tangential Schur complement. Newton's method inside a bracket finds the l with ``|f_t| = mu f_n``.
-The method is applied to the reciprocals of the forces, because these reciprocals are nearly linear
-in l (More and Sorensen 1983). The solver computes this force for one contact point after another,
-in sweeps (Jourdan, Alart and Jean 1998, Comput. Methods Appl. Mech. Eng. 155:31).
+the distance between point and tool. The gap is not negative, the normal force does not pull, and
+the gap or the normal force is zero. The tangential force is at most ``mu`` times the normal force.
+If the tangential force is equal to this bound, it acts against the slip s. A sticking point leads
+to a linear system. A slipping point satisfies ``s = -l f_t`` with ``l >= 0``. Elimination of the
+normal force gives ``(S + l I) f_t = -r``. S is the tangential Schur complement of W, and r is the
+slip under the normal force alone. Newton's method inside a bracket finds the l with
+``|f_t| = mu f_n``. The method is applied to the reciprocals of the forces, because these
+reciprocals are nearly linear in l (More and Sorensen 1983). The solver computes this force for one
+contact point after another, in sweeps (Jourdan, Alart and Jean 1998, Comput. Methods Appl. Mech.
+Eng. 155:31).
 """
 
 import warp as wp
@@ -82,9 +84,10 @@ class Pose:
 
 @wp.func
 def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
-    """Compute the distance [m] from the tool, negative inside, and its gradient.
+    """Compute the signed distance [m] of a point from a sphere or cylinder, and its gradient.
 
-    ``size[0]`` is the radius of the tool, and ``size[1]`` is the radius of a cylinder's edge [m].
+    The distance is negative inside the tool. ``size[0]`` is the radius of the tool [m]. For a
+    cylinder, ``size[1]`` is the radius of the rounded edge [m].
     """
     axis = wp.vec3d(pose.turn[0, 2], pose.turn[1, 2], pose.turn[2, 2])
     arm = point - pose.tip
@@ -128,19 +131,19 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
     11,
     12,
 )
-"""Indices into the results, and number of entries.
+"""Indices into the array of results, and number of its entries (`RESULTS`).
 
-The entries are: force on the tool [N], torque on the tool [N m], state at the end of the solve,
-number of sweeps, number of contacts, contact area [m2], penetration at the deepest point [m], and
-largest displacement [m]. The last name is the number of entries.
+Force on the tool [N] and torque on the tool [N m] have three entries each. The other entries are:
+end state, number of sweeps, number of contact points with force, contact area [m2], largest
+penetration [m], and largest displacement [m].
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
-"""End states of a solve."""
+"""End states: converged, sweeps used up, rigid place penetrated, compliance missing."""
 
 
 @wp.struct
 class Body:
-    """Surface of a body with s nodes and f triangles."""
+    """Triangulated surface of a body, its compliance, and the forces and positions of its nodes."""
 
     free: Vectors  # [node], positions without contact [m]
     last_free: Vectors  # [node], positions without contact in the last tick [m]
@@ -153,7 +156,7 @@ class Body:
 
 @wp.struct
 class Points:
-    """Contact points and the forces they carry."""
+    """Contact points on the triangles of a body, and the contact forces at these points."""
 
     first: Int32s  # [triangle], its first point, -1 if it has no point
     following: Int32s  # [point], next point of the triangle, -1 after the last
@@ -171,12 +174,12 @@ class Points:
 
 
 NEARBY, WORKING, TICK = 0, 1, 2
-"""Indices into the counts of `Lists`: nearby triangles, working triangles, ticks."""
+"""Indices into `Lists.count`: number of nearby triangles, of working triangles, and of ticks."""
 
 
 @wp.struct
 class Lists:
-    """Lists of nearby and working triangles."""
+    """List of triangles near the tool, and list of working triangles, which the solver visits."""
 
     count: Int32s  # [3], see NEARBY
     near: Int32s  # triangles
@@ -186,7 +189,7 @@ class Lists:
 
 @wp.func
 def pose_of(pose: Doubles2D):
-    """Convert rows to a pose. The rows are tip, rotation, last tip and last rotation."""
+    """Convert 8 rows to a pose: tip, 3 rows of rotation, and the same for the last tick."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
     now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
@@ -199,7 +202,7 @@ def pose_of(pose: Doubles2D):
 
 @wp.func
 def block(body: Body, a: int, b: int):
-    """Return the compliance block [m/N] of two nodes, shape (3, 3)."""
+    """Return the block [m/N], shape (3, 3), of the compliance matrix for nodes ``a`` and ``b``."""
     compliance = body.compliance
     i = 3 * a
     j = 3 * b
@@ -218,7 +221,7 @@ def block(body: Body, a: int, b: int):
 
 @wp.func
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
-    """Compute the distance to the tool [m] and its gradient at a contact point."""
+    """Compute the signed distance [m] between the tool and a contact point, and its gradient."""
     # A shell is a set of points. The tangent plane at the contact point's own shell point is used.
     if kind == SHELL:
         direction = points.tool_normal[point]
@@ -231,14 +234,14 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
 # steps.
 NEWTON_STEPS = 60
 EXACT = wp.constant(wp.float64(1e-13))
-"""Relative distance of the slipping force from the friction cone at which the iteration ends."""
+"""Relative distance of the slipping force from the friction cone below which the iteration ends."""
 TINY = wp.constant(wp.float64(1e-12))
-"""Diagonal term added to a singular compliance, relative to its trace."""
+"""Term added to the diagonal of a compliance that may be singular, relative to its trace."""
 
 
 @wp.func
 def safe_inverse(compliance: wp.mat33d):
-    """Invert a compliance, even if the point cannot move in one direction."""
+    """Invert a compliance matrix that may be singular, because the point cannot move freely."""
     size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -254,10 +257,10 @@ def slipping_force(
     drift: wp.vec3d,
     friction: wp.float64,
 ):
-    """Compute the force on the edge of the friction cone.
+    """Compute the contact force of a slipping point; the force lies on the friction cone.
 
-    ``apart`` < 0 is the gap, and ``drift`` the tangential slip, that the point would have without
-    force.
+    Without this force, the point would have the gap ``apart``, which is negative, and the
+    tangential slip ``drift`` [m].
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
     # Use an axis more than 45 degrees from the normal, to avoid cancellation in the cross product.
@@ -330,7 +333,7 @@ def coulomb_force(
     slip: wp.vec3d,  # motion relative to the tool since the last tick, with this force [m]
     friction: wp.float64,
 ):
-    """Compute the force [N] that solves the contact while all other forces are constant."""
+    """Compute the contact force [N] at one point; the forces at all other points are constant."""
     back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()

@@ -1,4 +1,4 @@
-"""Queries and limits of processor cores, and threads on cores that the caller does not use."""
+"""Queries and limits of processor cores, and threads that avoid the core of the caller."""
 
 import ctypes
 import os
@@ -22,7 +22,7 @@ _most_cores: list[int] = []
 
 
 def limit_cores(count: int) -> None:
-    """Limit the later work of this process to at most ``count`` cores."""
+    """Limit `core_count`, and thereby later work of this process, to at most ``count`` cores."""
     _most_cores[:] = [count]
 
 
@@ -46,22 +46,22 @@ def _sched_getcpu() -> Callable[[], int] | None:
 
 
 def current_core() -> int | None:
-    """Return the core of the calling thread, or None where the system does not report it."""
+    """Return the core of the calling thread, or None if the system does not report the core."""
     call = _sched_getcpu()
     core = call() if call is not None else -1
     return core if core >= 0 else None
 
 
 def cores_without(core: int | None, allowed: set[int]) -> set[int]:
-    """Return the allowed cores except one, or all of them if that would leave no core."""
+    """Return the allowed cores except ``core``, or all allowed cores if no other core is left."""
     return (allowed - {core}) or allowed
 
 
 class CoreThreads(ThreadPoolExecutor):
-    """Threads that take over work of a calling thread, on other cores than the caller's core.
+    """Pool of threads that run on other cores than the core of the calling thread.
 
     An operating system often starts a woken thread on the core of the caller. The woken thread
-    would then wait until the caller has finished its own work.
+    would then wait until the caller has finished its own part of the work.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Keep these threads off a core, if another core is allowed."""
+        """Prevent these threads from running on ``core``, if another core is allowed."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

@@ -8,19 +8,21 @@ coefficients (Altintas 2012, Manufacturing Automation, ch. 2) and a size effect.
     e  = min(h / h_min, 1)                             share of the edge force
     dF = -(N A / (2 pi r)) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] share
 
-Every K is scaled by (density / reference density) ** exponent of the layer. Below the minimum chip
-thickness h_min the force is proportional to h, so the force is a Lipschitz function of the
-velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance along their
-outward normal do not cut.
+For each element, v is the velocity, A the area, r the distance from the axis, and t, n and a are
+the tangential, normal and axial directions. N is the number of teeth, and omega is the angular
+speed of the spindle. Every K is scaled by (density / reference density) ** exponent of the layer.
+Below the minimum chip thickness h_min the force is proportional to h, so the force is a Lipschitz
+function of the velocity. With m = 0 and h_min = 0, the force is linear in h. Elements that do not
+advance along their outward normal do not cut.
 
-The share is the part of the element's width that lies below the surface of the bone, see
+The factor ``share`` is the part of the element's width that lies below the surface of the bone, see
 `kernels.engagement`. In a tick, the share is evaluated at the middle of the element's motion. As a
 function of the distance from the surface, the share falls from 1 to 0. The length of this
-transition is the element's width, or the element's motion through the surface if the motion is
-longer. An element that reaches the bone within the tick therefore cuts for the rest of the tick.
+transition is the larger of the element's width and the element's motion through the surface in the
+tick. An element that reaches the bone within the tick therefore cuts for the rest of the tick.
 
-The kernel computes the force at a given velocity, and the derivatives of the force by the velocity
-(the tangent). It processes eight elements at once.
+The kernel computes the force at a given velocity, and the derivatives of the force with respect to
+the velocity (the tangent). The kernel processes eight elements at once.
 """
 
 import warp as wp
@@ -50,14 +52,14 @@ VALUE = 0  # tangent at zero velocity: force [N], torque about the tip [N m]; 6 
 RATE = 6  # removal rate at speed 1 [m3/s]
 AREA = 7  # engaged area of each layer [m2]
 MOTION_ROWS = 5
-"""Number of rows of the motion that `cutting_forces` reads."""
+"""Number of rows of the array ``motion`` that `cutting_forces` reads."""
 # Lower limit of widths, motions and chip thicknesses in denominators [m].
 TINY = wp.constant(1.0e-12)
 
 
 @wp.struct
 class Loads:
-    """Loads on eight elements [N]."""
+    """Tangential, radial and axial loads on eight cutting elements [N]."""
 
     tangential: lanes8
     radial: lanes8
@@ -82,11 +84,11 @@ def cutting_forces(
     # [chunk, AREA + layers + 36], tool frame, see VALUE; not written for chunks without bone
     sums_out: Doubles2D,
 ):
-    """Sum the forces on one chunk of elements, and the derivatives of the forces by the unknowns.
+    """Sum forces and torques on one chunk of cutting elements, and their derivatives.
 
-    The unknowns are the speed (1), the velocity of the tip (3), or the velocity of the tip and the
-    angular velocity (6). If the speed is the unknown, the given velocities are the velocities at
-    speed 1.
+    The derivatives are with respect to 1, 3 or 6 unknowns. One unknown is the speed, three unknowns
+    are the velocity of the tip, and six are the velocity of the tip and the angular velocity. If
+    the speed is the unknown, the given velocities are the velocities at speed 1.
     """
     chunk = wp.tid() + chunk_offset
     if engaged[chunk] == ZERO:
@@ -151,7 +153,7 @@ def add_eight(
     chunk: int,
     sums_out: Lanes2D,
 ):
-    """Add the forces on eight elements."""
+    """Add the loads, removal rate and areas of eight cutting elements to the sums of a chunk."""
     px = elements.lanes[eight, 0]
     py = elements.lanes[eight, 1]
     pz = elements.lanes[eight, 2]
@@ -226,13 +228,14 @@ def add_eight(
 
 @wp.func
 def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, cuts: lanes8):
-    """Compute the mean share of eight elements below the surface over a tick.
+    """Compute the mean part of each of eight elements that is below the surface in a tick.
 
-    The elements start at ``distance`` from the surface and move towards it at the speeds
-    ``passing``. The share is 0 for elements for which ``cuts`` is 0.
+    This part is called share. At the start of the tick, the elements have the signed ``distance``
+    [m] from the bone surface, positive outside. The distance changes at the rate ``passing`` [m/s].
+    The share is 0 for elements with a ``cuts`` of 0.
 
     Return the share, a flag that is 1 if the share is between 0 and 1, and the derivative of the
-    share by the speed.
+    share with respect to ``passing``.
     """
     one = lanes8(1.0)
     shift = tick * passing
@@ -256,11 +259,13 @@ def chip_law(
     chip_per_speed: float,
     advance: lanes8,
 ):
-    """Compute the effective chip thickness and the share of the edge force of eight elements.
+    """Compute the effective chip thickness and the acting part of the edge force of eight elements.
 
-    ``advance`` is the speed along the normal [m/s]. At zero velocity, a linear law gives exactly 0.
+    ``advance`` is the speed along the normal [m/s]. Without a size effect, an advance of 0 gives a
+    chip thickness of exactly 0.
 
-    Return the chip thickness, the share, and their derivatives by the advance.
+    Return the chip thickness [m], its derivative with respect to the advance, the acting part of
+    the edge force (0 to 1), and its derivative.
     """
     one = lanes8(1.0)
     thickness = chip_per_speed * advance
@@ -283,13 +288,13 @@ def chip_law(
 
 @wp.func
 def row_of(motion: Doubles2D, row: int):
-    """Convert a row of ``motion`` to single precision."""
+    """Return the vector in a row of ``motion`` in single precision."""
     return wp.vec3(float(motion[row, 0]), float(motion[row, 1]), float(motion[row, 2]))
 
 
 @wp.func
 def along(vector: wp.vec3, x: lanes8, y: lanes8, z: lanes8):
-    """Return the scalar product of a vector with eight vectors."""
+    """Return the scalar products of one vector with eight vectors."""
     return vector[0] * x + vector[1] * y + vector[2] * z
 
 
@@ -301,9 +306,10 @@ def above(values: lanes8):
 
 @wp.func
 def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
-    """Return the loads on eight cutting elements.
+    """Return the loads on eight cutting elements [N].
 
-    ``chip`` and ``edge`` are the weights of the chip force and the edge force of each element.
+    ``chip`` is the factor of the chip force of each element [m], and ``edge`` the factor of the
+    edge force.
     """
     loads = Loads()
     loads.tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
@@ -314,7 +320,7 @@ def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
 
 @wp.func
 def times(elements: Elements, eight: int, loads: lanes8, row: int):
-    """Multiply eight loads by a row of the levers, see `kernels.elements.Elements`."""
+    """Multiply eight loads by a row of `kernels.elements.Elements.lever`."""
     return wp.cw_mul(loads, elements.lever[eight, row])
 
 
@@ -328,9 +334,10 @@ def add_forces(
     place: int,
     sums_out: Lanes2D,
 ):
-    """Multiply loads by a factor and add their force to the sums of a chunk.
+    """Multiply the loads of eight elements by ``factor``, and add the resulting force to the sums.
 
-    The loads act on the bone, so the force on the tool has the opposite sign.
+    The sums of the chunk begin at the entry ``place``. The loads act on the bone, so the force on
+    the tool has the opposite sign.
     """
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
@@ -354,7 +361,7 @@ def add_torques(
     place: int,
     sums_out: Lanes2D,
 ):
-    """Multiply loads by a factor and add their torque to the sums of a chunk, see `add_forces`."""
+    """Multiply loads by ``factor``, and add their torque to the sums, see `add_forces`."""
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
     axial = wp.cw_mul(loads.axial, factor)
@@ -389,11 +396,12 @@ def add_derivatives(
     place: int,
     sums_out: Lanes2D,
 ):
-    """Add the derivatives of force and torque by the velocities to the sums of a chunk.
+    """Add derivatives of force and torque with respect to velocities to the sums of a chunk.
 
-    The loads are multiplied by the derivatives of the advance of each element. These are the
-    derivatives by the velocity of the tip (x, y, z) and by the angular velocity. With three
-    unknowns, only the force has derivatives.
+    The loads are derivatives with respect to a speed of each element, for example its speed along
+    the normal. They are multiplied by the derivatives of this speed with respect to the velocity of
+    the tip (x, y, z) and the angular velocity (turn_x, turn_y, turn_z). With three unknowns, only
+    the derivatives of the force are added.
     """
     add_forces(elements, eight, loads, x, chunk, place, sums_out)
     add_forces(elements, eight, loads, y, chunk, place + 6, sums_out)

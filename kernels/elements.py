@@ -1,7 +1,7 @@
 """Cutting elements of a cutter's surface, and their motion.
 
-A cutting element is a small piece of the surface. The functions compute positions and advances of
-elements, and find the elements that may cut bone.
+A cutting element is a small piece of the surface. The functions compute positions and advances
+(speeds along the normal) of elements, and test whether elements may cut bone.
 """
 
 import warp as wp
@@ -23,17 +23,18 @@ __all__ = [
 ]
 
 CHUNK = 128
-"""Number of elements per chunk.
+"""Number of cutting elements per chunk, the group that one thread processes.
 
-Chunks are summed in order, so the result does not depend on the number of threads.
+The sums of the chunks are added in fixed order, so the result does not depend on the number of
+threads.
 """
 
 
 LANES = 8
 """Number of elements whose positions and advances are computed at once.
 
-Computing eight at once, and computing sums outside of branches, saves a tenth of the force kernel's
-time, see docs/performance.md.
+The computation of eight elements at once, with sums outside of branches, saves a tenth of the time
+of the force kernel, see docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 Lanes2D = wp.array2d(dtype=lanes8)
@@ -69,10 +70,10 @@ class Elements:
 
 @wp.struct
 class Travel:
-    """Pose of the tool and its motion at speed 1.
+    """Pose of a tool, and motion of the tool at speed 1.
 
-    The components of the motion are along the tool's axes. The axes are vectors in the grid
-    [voxel/m].
+    The components of the motion are along the tool's axes. The tool's axes are given as vectors in
+    the voxel grid [voxel/m].
     """
 
     tip: wp.vec3  # [voxel]
@@ -88,7 +89,7 @@ class Travel:
 
 @wp.func
 def travel_of(motion: Doubles2D, spacing: float):
-    """Convert the rows of ``motion`` to single precision, and set the least advance that cuts."""
+    """Return pose and motion of the tool in single precision, from the rows of ``motion``."""
     travel = Travel()
     travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
     travel.ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
@@ -113,9 +114,10 @@ def may_cut(
     brick_of: Int32s3D,
     alive: Bits,
 ):
-    """Return whether an element of a chunk may advance into bone.
+    """Return whether an element of a chunk may advance into bone; a quick and conservative test.
 
-    If `everywhere` is set, an element may advance in any direction.
+    If `everywhere` is set, the direction of the motion is ignored, and only the distance from bone
+    counts.
     """
     cone = elements.chunk_cone[chunk]
     velocity = travel.velocity
@@ -130,7 +132,7 @@ def may_cut(
 
 @wp.func
 def advance_of(elements: Elements, eight: int, travel: Travel):
-    """Compute the velocities of eight elements along their normals, per unit of speed."""
+    """Compute the speeds of eight elements along their normals, per unit of the tool's speed."""
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
@@ -148,7 +150,7 @@ def advance_of(elements: Elements, eight: int, travel: Travel):
 
 @wp.func
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
-    """Compute the coordinates of eight elements along an axis of the grid [voxel]."""
+    """Compute the coordinates [voxel] of eight elements along one ``axis`` of the voxel grid."""
     along = travel.ex[axis] * elements.lanes[eight, 0] + travel.ey[axis] * elements.lanes[eight, 1]
     return along + travel.ez[axis] * elements.lanes[eight, 2] + lanes8(travel.tip[axis])
 
@@ -160,7 +162,7 @@ def meets_bone(
     middle: wp.vec3,
     radius: float,
 ):
-    """Return whether a brick with remaining material overlaps the box around a ball [voxel]."""
+    """Return whether a brick with remaining bone overlaps the box around a ball [voxel]."""
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):

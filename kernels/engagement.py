@@ -2,9 +2,9 @@
 
 A cutting element is a small piece of the cutter's surface. Its engaged share is the part of its
 width that lies below the surface of the bone. The surface of the bone is the original surface or,
-if a cut lies deeper, the surface of the cut. The kernel stores the distance and direction of the
-surface, and the width of the element. `kernels.cutting` can then evaluate the share at any
-velocity.
+if a cut lies deeper, the surface of the cut. The kernel stores the distance of each element from
+this surface, the gradient of the distance, and the width of the element. From these values,
+`kernels.cutting` computes the engaged share at any velocity.
 
 Older cuts are read from the voxels, see `kernels.older_cuts`. The most recent cuts are computed
 from the tool's last poses, see `kernels.recent_cuts`.
@@ -70,9 +70,9 @@ CHIP = 8  # forces of the whole element per chip thickness [N/m]: tangential, ra
 EDGE = 11  # edge forces of the whole element [N]: tangential, radial, axial
 FOUND = 14  # number of rows
 POSE_ROWS = 7
-"""Number of rows of the pose and motion that `find_bone` reads."""
+"""Number of rows of the array ``motion`` (pose and motion) that `find_bone` reads."""
 DENSITIES = wp.constant(20001)
-"""Number of entries of the strength table.
+"""Number of entries per layer in the table `Coefficients.strength`.
 
 The entries are for densities from 0 to 20,000 kg/m3, the largest density allowed for bone.
 """
@@ -127,7 +127,7 @@ def find_bone(
     found_out: Lanes2D,  # [eight elements, row], see `DISTANCE`
     engaged_out: Doubles,  # [chunk], 1 with bone; 1 at the first launch
 ):
-    """Find the bone in front of one chunk of elements."""
+    """Find the bone in front of each cutting element of one chunk."""
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
@@ -232,7 +232,7 @@ def set_strengths(
     density: lanes8,
     found: Lanes2D,
 ):
-    """Write the cutting coefficients of eight elements, scaled by the strength of their bone."""
+    """Write the cutting coefficients of eight elements, scaled by edge length and bone strength."""
     minimum = lanes8()
     chip_0 = lanes8()
     chip_1 = lanes8()
@@ -265,7 +265,7 @@ def set_strengths(
 
 @wp.struct
 class Met:
-    """Bone in front of an element, see `DISTANCE`."""
+    """Bone in front of a cutting element; lengths in metres, width 0 if there is no bone."""
 
     distance: wp.float32
     slope: wp.vec3
@@ -293,7 +293,7 @@ def bone_met(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Find the bone in front of an element at ``at`` [voxel]."""
+    """Find the bone in front of element ``e``, whose position is ``at`` [voxel]."""
     met = Met()
     row, column = remaining_voxel(brick_of, alive, at)
     # An element that cannot reach the bone within this tick is skipped.
@@ -353,9 +353,9 @@ def bone_met(
 
 @wp.func
 def remaining_voxel(brick_of: Int32s3D, alive: Bits, at: wp.vec3):
-    """Return brick row and column of the voxel at a point [voxel].
+    """Return the storage location of the voxel at a point [voxel]: row of its brick, and column.
 
-    The row is -1 if no bone is left in the voxel's block of eight.
+    The row is -1 if no bone is left in the block of 2 x 2 x 2 voxels that contains the voxel.
     """
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))

@@ -1,13 +1,13 @@
 """Transfer between a fine and a coarse grid with twice the edge length, and Gauss-Seidel smoothing.
 
-Cell stiffness and residuals are transferred to the coarse grid. Corrections are transferred to the
-fine grid.
+The module is part of a multigrid method. Cell stiffness and residuals are transferred to the coarse
+grid. Corrections are transferred to the fine grid.
 
-A coarse cell's trilinear functions are trilinear on each of its eight children (fine cells). The
-stiffness of the coarse cell is therefore exactly ``K = sum P_c^T M K_c M P_c``. Here, K_c is the
-stiffness of a child, P_c the interpolation to the child, and M the mask of the components that may
-move. The coarse operator is the Galerkin projection of the fine operator. A change of one fine cell
-changes one coarse cell.
+The trilinear shape functions of a coarse cell are trilinear on each of its eight children (fine
+cells). The stiffness of the coarse cell is therefore exactly ``K = sum P_c^T M K_c M P_c``. Here,
+K_c is the stiffness of a child, P_c the interpolation to the child, and M the mask of the
+components that may move. The coarse operator is the Galerkin projection of the fine operator. A
+change of one fine cell changes one coarse cell.
 
 Node blocks: the stiffness of a grid, assembled row by row.
 
@@ -16,10 +16,11 @@ over eight colours.
 
 A row holds one block for the node itself and one for each of its neighbours, up to 27 blocks in
 all. The order is: neighbours of lower colour, the node itself, neighbours of higher colour. This
-order splits K into L + D + U. The first sweep starts at zero, solves ``(L + D) v = f``, and has the
-residual ``f - K v = -U v``. The solution and the residual together read K once. Sums have a fixed
-order. Nodes that are changed at the same time have the same colour and are never neighbours. The
-result therefore has the same bits on any number of threads.
+order splits K into L + D + U: the blocks before the node's own block, this block, and the blocks
+after it. The first sweep starts at zero, solves ``(L + D) v = f``, and leaves the residual
+``f - K v = -U v``. To compute v and the residual, K is read only once. Sums have a fixed order.
+Nodes that are changed at the same time have one colour and are never neighbours. The result is
+therefore the same to the last bit on any number of threads.
 """
 
 import warp as wp
@@ -53,7 +54,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def share(child: int, a: int, parent: int):
-    """Return the interpolation weight of a parent cell's corner at corner a of its child."""
+    """Return the weight of corner ``parent`` of a coarse cell at corner ``a`` of its child cell."""
     weight = wp.float64(1.0)
     for axis in range(3):
         at = ((child >> axis) & 1) + ((a >> axis) & 1)  # in half edges of the parent: 0, 1, 2
@@ -78,7 +79,7 @@ def coarse_stiffness(
     stiffness_out: Matrices2D,  # [coarse cell, block]
     live_out: Bytes,
 ):
-    """Compute the stiffness of the changed coarse cells from their children."""
+    """Compute the stiffness of the changed coarse cells from the fine cells in them."""
     coarse = changed[wp.tid() + offset]
     for block in range(BLOCKS):
         stiffness_out[coarse, block] = wp.mat33d()
@@ -117,7 +118,7 @@ def restrict(
     # out
     load_out: SingleVectors,  # [coarse node]
 ):
-    """Compute the load of the coarse grid from the residual, by the transposed interpolation."""
+    """Compute the load of the coarse grid: the fine residual times the transposed interpolation."""
     coarse = wp.tid() + offset
     total = wp.vec3f()
     for slot in range(27):
@@ -179,10 +180,12 @@ def assemble_rows(
     single_out: SingleMatrices,  # [block], the same in single precision, for the preconditioner
     inverse_out: SingleMatrices,  # [node] [m/N], inverse of the node's own block
 ):
-    """Assemble rows of ``M K M``, where M is the mask of the components that may move.
+    """Assemble rows of the stiffness ``M K M``, where the mask M selects components that may move.
 
-    Held components have zero stiffness. The inverse has 1 for held components, and is zero at a
-    node that carries no load. A small multiple of the trace keeps half-empty blocks regular.
+    Components that may not move (held components) have zero stiffness. The kernel also computes the
+    inverse of each node's own block. The inverse has 1 on the diagonal for held components. It is
+    zero at a free node without stiffness. A small multiple of the trace is added to the diagonal,
+    so that blocks next to empty cells can be inverted.
     """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
@@ -230,9 +233,10 @@ def first_residuals(
     # out
     residual_out: SingleVectors,  # [node]
 ):
-    """Compute the residual of the load after the first sweep.
+    """Compute the residual after the first Gauss-Seidel sweep, which starts at zero.
 
-    The residual is not zero, because nodes of higher colours move after a node is solved.
+    The residual at a node is not zero, because nodes of higher colours move after this node is
+    solved.
     """
     node = wp.tid() + offset
     total = wp.vec3f()
@@ -253,9 +257,9 @@ def sweep_colour(
     # out
     vector_out: SingleVectors,  # [node], corrected in place
 ):
-    """Run a Gauss-Seidel sweep over one colour.
+    """Run the part of a Gauss-Seidel sweep that updates the nodes of one colour.
 
-    Every node of the colour is displaced so that its own three equations are satisfied.
+    Every node of the colour is displaced so that the three equations of this node are satisfied.
     """
     node = nodes[wp.tid() + offset]
     left = load[node]

@@ -1,13 +1,15 @@
 """Trilinear hexahedra of a Cartesian grid.
 
-The module contains shape functions, the packed cell stiffness, and its product with a vector.
+The module contains gradients of shape functions, the packed cell stiffness, and the product of this
+stiffness and a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell has the position ``(i, j, k)`` in units of the edge length. A
 cell's stiffness is a symmetric matrix of 24 x 24. Its ``BLOCKS`` blocks (a, b) of 3 x 3 with a <= b
 are stored row after row. The other blocks are their transposes, so the matrix is symmetric to the
-last bit. The product for a set of cells needs no assembled matrix. First, each cell writes its own
-corner forces. Then every node sums the forces from its cells, at most eight, in fixed order. There
-are no atomic operations, and the result has the same bits on any number of threads.
+last bit. The product of the stiffness of a set of cells and a vector needs no assembled matrix.
+First, the forces at the corners of each cell are computed. Then, for every node, the forces from
+its cells (at most eight) are summed in fixed order. There are no atomic operations, and the result
+has the same bits on any number of threads.
 """
 
 import warp as wp
@@ -29,13 +31,13 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 BLOCKS = 36
-"""Number of stored blocks of a cell's stiffness, which has 8 x 8 blocks."""
+"""Number of stored 3 x 3 blocks of a cell's stiffness: the upper triangle of 8 x 8 blocks."""
 CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 
 
 @wp.func
 def block_of(a: int, b: int):
-    """Return the index of the block of corners a <= b."""
+    """Return the index of the stored stiffness block of corners a and b, for a <= b."""
     return a * 8 - (a * (a - 1)) / 2 + b - a
 
 
@@ -97,7 +99,7 @@ def cell_products(
     # out
     corner_force_out: Vectors2D,  # [place in cells, corner] [N]
 ):
-    """Compute the corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
+    """Compute the forces ``f_a = sum_b K_ab u_b`` at the corners of each cell."""
     i = wp.tid() + offset
     cell = cells[i]
     at = row[i]
@@ -129,7 +131,7 @@ def gather_cells(
     # out
     force_out: Vectors,  # [node] [N], the forces are added
 ):
-    """Add the forces of adjacent cells to the force at each node, in the order of the corners."""
+    """Add the corner forces of adjacent cells to the force at each node, in a fixed order."""
     i = wp.tid() + offset
     force = force_out[nodes[i]]
     for a in range(8):

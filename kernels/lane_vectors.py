@@ -1,8 +1,8 @@
 """Data layout for `kernels.cell_strips`: weights of cells in strips, and vectors in lanes.
 
 A strip consists of eight cells in a row. A lane is the position of one cell in its strip. The
-kernels compute weights and diagonals, run a smoothing step, and convert vectors between nodes and
-lanes.
+kernels compute the weights of cells and the diagonal of the stiffness, run a smoothing step, and
+convert vectors between node order and lane order.
 """
 
 from typing import Any
@@ -56,7 +56,7 @@ def cube_weights(
     weight_out: Doubles3D,
     single_out: Singles3D,  # rounded to single precision
 ):
-    """Compute the weights of the changed cells in `kernels.cell_strips`."""
+    """Compute the weights that `kernels.cell_strips` uses, for the changed cells."""
     cell = changed[wp.tid() + offset]
     row = strip[cell][0]
     lane = strip[cell][1]
@@ -97,7 +97,7 @@ def to_lanes(
     # out
     lanes_out: wp.array2d(dtype=Any),  # [component, slot]
 ):
-    """Copy a nodal vector to lanes. Vector and lanes may have single or double precision."""
+    """Copy a vector from node order to lane order; each may have single or double precision."""
     node = wp.tid() + offset
     for c in range(3):
         lanes_out[c, slot[node]] = lanes_out.dtype(vector[node][c])
@@ -111,7 +111,7 @@ def from_lanes(
     # out
     vector_out: wp.array(dtype=Any),  # [node]
 ):
-    """Copy lanes to a nodal vector. Lanes and vector may have single or double precision."""
+    """Copy a vector from lane order to node order; each may have single or double precision."""
     node = wp.tid() + offset
     at = slot[node]
     value = vector_out[node]
@@ -135,7 +135,7 @@ def node_diagonals(
     # [component, slot] [m/N], 1 / (bound D); 0 if held or empty
     inverse_out: Singles2D,
 ):
-    """Compute the diagonal of the stiffness at each node, and the inverse of this diagonal."""
+    """Compute the diagonal of the stiffness at the given nodes, and its scaled inverse."""
     node = nodes[wp.tid() + offset]
     total = wp.vec3d()
     for a in range(8):
@@ -164,7 +164,11 @@ def smooth(
     direction_out: LaneRows,  # set to the next direction
     vector_out: LaneRows,  # increased by the last direction
 ):
-    """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``."""
+    """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``.
+
+    The vector is v, the residual r and the direction d. ``inverse`` is the scaled inverse of the
+    diagonal, D^-1. The product K d is read from ``force_out``.
+    """
     i = wp.tid() + offset
     for c in range(3):
         direction = direction_out[c, i]

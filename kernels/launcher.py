@@ -1,12 +1,12 @@
 """Recorded kernel launches that may be split into parts for several processor cores.
 
 On a CPU, a Warp kernel launch runs on one core but releases the interpreter lock, so two halves of
-a launch can run in two threads. The hand-over to a thread costs about 50 us. A launch is therefore
-split only if its last runs took longer than ``SPLIT_ABOVE_S`` and if splitting is measured to save
-time, see `SplitChoice`. A single slow run does not count, because another process may have
-interrupted it. If a thread has not begun its part, because other processes use its core, the
-calling thread runs this part itself. Waiting for the thread would cost milliseconds. Kernels are
-written so that splitting does not change any bit of the result.
+a launch can run in two threads. Passing work to a thread takes about 50 us. A launch is therefore
+split only if its last runs took longer than ``SPLIT_ABOVE_S`` and if measurements show that
+splitting saves time, see `SplitChoice`. A single slow run does not count, because another process
+may have interrupted it. If a thread has not begun its part, because other processes use its core,
+the calling thread runs this part itself. Waiting for the thread would cost milliseconds. Kernels
+are written so that splitting does not change any bit of the result.
 
 Choice of splitting: a launch is split if the gain measured on this machine is large enough.
 
@@ -48,54 +48,57 @@ __all__ = [
 
 
 LEAST_GAIN = 1.1
-"""Smallest gain at which a launch is split.
+"""Smallest gain (time without splitting / time with splitting) at which a launch is split.
 
 Calibrations measure 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
-"""Flags of the runs of a trial; true for the runs that are split.
+"""Order of the runs in a trial: true for a run that is split, false for a whole run.
 
-Split runs are as frequent in the first half of the trial as in the second half. Their order is not
-periodic, so it cannot coincide with a period of the work.
+A trial measures the gain of splitting. The two halves of the trial have equal numbers of split
+runs. The order is not periodic, so it cannot coincide with a period of the work.
 """
 MOST_RATIO = 4.0
-"""Largest time of a run in a trial, relative to the median.
+"""Upper limit for the time of a run in a trial, relative to the median time of the trial.
 
 Longer times are set to this limit.
 
 A single interruption therefore does not change the outcome of the trial.
 """
 KEPT = 4
-"""Number of last trials that are used. The load of the machine may have been different before."""
+"""Number of most recent gains that are used. Earlier, the load of the machine may have differed."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
 """Number of large runs before the first trial, and largest number of large runs between trials.
 
-The number doubles with each trial that confirms the choice.
+A run is large if it takes long enough to be split. The number of large runs between two trials
+doubles after each trial that confirms the choice.
 """
 SAMPLES = 8
 """Number of pairs of runs in the calibration. Each pair has one whole run and one split run."""
 CALIBRATION_S = 1.5e-4
-"""Time of one part of the calibration's work [s].
+"""Time that one part of the work in the calibration takes [s].
 
-A launch that is just large enough to be split has two such parts.
+Two parts take about as long as a launch that is just long enough to be split.
 """
 SAMPLE_BYTES = 1 << 16
-"""Number of bytes that the calibration hashes first. Hashing them takes tens of us.
+"""Number of bytes that the calibration hashes first, which takes tens of us.
 
-From the measured time, the calibration computes how many bytes take `CALIBRATION_S`.
+From the measured time, the calibration computes the number of bytes whose hashing takes
+`CALIBRATION_S`.
 """
 
 
 class SplitChoice:
-    """Decision whether one launch is split.
+    """Choice for one kernel launch: run it as a whole, or split it over several cores.
 
-    The work of a launch changes from run to run. A trial therefore compares equal numbers of whole
-    and split runs, in mixed order.
+    The choice is based on trials, because the work of a launch changes from run to run. A trial
+    compares equal numbers of whole and split runs, in mixed order.
 
     Parameters
     ----------
     gain
-        Gain measured so far, for example by `calibrate`.
+        First value of the gain (time without splitting / time with splitting), for example from
+        `calibrate`.
     """
 
     def __init__(self, gain: float = 1.0) -> None:
@@ -105,7 +108,7 @@ class SplitChoice:
 
     @property
     def gain(self) -> float:
-        """Geometric mean of the last measured gains."""
+        """Geometric mean of the last gains (time without splitting / time with splitting)."""
         return geometric_mean(self._gains)
 
     @property
@@ -114,11 +117,11 @@ class SplitChoice:
         return self.gain >= LEAST_GAIN
 
     def next_run(self) -> bool:
-        """Return whether to split the next large run."""
+        """Return whether to split the next run that takes long enough to be split."""
         return self.splits if self._due > 0 else ORDER[len(self._trial)]
 
     def add(self, seconds: float) -> None:
-        """Record the time [s] of the run that was announced by `next_run`."""
+        """Record the time [s] of the run for which `next_run` was called last."""
         if self._due > 0:
             self._due -= 1
             return
@@ -142,11 +145,12 @@ class SplitChoice:
 def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
     """Run the first part in this thread, and the other parts in the threads of a pool.
 
-    If no thread of the pool has begun a part, this thread runs the part.
+    If no thread of the pool has begun a part when the first part is done, this thread runs the
+    part.
 
     Returns
     -------
-    Number of parts that ran at the same time.
+    Number of parts that ran in parallel: the first part and the parts that the pool ran.
     """
     pool.keep_off(current_core())
     waiting = [(pool.submit(part), part) for part in parts[1:]]
@@ -162,14 +166,14 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
 
 
 def calibrate(pool: CoreThreads, parts: int) -> float:
-    """Measure the gain of splitting, for work that only needs processor time.
+    """Measure the gain of splitting: time of all parts in one thread / time in several threads.
 
-    The measurement takes a few milliseconds.
+    The work of the measurement only needs processor time. The measurement takes a few milliseconds.
 
     Parameters
     ----------
     pool
-        Threads that run all parts except one.
+        Pool of threads that run all parts except the first, which the calling thread runs.
     parts
         Number of parts.
     """
@@ -200,14 +204,14 @@ def _hash_time(work: bytes) -> float:
 
 
 SPLIT_ABOVE_S = 2.5e-4
-"""Time above which a launch may be split [s].
+"""Expected time of a launch above which the launch may be split [s].
 
-The hand-over to a thread takes 50 us, a fifth of this time.
+Passing work to a thread takes 50 us, a fifth of this time.
 """
 GROWTH = 2.0
-"""Factor by which a launch is assumed to grow from one run to the next."""
+"""Largest factor by which the expected time of a launch increases after one run."""
 FIRST_S = 1e-5
-"""Assumed time of a launch before its first run [s].
+"""Expected time of a launch before its first run [s].
 
 With `GROWTH`, a launch is split in its sixth run at the earliest.
 """
@@ -215,7 +219,7 @@ With `GROWTH`, a launch is split in its sixth run at the earliest.
 
 @dataclass
 class LaunchCounts:
-    """Numbers of launches in this process: large enough to be split, and actually split."""
+    """Number of kernel launches that were long enough to be split, and number that were split."""
 
     large: int = 0
     split: int = 0
@@ -225,21 +229,22 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Return a copy of the launch counts of this process."""
+    """Return a copy of the numbers of long and of split kernel launches in this process."""
     return LaunchCounts(_counts.large, _counts.split)
 
 
 @cache
 def _pool(threads: int) -> CoreThreads:
-    """Return the threads that all launches with this number of parts share."""
+    """Return the pool of threads that all launches with ``threads`` + 1 parts share."""
     return CoreThreads(threads)
 
 
 @cache
 def _gain(threads: int) -> float:
-    """Return the gain of splitting on this machine, measured once for all launches.
+    """Return the gain of splitting work into ``threads`` + 1 parts on this machine.
 
-    Every launch starts from this gain.
+    The gain is measured in the first call. All launches with this number of parts start from this
+    gain.
     """
     return calibrate(_pool(threads), threads + 1)
 
@@ -287,7 +292,8 @@ def recorded(
 def run_once(kernel: wp.Kernel, dim: int, inputs: Sequence[object], outputs: Sequence[Any]) -> None:
     """Launch a kernel once, unsplit, on the device of its first output.
 
-    The index of the first thread, 0, is added to the inputs. NumPy arrays are copied to the device.
+    The value 0, the index of the first thread, is appended to the inputs. NumPy arrays are copied
+    to the device.
     """
     device = str(outputs[0].device)
     arguments = [*placed(kernel, inputs, device), 0]
@@ -300,19 +306,22 @@ class SplitLaunch:
     Parameters
     ----------
     kernel
-        Kernel that adds an integer input, the index of the first thread, to its thread index.
+        Kernel with an integer input for the index of the first thread, which it adds to its thread
+        index.
     dim
-        Number of threads of the whole launch. If there are several dimensions, the first is split.
+        Number of Warp threads of the whole launch. If there are several dimensions, the first is
+        split.
     inputs, outputs
         Arguments of the kernel. NumPy arrays among the inputs are copied to the device.
     offset_index
-        Position of the first thread's index in ``inputs``. The value at this position is ignored.
-        Default: the index is added after ``inputs``.
+        Position in ``inputs`` of the index of the first thread. The value at this position is
+        replaced. Default: the index is appended to ``inputs``.
     device
         Warp device name; default: the device of the first output. On a GPU the launch is never
         split.
     cores
-        Number of parts. With 1, the launch is never split. Default: all cores.
+        Largest number of parts. With 1, the launch is never split. Default: number of available
+        cores.
     """
 
     def __init__(
@@ -333,7 +342,7 @@ class SplitLaunch:
         parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
         def record(first: int, last: int) -> Callable[[], object]:
-            """Run the launch of the threads from ``first`` up to ``last``."""
+            """Record the launch of the threads ``first`` to ``last`` - 1."""
             arguments = list(inputs)
             arguments[place : place + 1] = [first]
             dims = (last - first, *across)

@@ -11,7 +11,7 @@ __all__ = ["Mirror", "filled", "placed", "put"]
 
 
 class Mirror:
-    """Array on a device and its counterpart on the host. On a CPU, they share the memory.
+    """Array on a device and a host array of equal shape. On a CPU, both arrays share the memory.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def put(values: ArrayLike, dtype: type, device: str) -> Any:
 
 
 def placed(kernel: wp.Kernel, inputs: Sequence[object], device: str) -> list[Any]:
-    """Return the inputs of a kernel, with NumPy arrays copied to a device in the declared types."""
+    """Copy NumPy arrays among the inputs of a kernel to a device, and return all inputs."""
     return [
         put(value, argument.type.dtype, device) if isinstance(value, np.ndarray) else value
         for value, argument in zip(inputs, kernel.adj.args, strict=False)
@@ -55,7 +55,7 @@ def placed(kernel: wp.Kernel, inputs: Sequence[object], device: str) -> list[Any
 
 
 def filled(struct: Any, device: str, **members: Any) -> Any:
-    """Return a Warp structure with the given members, with NumPy arrays copied to a device."""
+    """Return a Warp structure with the given members. NumPy arrays are copied to the device."""
     found = struct()
     for name, value in members.items():
         if isinstance(value, np.ndarray):

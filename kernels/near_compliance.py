@@ -1,11 +1,11 @@
-"""Compliance between the nodes near a tool, copied into consecutive memory.
+"""Copy of the compliance between the nodes near a tool, in consecutive memory.
 
-Each node near the tool has a slot. Nodes that may carry load have the first slots. These nodes also
-have a row for each of their three components. A row holds the displacements of all slots due to a
-unit force, slot by slot. The displacements due to a change of force are therefore read from
-consecutive memory, in packs of numbers. In the full compliance matrix, the three lines of each
-block would lie far apart. In each tick, only the entries of nodes that are newly near the tool or
-newly loaded are copied.
+Each node near the tool has a slot. Nodes that may carry load (loaded nodes) have the first slots. A
+loaded node also has three rows, one for each component of its force. A row holds the displacements
+of all slots due to a unit force, slot by slot. The displacements due to a change of force are
+therefore computed from consecutive memory, in packs of numbers. In the full compliance matrix, the
+three rows of each 3 x 3 block lie far apart. In each tick, only the entries of nodes that are newly
+near the tool or newly loaded are copied.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LANES = 16
-"""Numbers in a pack.
+"""Number of values in a pack, which is read at once.
 
 Reading a block of nine numbers takes 0.7 ns with packs of 16 numbers, 1.0 ns with packs of 8, and
 0.8 ns with packs of 32. Reading the block from the full compliance takes 3.9 ns.
@@ -47,13 +47,14 @@ Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 SLOTS, LOADED, STALE = 0, 1, 2
 """Indices into the counts of `Patch`.
 
-The counts are: number of slots, number of loaded slots, and 1 if rows must be copied again.
+The counts are: number of slots, number of slots of loaded nodes, and 1 if all rows must be copied
+again.
 """
 
 
 @wp.struct
 class Patch:
-    """Nodes near the tool, at most s, and the compliance between them."""
+    """Nodes near the tool, and the compliance between these nodes."""
 
     count: Int32s  # [3], see SLOTS
     node: Int32s  # [slot]
@@ -68,13 +69,16 @@ class Patch:
 
 @wp.func
 def moved_at(patch: Patch, slot: int):
-    """Return the displacement of the node of a slot [m]."""
+    """Return the displacement [m] of the node that has a slot."""
     return wp.vec3d(patch.moved[3 * slot], patch.moved[3 * slot + 1], patch.moved[3 * slot + 2])
 
 
 @wp.func
 def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
-    """Update the displacements of the first slots after a change of force on a loaded node."""
+    """Add the displacements due to a ``change`` of force [N] on the loaded node at ``slot``.
+
+    The displacements of the first ``slots`` slots are updated.
+    """
     row = 3 * slot
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = (
@@ -87,9 +91,9 @@ def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
 
 @wp.func
 def move_all(body: Body, patch: Patch, slots: int):
-    """Recompute the displacements of the first slots under all loads.
+    """Recompute the displacements of the first ``slots`` slots under all loads.
 
-    Rounding errors would accumulate if only changes were added.
+    Rounding errors would accumulate if only the effects of changed forces were added.
     """
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = Pack()
@@ -99,9 +103,9 @@ def move_all(body: Body, patch: Patch, slots: int):
 
 @wp.func
 def gather(body: Body, patch: Patch, loaded: int, slot: int):
-    """Copy a block of the compliance into the rows of a loaded slot.
+    """Copy the compliance block of two slots into the rows of the ``loaded`` slot.
 
-    If the block is not available yet, it is copied in the next tick.
+    If the block is not available yet, all rows are copied again in the next tick.
     """
     between = block(body, patch.node[loaded], patch.node[slot])
     for i in range(3):
@@ -113,7 +117,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """Copy all rows again, because the compliance was scaled or blocks were missing."""
+    """Copy all rows again; needed after a scaling of the compliance or if blocks were missing."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -122,7 +126,11 @@ def gather_again(body: Body, patch: Patch):
 
 @wp.func
 def swap(patch: Patch, p: int, q: int):
-    """Exchange the nodes of two slots. Their rows are not exchanged."""
+    """Exchange the nodes of slots ``p`` and ``q``.
+
+    The entries of the two slots in all rows are exchanged. The rows of the two nodes are not
+    exchanged.
+    """
     first = patch.node[p]
     second = patch.node[q]
     patch.node[p] = second
@@ -153,7 +161,7 @@ def add_node(body: Body, patch: Patch, node: int):
 
 @wp.func
 def drop_left(patch: Patch, tick: int):
-    """Free the slots of nodes that are no longer near the tool. These nodes do not carry load."""
+    """Free the slots of nodes that are no longer near the tool and do not carry load."""
     slot = patch.count[SLOTS] - 1
     while slot >= patch.count[LOADED]:
         node = patch.node[slot]
@@ -168,7 +176,7 @@ def drop_left(patch: Patch, tick: int):
 
 @wp.func
 def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
-    """Mark a node as loaded in this tick, and assign one of the first slots and rows to it."""
+    """Mark a node as loaded in this tick. If the node is newly loaded, assign three rows to it."""
     patch.loaded_mark[node] = tick
     loaded = patch.count[LOADED]
     slot = patch.slot[node]
@@ -197,10 +205,10 @@ def drop_idle(patch: Patch, tick: int):
 
 
 def new_patch(nodes: int, device: str) -> Patch:
-    """Return a patch with space for all of a body's nodes.
+    """Return an empty patch with memory for all ``nodes`` of a body.
 
-    On a CPU the patch takes memory only for the nodes near the tool, because NumPy allocates no
-    memory for zeros until they are written.
+    On a CPU, physical memory is used only for nodes near the tool, because zeros from NumPy take no
+    physical memory until they are overwritten.
     """
     # The length is odd, because rows a multiple of a page apart would use the same cache lines.
     packs = -(-3 * nodes // LANES) | 1
@@ -220,7 +228,7 @@ def new_patch(nodes: int, device: str) -> Patch:
 
 
 def gather_all_again(patch: Patch) -> None:
-    """Request a new copy of all rows in the next tick, because the compliance was scaled."""
+    """Request a new copy of all rows in the next tick; needed after a scaling of the compliance."""
     count = patch.count.numpy()
     count[STALE] = 1
     patch.count.assign(count)

@@ -1,13 +1,15 @@
 """Length of the bone that older cuts have left in front of the tool's surface.
 
-The error of the length is of second order in the voxel size.
+Older cuts are all cuts except the most recent ones. The error of the length is of second order in
+the voxel size.
 
 The distance of every voxel centre to older cuts is stored (see :mod:`kernels.carving`). The
 difference between this distance and the distance to the present tool is interpolated between voxel
 centres. The difference is 0 where the surfaces of the older cut and of the tool coincide, for any
-curvature. It is negative where the older cut lies deeper. A swept volume is straight along the path
-of the tool, but the tool is curved. Along the path, the difference therefore has the curvature of
-the tool, and linear interpolation underestimates the difference. Lengths are in voxels.
+curvature. The difference is negative where the older cut lies deeper. The surface of an older cut
+is straight along the path of the tool, but the tool is curved. Along the path, the difference
+therefore has the curvature of the tool, and linear interpolation underestimates the difference.
+This error is corrected. Lengths are in voxels.
 """
 
 import warp as wp
@@ -33,8 +35,8 @@ SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the tool are stored for a chunk of elements.
 
 Four blocks along each axis are enough, because neighbouring elements use the same blocks. Each
-entry holds the indices, distance, bend and slope of a block. An additional entry is 1 if other
-entries have been stored.
+entry holds the indices of a block, and the distance, bend and slope of the tool at its middle. The
+entry after the last block is 1 if the entries of the blocks are valid.
 """
 NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
 
@@ -57,9 +59,10 @@ def bone_left(
     """Return the length [voxel] of bone in front of ``point`` on the tool's surface.
 
     The length is the distance from the tool's surface to the surface of older cuts, limited to
-    `FARTHEST`. It is negative where an older cut lies deeper, and `FARTHEST` if no older cut is
-    near. The point lies in the voxel at ``row`` and ``column``. At the point, the tool has the unit
-    normal ``outward`` and the curvature ``bend``, see `Revolution`.
+    `FARTHEST` (2 voxels). The length is negative where an older cut lies deeper, and equal to
+    `FARTHEST` if no older cut is near. The point lies in the voxel that is stored at ``row`` and
+    ``column``. At the point, the tool has the unit normal ``outward`` and the curvature ``bend``,
+    see `Revolution`.
     """
     kept = int(older[row, column])
     distance = kept_distance(kept)
@@ -109,7 +112,7 @@ def bone_left(
 
 @wp.func
 def kept_distance(kept: int):
-    """Convert a stored distance to a distance [voxel], see `kernels.carving.swept_steps`."""
+    """Convert a distance as `kernels.carving.swept_steps` stores it to a distance [voxel]."""
     return float(kept - 32768) * (1.0 / 4096.0)
 
 
@@ -122,9 +125,10 @@ def tool_distances(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Return distances [voxel] of a cell's corners to the present tool.
+    """Return the distances [voxel] from the tool at its present pose to the corners of a cell.
 
-    The distances are computed block by block, as in carving.
+    As in carving, a block of 2 x 2 x 2 voxels uses one tangent sphere of the tool. The spheres are
+    stored in ``seen``, because neighbouring elements use the same blocks.
     """
     found = corner8f()
     if seen[chunk, SLOTS][0] == 0.0:
@@ -178,12 +182,12 @@ def tool_distances(
 
 @wp.func
 def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
-    """Compute the error of linear interpolation for a surface with the tool's curvature.
+    """Estimate the error [voxel] of linear interpolation along a surface with the tool's curvature.
 
-    Values that are interpolated between voxel centres lie below the surface. The surface curves
-    along one direction in the tangent plane, perpendicular to ``outward``. This direction is not
-    known, so the result is the mean over all directions. The error of the result is not larger than
-    the result.
+    Values that are interpolated between voxel centres are too small for a convex surface. The
+    surface curves along one direction in the tangent plane, perpendicular to ``outward``. This
+    direction is not known, so the result is the mean over all directions. The error of this
+    estimate is not larger than the estimate.
     """
     if bend >= EDGE:
         return float(0.0)

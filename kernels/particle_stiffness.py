@@ -8,18 +8,20 @@ g_a. ``w B^T D B`` has the blocks::
 
 In a cell that is cut or holds few particles, some modes are unresolved: they deform the cell
 without energy. A single particle gives the stiffness a rank of 6 instead of 18. A fraction s of a
-stabilising energy is therefore added. The stabilising energy is the energy of a full cell with the
-mean shear modulus, in the modes whose gradient varies inside a cell (``inner``). ``inner`` is zero
-for every linear field, so the patch test is still exact::
+stabilising energy is therefore added. This energy is the energy of a full cell with the mean shear
+modulus in the modes whose gradient varies inside the cell. With Lame constants of 1, its stiffness
+matrix is ``inner``. For every linear field, this energy is zero, so the patch test is still exact::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
-The outer bracket is the part of a full cell's second moment that the particles lack. Its value is 0
-for Gauss points and 1 for a single particle in the middle. The method is hourglass control
-(Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by this part.
+The sums are over the particles of the cell, h is the edge length, and x_i is a coordinate of a
+particle from 0 to 1. The outer bracket is 0 if the particles have the second moment of a full cell,
+for example at Gauss points. The bracket is 1 for a single particle in the middle. The method is
+hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by this
+bracket.
 
-Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S``, where S is the
-3 x 3 stiffness of a spring.
+Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S`` to K_ab. S is the 3
+x 3 stiffness of a spring, and N_a is the shape function of corner a.
 
 Stress: strain and stress at points of trilinear cells, with von Mises and principal stresses.
 
@@ -54,7 +56,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 FULL_STEPS = wp.constant(wp.float64(65535.0))
-"""Stored steps of the remaining volume of a particle that has lost no material."""
+"""Stored value of the remaining volume of a particle that has lost no material."""
 
 
 @wp.kernel
@@ -79,9 +81,10 @@ def particle_stiffness(
     stiffness_out: Matrices2D,  # [cell, block] [N/m]
     fill_out: Doubles,  # [cell], volume of its particles / volume of the cell
 ):
-    """Sum the stiffness of the changed cells over their particles.
+    """Compute the stiffness of the changed cells as a sum over their material particles.
 
-    The upper triangle is summed first and then mirrored.
+    Only the upper triangle of blocks is computed, and the diagonal blocks are made exactly
+    symmetric.
     """
     cell = changed[wp.tid() + offset]
     for block in range(BLOCKS):
@@ -133,7 +136,7 @@ def particle_stiffness(
 
 
 THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
-"""Angle between two eigenvalues in Smith's formula, 2 pi / 3."""
+"""Difference between the angles of two eigenvalues in Smith's formula, 2 pi / 3."""
 
 
 @wp.func
@@ -176,7 +179,7 @@ def point_stress(
     # out
     stress_out: Doubles2D,  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
 ):
-    """Compute the stress at each point."""
+    """Compute the stress tensor [Pa] at each point from the displacements of the nodes."""
     i = wp.tid() + offset
     row = point[i]
     cell = cell_of[row]
@@ -205,7 +208,7 @@ def invariants(
     von_mises_out: Doubles,  # [point] [Pa]
     principal_out: Vectors,  # [point] [Pa], largest first
 ):
-    """Compute von Mises and principal stresses of each stress."""
+    """Compute the von Mises stress and the principal stresses [Pa] of each stress tensor."""
     i = wp.tid() + offset
     yz = components[i, 3]
     xz = components[i, 4]

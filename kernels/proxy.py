@@ -1,12 +1,12 @@
 """One tick of a proxy, a copy of the tool that follows the device as closely as obstacles allow.
 
-The proxy is rigid. From its last pose, it moves in steps towards the pose of the device and so
-reduces the energy of the springs to the device (a descent). The length of a step is at most the
-distance that is certainly free of obstacles. Near an obstacle, the length is at most half a voxel.
-In every step, the forces at the active contacts are solved. A step that ends too deep in an
+The proxy is rigid. From its last pose, the proxy moves in steps towards the pose of the device. The
+steps reduce the energy of the springs between proxy and device (a descent). The length of a step is
+at most the distance that is certainly free of obstacles. Near an obstacle, the length is at most
+half a voxel. In every step, the contact forces are computed. A step that ends too deep in an
 obstacle is undone and halved. The proxy therefore stays on its side of an obstacle, even if the
-device passes through the obstacle at any speed (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov
-and Khatib 1997, SIGGRAPH).
+device passes through the obstacle at any speed. Sources: Zilles and Salisbury 1995, IROS; Ruspini,
+Kolarov and Khatib 1997, SIGGRAPH.
 """
 
 import warp as wp
@@ -46,41 +46,41 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
-"""Indices into the state, and number of entries.
+"""Indices into the state of the proxy, and number of its entries (`STATE`).
 
-The entries are: position xyz [m], quaternion xyzw, and path length [m]. The last name is the number
-of entries.
+The entries are: position x, y, z [m], quaternion x, y, z, w, and path length since the proxy was
+placed [m].
 """
 CONVERGED, PRESSING, STEPS, SOLVES, FORCE, MOMENT, CENTRE, REPORT = 0, 1, 2, 3, 4, 7, 10, 13
-"""Indices into the report, and number of entries.
+"""Indices into the report of a tick, and number of its entries (`REPORT`).
 
-The entries are: 1 if converged; number of pressing contacts; number of steps; number of solves;
-force divided by stiffness [m]; moment divided by stiffness [m2]; and centre of pressure relative to
-the tool's origin, in world axes [m]. Force, moment and centre have three entries each. The last
-name is the number of entries.
+The first entries are: 1 if converged, number of contacts with force, number of steps, and number of
+linear systems solved. Force / stiffness [m], moment / stiffness [m2], and the centre of pressure
+[m] follow, with three entries each. The centre of pressure is relative to the tool's origin, in
+world axes.
 """
 HALVINGS = 8
-"""Number of times that a step is halved before the proxy stops in this tick.
+"""Largest number of times that a step is halved. After that, the proxy stops in this tick.
 
-A step of half a voxel is then reduced to 0.002 voxels.
+This number of halvings reduces a step of half a voxel to 0.002 voxels.
 """
 
 
 @wp.func
 def position_in(pose: Doubles):
-    """Return the position [m] in a state or a goal."""
+    """Return the position [m] from the state of a proxy or from a goal pose."""
     return wp.vec3d(pose[POSITION], pose[POSITION + 1], pose[POSITION + 2])
 
 
 @wp.func
 def rotation_in(pose: Doubles):
-    """Return the rotation in a state or a goal."""
+    """Return the rotation from the state of a proxy or from a goal pose."""
     return wp.quatd(pose[ROTATION], pose[ROTATION + 1], pose[ROTATION + 2], pose[ROTATION + 3])
 
 
 @wp.func
 def begin_descent(state: Doubles, tolerance: wp.float64):
-    """Return a descent whose trial pose is the last tick's pose."""
+    """Return a new `Descent`, whose trial pose is the pose of the last tick."""
     descent = Descent()
     descent.position = position_in(state)
     descent.rotation = rotation_in(state)
@@ -96,7 +96,7 @@ def begin_descent(state: Doubles, tolerance: wp.float64):
 
 @wp.func
 def write_state(descent: Descent, state_out: Doubles):
-    """Write the last free pose and the path length."""
+    """Write the last free pose and the path length of a `Descent` to the state."""
     for c in range(3):
         state_out[POSITION + c] = descent.position[c]
     for c in range(4):
@@ -106,7 +106,7 @@ def write_state(descent: Descent, state_out: Doubles):
 
 @wp.func
 def write_reaction(reaction: Reaction, report_out: Doubles):
-    """Write the reaction of the contacts and its centre of pressure."""
+    """Write the sum of the contact forces and the centre of pressure to the report."""
     report_out[PRESSING] = wp.float64(reaction.pressing)
     for c in range(3):
         report_out[FORCE + c] = reaction.force[c]
@@ -127,7 +127,7 @@ def advance_proxy(
     state_out: Doubles,
     report_out: Doubles,
 ):
-    """Move the proxy toward the goal, up to the last free pose that is found."""
+    """Move the proxy in steps toward the goal, up to the last free pose that is found."""
     goal_position = position_in(goal)
     goal_rotation = rotation_in(goal)
     descent = begin_descent(state_out, settings.tolerance)

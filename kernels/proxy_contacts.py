@@ -1,11 +1,11 @@
-"""Search for shell points of a tool that may touch obstacles, and for planes that bound the points.
+"""Search for points of a tool that may touch obstacles, and for planes that bound these points.
 
 Shell points represent the tool's surface. A contact constrains a shell point to stay above a plane.
-A point that is far from all obstacles sleeps: the point is not checked until the shell has
-travelled the distance to the nearest obstacle. Near voxels, up to two earlier planes of a point are
-kept in addition to the present plane. With only one plane, a point in an inner corner would
-alternate between the faces (Zilles and Salisbury 1995). A kept plane is dropped as soon as it would
-exclude space that is free according to the present distance.
+A point that is far from all obstacles sleeps: it is not checked until the shell has travelled the
+distance from the point to the nearest obstacle. Near voxels, up to two earlier planes of a point
+are kept in addition to its present plane. With only one plane, a point in an inner corner would
+alternate between the faces of the corner (Zilles and Salisbury 1995). A kept plane is dropped as
+soon as it would exclude space that is free according to the present distance.
 """
 
 import warp as wp
@@ -22,14 +22,15 @@ VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
 FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
-"""Largest number of steps by which a sleeping point is checked early.
+"""Largest distance by which a sleeping point is checked early, in step lengths.
 
 This limits the number of points that are checked on a long path.
 """
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""Smallest slope by which a level is divided, see `kernels.voxmap.voxel_level`.
+"""Lower limit of the slope by which the level at a point is divided.
 
-The quotient is the assumed distance of a point. With this limit, it is never more than one voxel.
+The quotient is the assumed distance of a point. With this limit, the distance is never more than
+one voxel.
 """
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 """Cosine of the angle up to which two planes count as equal.
@@ -37,12 +38,12 @@ SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 The angle is 1.4e-4 rad, which is larger than rounding errors.
 """
 SLACK = wp.constant(wp.float64(1.0e-3))
-"""Depth of free space that a kept plane may exclude, relative to the voxel size."""
+"""Depth of free space that an earlier plane may exclude before it is dropped, in voxel sizes."""
 
 
 @wp.struct
 class Shell:
-    """Tool represented by balls of one radius on its surface."""
+    """Tool represented by balls of equal radius, whose centres are the shell points."""
 
     point: Vectors  # in the tool's frame [m]
     radius: wp.float64  # [m]
@@ -51,9 +52,9 @@ class Shell:
 
 @wp.struct
 class Contacts:
-    """State of the contacts of the shell, and memory to solve them.
+    """State of the contacts of a tool's shell points, and work arrays of the solver.
 
-    A slot is a point paired with one solid or plane.
+    A slot is a pair of a shell point and a solid, or of a shell point and a plane near voxels.
     """
 
     slots: int  # a point
@@ -78,7 +79,7 @@ class Contacts:
 def add_candidate(
     contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
 ):
-    """Record a plane that a point must stay above, and return the number of candidates."""
+    """Record a plane that a shell point must stay above, and return the new number of planes."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
     contacts.normal[count] = normal
@@ -94,7 +95,7 @@ def forget(
     point: int,
     first: int,
 ):
-    """Drop all planes of a point that has left the voxels."""
+    """Drop all planes of a shell point that is no longer near voxels."""
     if wp.length_sq(plane_normal_out[point, 0]) > ZERO:
         for k in range(VOXEL_PLANES):
             plane_normal_out[point, k] = wp.vec3d()
@@ -103,7 +104,7 @@ def forget(
 
 @wp.func
 def keep_plane(contacts: Contacts, point: int, first: int):
-    """Replace the kept plane with the smaller force by the present plane of a point."""
+    """Keep the present plane of a point, and drop the earlier plane with the smaller force."""
     k = int(1)
     if contacts.press[first + 1] > contacts.press[first + 2]:
         k = int(2)
@@ -126,8 +127,8 @@ def collect_voxels(
 ):
     """Find the planes that bound one shell point near voxels.
 
-    Return the number of candidates, the level of the point, and the distance that is certainly free
-    [m].
+    ``found`` is the number of planes so far. Return the new number of planes, the level of the
+    point [m], and the distance that is certainly free of obstacles [m].
     """
     count = found
     far = voxel_clearance(field, at)
@@ -176,12 +177,13 @@ def collect(
     wanted: wp.float64,
     step: wp.float64,
 ):
-    """Collect all planes within a ``step`` of the shell.
+    """Collect all planes that are closer than ``step`` [m] to a shell point.
 
-    Return the number of planes, the smallest gap, and the path that is free for every point [m].
+    Return the number of planes, the smallest gap [m], and the path length that is free for every
+    point [m].
 
-    A sleeping point is checked early if it would limit the free path to less than the ``wanted``
-    path [m], but at most ``AHEAD`` steps early.
+    A point that is far from all obstacles sleeps. It is checked early if it would limit the free
+    path length to less than ``wanted`` [m], but at most ``AHEAD`` step lengths early.
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)

@@ -3,9 +3,10 @@
 The proxy reduces the energy of the springs between proxy and device (a descent). A step is a motion
 that the contacts allow. A step may be shortened or undone.
 
-A trial pose is the last free pose, displaced by the motion of a step.
+A pose is free if no point of the tool lies too deep in an obstacle. A trial pose is the last free
+pose, displaced by the motion of a step.
 
-Rigid motions: rotations are unit quaternions. Path lengths are bounds for the points of the tool.
+Rotations are unit quaternions. Path lengths are upper bounds for all points of the tool.
 """
 
 import warp as wp
@@ -37,7 +38,7 @@ SMALL = wp.constant(wp.float64(1.0e-8))
 
 @wp.func
 def turned_by(turn: wp.vec3d, rotation: wp.quatd):
-    """Return a rotation, followed by a rotation about the vector ``turn`` by its length [rad]."""
+    """Return ``rotation``, followed by the rotation with the rotation vector ``turn`` [rad]."""
     angle = wp.length(turn)
     share = HALF
     if angle > SMALL:
@@ -67,7 +68,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 
 @wp.func
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
-    """Return the largest path length [m] of points of the tool during a motion.
+    """Return an upper bound of the path lengths [m] of all points of the tool during a motion.
 
     The points lie within ``reach`` [m] of the tool's origin.
     """
@@ -82,11 +83,11 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Return the largest path length [m] of points of the tool on a motion to the goal pose.
+    """Return an upper bound of the path lengths [m] of all points of the tool to a goal pose.
 
     The points lie within ``reach`` [m] of the tool's origin.
 
-    A ``reach`` of 0 ignores rotations.
+    If ``reach`` is 0, rotations are ignored.
     """
     length = wp.length(goal_position - position)
     if reach > ZERO:
@@ -95,12 +96,12 @@ def pose_distance(
 
 
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
-"""End states of a step."""
+"""End states of a step: another step follows, the proxy rests, or too many systems were solved."""
 STALLS = 2
 """Number of consecutive stalls after which the proxy may rest.
 
-A stall is a step that hardly decreases the springs' energy. Near voxels, the proxy may oscillate
-across creases of the surface.
+A stall is a step that hardly decreases the energy of the springs. Stalls occur near voxels, where
+the proxy may oscillate across creases of the surface.
 """
 LITTLE = wp.constant(wp.float64(1.0e-4))
 """Relative decrease of the springs' energy below which a step near voxels counts as a stall."""
@@ -110,7 +111,7 @@ TOO_DEEP = wp.constant(wp.float64(0.1))
 
 @wp.struct
 class DescentSettings:
-    """Springs, friction and limits of a tick's descent."""
+    """Springs, friction and limits of the proxy's motion in a tick."""
 
     compliance: wp.float64  # 1 / l^2 [1/m2], 0 for a tool that does not turn
     friction: wp.float64
@@ -122,7 +123,7 @@ class DescentSettings:
 
 @wp.struct
 class Descent:
-    """Progress of a tick's descent."""
+    """Progress of the proxy's steps toward the device in a tick: poses, motion and counters."""
 
     position: wp.vec3d  # last free pose that was found [m]
     rotation: wp.quatd
@@ -154,7 +155,7 @@ class Reaction:
 
 @wp.func
 def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d):
-    """Return the fraction of a motion until the first plane is touched.
+    """Return the fraction of a motion after which the first plane is touched.
 
     The result is 2 if no plane is touched.
     """
@@ -168,10 +169,10 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 @wp.func
 def contact_sums(contacts: Contacts, members: int):
-    """Sum the forces of the contacts in the active set.
+    """Sum the normal forces of the planes in the active set.
 
-    Return the number of pressing members, the sums of normal forces [m] and moments [m2], and the
-    centre of pressure [m].
+    Forces and moments are divided by the coupling's stiffness. Return the number of planes with
+    force, the sum of the forces [m], the sum of the moments [m2], and the centre of pressure [m].
     """
     pressing = int(0)
     force = wp.vec3d()
@@ -194,7 +195,7 @@ def contact_sums(contacts: Contacts, members: int):
 
 @wp.func
 def halve_motion(before: Descent, reach: wp.float64):
-    """Return a descent whose trial motion is half as long."""
+    """Return a copy of a `Descent`, with half of its trial motion."""
     descent = before
     descent.halvings = before.halvings + 1
     descent.arrived = 0
@@ -208,9 +209,9 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Return a descent whose trial pose is accepted as free.
+    """Return a copy of a `Descent`, with its trial pose accepted as a free pose.
 
-    ``gap`` is the smallest gap [m] at this pose.
+    ``gap`` is the smallest gap [m] at the trial pose.
     """
     descent = before
     descent.halvings = 0
@@ -228,11 +229,14 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Return a descent whose motion leads to the pose of zero spring force.
+    """Return a copy of a `Descent`, with the motion from the last free pose to the goal.
 
-    The number of stalls is increased by one if the springs' energy has hardly decreased.
+    At the goal, the spring force is zero.
 
-    Near exact solids, where the ``spacing`` of voxels is 0, no step counts as a stall.
+    The number of stalls is increased by one if the energy of the springs has hardly decreased.
+    Otherwise, the number is reset to 0.
+
+    If the obstacles have no voxels, ``spacing`` is 0 and no step counts as a stall.
     """
     descent = before
     descent.arrived = 0
@@ -254,7 +258,8 @@ def react(
 ):
     """Compute the contact forces that act on the tool during a motion.
 
-    Return the forces, divided by the stiffness, and the number of solves.
+    Return the sum of the forces, divided by the coupling's stiffness, and the number of linear
+    systems solved.
     """
     reaction = Reaction()
     compliance = settings.compliance
@@ -289,11 +294,11 @@ def constrain_motion(
     settings: DescentSettings,
     gap: wp.float64,
 ):
-    """Return a descent with an allowed motion, the reaction of the contacts, and a flag.
+    """Change the motion of a `Descent` so that the contacts allow it.
 
-    The contacts allow the motion. The flag is 1 if the contacts were solved. With friction, the
-    tool first moves up to the first contact, because friction starts there. In this case no contact
-    is solved.
+    With friction, a tool without contact first moves only up to the first plane, because friction
+    starts there. In this case, no contact forces are computed. Return the changed copy, the contact
+    forces, and a flag that is 1 if the contact forces were computed.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -311,9 +316,10 @@ def constrain_motion(
 
 @wp.func
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
-    """Return a descent and its trial pose.
+    """Return a copy of a `Descent`, with the trial pose at the end of its motion.
 
-    The motion has the length ``size`` [m] and is shortened to the free path length ``clear`` [m].
+    ``size`` is the length of the motion [m]. If ``size`` exceeds the free path length ``clear``
+    [m], the motion is shortened to ``clear``.
     """
     descent = before
     descent.near = settings.tolerance
@@ -344,7 +350,7 @@ def take_step(
 ):
     """Take one step from a free pose.
 
-    Return the descent and the reaction after the step, and the end state of the step.
+    Return the new `Descent`, the contact forces, and the end state of the step.
     """
     if before.solves >= settings.solve_limit:
         return before, last, OUT_OF_SOLVES

@@ -1,23 +1,25 @@
-"""Normal and friction forces that keep a rigid tool above planes, by an active-set method.
+"""Normal and friction forces that keep a rigid tool above planes, from an active-set method.
 
-The tool is held by a spring of stiffness k. If it may turn, it is also held by a rotational spring
-of stiffness k l^2, with a length l. Forces f_i, here divided by k, move it from the pose of zero
-spring force: ``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This follows from
-Gauss's principle of least constraint with the stiffness as metric (Ortega, Redon and Coquillart
-2007, IEEE Trans. Vis. Comput. Graph. 13:458). The spring forces therefore equal the contact forces.
+The tool is held by a spring of stiffness k. A tool that may turn is also held by a rotational
+spring of stiffness k l^2, with a length l. Forces f_i at the arms r_i, here divided by k, displace
+the tool from the pose of zero spring force. The shift t and the turn w are ``t = t_free + sum f_i``
+and ``w = w_free + sum (r_i x f_i) / l^2``. This result follows from Gauss's principle of least
+constraint with the stiffness as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis. Comput.
+Graph. 13:458). The spring forces are therefore in equilibrium with the contact forces.
 
 The normal forces are the Lagrange multipliers of this quadratic problem. In each iteration, the
-most violated plane joins the active set, and the linear system of the set is solved. A plane whose
-force would pull leaves the set (Lawson and Hanson 1974). A Gauss-Seidel method is not used, because
-it would need about (l / d)^2 sweeps for two contacts at a small distance d.
+most violated plane joins the active set, and the linear system for the forces of this set is
+solved. A plane whose force would pull leaves the set (Lawson and Hanson 1974). A Gauss-Seidel
+method is not used, because it would need about (l / d)^2 sweeps for two contacts at a small
+distance d.
 
 Friction: the friction of all contacts of a rigid tool is computed as one force.
 
 The friction force acts at the centre of pressure, perpendicular to the resultant normal force. Its
-magnitude is at most ``mu`` times the sum of the normal forces. Within this limit, friction prevents
+magnitude is at most ``mu`` times the sum of the normal forces. Below this limit, friction prevents
 any motion of the centre of pressure, and the normal forces adapt. At the limit, friction acts
-against the slip of this point. Friction does not resist rotation about the normal of a contact
-patch.
+against the slip of the centre of pressure. Friction does not resist rotation about the normal of a
+contact patch.
 """
 
 import warp as wp
@@ -30,24 +32,25 @@ __all__ = ["MEMBERS", "factorise", "friction_force", "normal_forces", "resolve",
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MEMBERS = 8
-"""Largest number of planes in the set.
+"""Largest number of planes in the active set.
 
 Six planes fix a rigid body, and one more plane may join before another plane leaves.
 """
 ROUNDS = 64
-"""Largest number of times that a plane joins the set.
+"""Largest number of times that a plane joins the active set in one solve.
 
-The number is several times `MEMBERS`, because planes may alternate.
+The number is several times `MEMBERS`, because a plane may leave and join again.
 """
 TINY = wp.constant(wp.float64(1.0e-13))
-"""Relative increase of the diagonal of the set's matrix, so that dependent planes can be solved."""
+"""Relative increase of the matrix diagonal, so that linearly dependent planes can be solved."""
 
 
 @wp.func
 def factorise(contacts: Contacts, members: int, compliance: wp.float64):
-    """Compute the Cholesky factor of the coupling between planes.
+    """Compute the Cholesky factor of the compliance matrix of the planes in the active set.
 
-    The matrix holds the motion along each plane's normal due to a unit force at each other plane.
+    An entry of the matrix is the motion along the normal of one plane due to a unit force at
+    another plane.
     """
     for i in range(members):
         a = contacts.member[i]
@@ -70,11 +73,12 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 def solve_set(
     contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
 ):
-    """Solve for the forces of the set that cancel a shift and a turn.
+    """Compute the normal forces that cancel a shift and a turn at the planes of the active set.
 
-    The forces are stored in a column.
+    The forces are written to a ``column`` of ``contacts.side``.
 
-    If ``gaps`` is 1, the forces also close the gaps.
+    If ``gaps`` is 1, the forces also close the gaps of the planes. If ``gaps`` is 0, the gaps are
+    ignored.
     """
     for i in range(members):
         c = contacts.member[i]
@@ -96,7 +100,7 @@ def solve_set(
 
 @wp.func
 def drop_member(contacts: Contacts, members: int, place: int):
-    """Remove a plane from the set, and return the number of remaining planes."""
+    """Remove a plane from the active set, and return the number of remaining planes."""
     c = contacts.member[place]
     contacts.press[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
@@ -108,11 +112,11 @@ def drop_member(contacts: Contacts, members: int, place: int):
 def shrink_set(
     contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Solve for the forces of the set that close its gaps.
+    """Compute the normal forces that close the gaps of the planes in the active set.
 
-    Planes whose force would pull are removed one by one.
+    Planes whose force would pull are removed from the set one by one.
 
-    Return the size of the set and the number of solves.
+    Return the number of planes in the set and the number of linear systems solved.
     """
     members = start
     solves = int(0)
@@ -149,7 +153,7 @@ def shrink_set(
 def moved_by_set(
     contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Compute the shift and turn of the tool under the set's forces."""
+    """Compute the shift and turn of the tool under the normal forces of the active set."""
     moved = shift
     turned = turn
     for m in range(members):
@@ -170,9 +174,10 @@ def normal_forces(
     shift: wp.vec3d,
     turn: wp.vec3d,
 ):
-    """Compute the smallest normal forces that satisfy all planes, starting from the present set.
+    """Compute the smallest normal forces that keep the tool above all planes.
 
-    Return the size of the set and the number of solves.
+    The method starts from the present active set of ``start`` planes. Return the number of planes
+    in the new set and the number of linear systems solved.
     """
     members, solves = shrink_set(contacts, start, compliance, shift, turn)
     for _ in range(ROUNDS):
@@ -201,21 +206,21 @@ def normal_forces(
 
 
 FRICTION_ROUNDS = 4
-"""Number of rounds in which friction and normal forces are solved in turn."""
+"""Largest number of rounds in which friction and normal forces are computed alternately."""
 STEPS = 50
-"""Largest number of iterations in which the friction force and its bound are adapted to each other.
+"""Largest number of iterations that adapt the friction force and its upper bound to each other.
 
 The bound depends on the normal forces, and the normal forces depend on friction.
 """
 NEWTON_STEPS = 30
-"""Largest number of Newton steps. They start below the solution and converge quadratically."""
+"""Largest number of Newton steps, which start below the solution and converge quadratically."""
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance assigned to a point that the planes hold. A free point has a compliance of about 1.
+"""Compliance added to a point that planes may hold; a free point has a compliance of about 1.
 
-The friction of a held point is not determined.
+Without this addition, the friction at a held point would not be determined.
 """
 EXACT = wp.constant(wp.float64(1.0e-13))
-"""Relative change of the friction force at which the iteration ends."""
+"""Relative change of the bound of the friction force at which the iteration ends."""
 
 
 @wp.func
@@ -227,9 +232,9 @@ def holding_force(
     v1: wp.float64,
     softer: wp.float64,
 ):
-    """Compute the force that cancels the slip v of a point with compliance W: -(W + softer)^-1 v.
+    """Compute the friction force that cancels the slip v of a point: ``-(W + softer I)^-1 v``.
 
-    The compliance is increased by ``softer``.
+    W is the symmetric 2 x 2 compliance matrix of the point in the tangent plane.
     """
     more = softer + SOFT
     a = w00 + more
@@ -247,7 +252,7 @@ def slipping_force(
     v1: wp.float64,
     bound: wp.float64,
 ):
-    """Compute the force of magnitude ``bound`` against the remaining slip.
+    """Compute the friction force of magnitude ``bound`` against the slip that remains.
 
     The solution uses Newton's method on reciprocals (More and Sorensen 1983).
     """
@@ -275,9 +280,10 @@ def friction_force(
     turn: wp.vec3d,
     last: wp.vec3d,
 ):
-    """Compute the friction force of the set, and its point of action relative to the tool's origin.
+    """Compute the friction force of the active set, and the arm at which this force acts.
 
-    The normal forces depend linearly on the friction force.
+    The arm is relative to the tool's origin. The solution accounts for the change of the normal
+    forces, which depend linearly on the friction force.
     """
     total = wp.float64(0.0)
     along = wp.vec3d()
@@ -348,8 +354,9 @@ def resolve(
 ):
     """Compute the normal and friction forces of all contacts.
 
-    Return the size of the set, the number of solves, the friction force [m] and the arm of this
-    force. The normal forces are written to ``press``.
+    Forces are divided by the coupling's stiffness. Return the number of planes in the active set,
+    the number of linear systems solved, the friction force [m] and the arm of this force [m]. The
+    normal forces are written to ``contacts.press``.
     """
     members = int(0)
     for c in range(count):

@@ -1,13 +1,13 @@
 """Most recent cuts, computed from the tool's last poses.
 
 The poses are exact up to rounding errors, so the surface of these cuts is more accurate than the
-surface stored in the voxels. An earlier pose is displaced by d from the present pose. In front of a
-cutting element with the normal n and the mean curvature k, the tool has cut the bone at the earlier
-pose up to the distance::
+surface stored in the voxels. Let an earlier pose be displaced by d from the present pose. In front
+of a cutting element with the normal n and the mean curvature k, the tool has then removed the bone
+up to this distance::
 
     d . n - k / 2 |d - (d . n) n|**2
 
-Rotations are included to second order.
+Rotations of the tool are included to second order.
 """
 
 import warp as wp
@@ -28,7 +28,7 @@ CLOSE = wp.constant(2.0e-8)
 
 @wp.struct
 class Poses:
-    """Range of the last poses: from ``first`` up to, but not including, ``last``."""
+    """Range of indices of the tool's last poses: from ``first`` to ``last`` - 1."""
 
     first: wp.int32
     last: wp.int32
@@ -43,10 +43,11 @@ def poses_in_front(
     last: int,
     turns: bool,
 ):
-    """Return the range of last poses that may have cut farther than the present pose.
+    """Return the range of earlier poses at which the tool may have cut farther than at present.
 
-    At an included pose, an element of the chunk lay farther along its normal than it does at the
-    present pose. For a tool that advances, the range is empty.
+    A pose is included if an element of the chunk may have been farther along its normal than at the
+    present pose. If the tool has turned, all poses are included. For a tool that only advances, the
+    range is empty.
     """
     poses = Poses()
     poses.last = recent.shape[0]
@@ -82,10 +83,10 @@ def recently_cut(
     poses: Poses,
     enough: float,
 ):
-    """Compute how far the tool has cut in front of eight elements at its last poses [m].
+    """Compute how far in front of eight elements the tool has cut at its last poses [m].
 
-    The result is 0 for an element if the present pose has cut farthest. When the result is more
-    than ``enough`` for all eight elements, the remaining poses are skipped.
+    The result for an element is 0 if the present pose has cut farthest. When the results for all
+    eight elements exceed ``enough`` [m], the remaining poses are skipped.
     """
     gap = lanes8()
     if poses.first >= poses.last:
@@ -120,7 +121,7 @@ def recently_cut(
 
 @wp.func
 def cut_straight(recent: Singles2D, j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8):
-    """Compute how far a tool without rotation has cut in front of eight elements [m]."""
+    """Compute how far in front of eight elements a tool without rotation cut at pose ``j`` [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]
@@ -140,7 +141,7 @@ def cut_turned(
     nz: lanes8,
     half: lanes8,
 ):
-    """Compute how far a tool with rotation has cut in front of eight elements [m]."""
+    """Compute how far in front of eight elements a tool with rotation cut at pose ``j`` [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]

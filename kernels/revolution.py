@@ -1,4 +1,4 @@
-"""Tool as a surface of revolution, stored as a table of signed distances by radius and height.
+"""Tool as a body of revolution, stored as a table of signed distances by radius and height.
 
 Lengths are in voxels.
 """
@@ -10,13 +10,13 @@ from kernels.arrays import Doubles2D, Singles2D
 __all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
 
 EDGE_BEND = 8.0
-"""Value of the bend that marks an edge of the profile.
+"""Value of `Revolution.bend` that marks an edge of the tool's profile.
 
 The bend is a sixth of the sum of the principal curvatures. Near an edge, no single plane
-approximates the surface in a block of voxels.
+approximates the tool's surface in a block of voxels, so a special value is stored.
 
-No smooth tool has this value. Even a ball with a radius of one voxel, which is smaller than any
-tool, has a bend of 1/3.
+The bend of a smooth surface is always smaller. Even a ball with a radius of one voxel, which is
+smaller than any tool, has a bend of 1/3.
 """
 
 
@@ -40,7 +40,7 @@ class Revolution:
 
 @wp.struct
 class Nearest:
-    """Nearest point of the tool's surface to a point."""
+    """Distance, gradient and bend of the tool at its surface point nearest to a given point."""
 
     distance: wp.float32  # signed distance [voxel]
     # average contribution of curvature in a block of 2 voxels and inside each voxel [voxel]
@@ -52,15 +52,17 @@ class Nearest:
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """Return the point of the tool's surface nearest to a given point.
+    """Return distance, gradient and bend of the tool at the surface point nearest to a given point.
 
-    The given point lies at an ``offset`` [voxel] from the tip of a tool along ``axis``.
+    ``offset`` [voxel] is the vector from the tool's tip to the given point, and ``axis`` is the
+    direction of the tool's axis.
 
-    The values are interpolated bilinearly in the table.
+    Distance and gradient are interpolated bilinearly in the table. The bend is not interpolated.
 
-    In a block of 2 x 2 x 2 voxels, the distances at the voxel centres are larger than the distances
-    to the tangent plane, by (k1 + k2) / 8 on average. The mean distance over a voxel is larger than
-    the distance at the voxel's centre by (k1 + k2) / 24. ``bend`` is the sum of the two terms.
+    The bend (k1 + k2) / 6, with the principal curvatures k1 and k2, is the sum of two corrections.
+    In a block of 2 x 2 x 2 voxels, the distances of voxel centres exceed their distances to the
+    tangent plane by (k1 + k2) / 8 on average. The mean distance over a voxel exceeds the distance
+    at the voxel's centre by (k1 + k2) / 24.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis
@@ -87,9 +89,10 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 @wp.func
 def offset_from(pose: Doubles2D, row: int, ix: int, iy: int, iz: int):
-    """Return the vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz).
+    """Return the vector [voxel] from the tool's tip to the lowest corner of voxel (ix, iy, iz).
 
-    The vector is computed in double precision.
+    The lowest corner has the smallest x, y and z. The tip is read from a ``row`` of ``pose``. The
+    difference is computed in double precision and returned in single precision.
     """
     return wp.vec3(
         float(wp.float64(ix) - pose[row, 0]),

@@ -1,6 +1,7 @@
 """Projection of a tool's shell points onto a triangulated surface.
 
-Each point is projected along its normal onto the nearest triangle.
+Shell points represent the tool's surface. Each point is projected along its normal onto the nearest
+triangle.
 """
 
 import warp as wp
@@ -14,17 +15,18 @@ __all__ = ["link_points", "project_shell"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 TWICE = wp.constant(wp.float64(2.0))
-"""Upper bound of the distance between a corner and a point of a triangle, in triangle radii."""
+"""Upper bound of the distance between two points of a triangle, in radii of the ball around it."""
 GRAZING = wp.constant(wp.float64(0.1))
-"""Smallest cosine between a point's normal and a triangle's inward normal that allows contact.
+"""Smallest cosine between a shell point's normal and the inward triangle normal for a contact.
 
-The cosine belongs to an angle of 84 degrees. At this angle, the distance along the normal to the
-triangle's plane is ten times the perpendicular distance.
+The cosine belongs to an angle of 84 degrees. At this angle, the distance from the point to the
+plane of the triangle, along the point's normal, is ten times the perpendicular distance.
 """
 EDGE = wp.constant(wp.float64(-1e-9))
 """Smallest barycentric weight of a point that belongs to a triangle.
 
-The value is slightly negative, so a point on an edge belongs to the triangles on the two sides.
+The value is slightly negative, so a point on an edge belongs to the triangles on both sides of the
+edge.
 """
 
 
@@ -43,9 +45,10 @@ def project_shell(
     points_out: Points,
     triangle_out: Int32s,  # [point], -1 if the point meets no triangle
 ):
-    """Project every point onto the nearest triangle that the line along its normal crosses.
+    """Project every shell point onto the nearest triangle that the line along its normal crosses.
 
-    The triangle must lie within reach and within the distance of the last motion.
+    The distance along the normal must be less than ``reach`` plus the motion of the point since the
+    last tick. ``reach`` is the radius of the largest triangle [m].
     """
     i = wp.tid() + offset
     pose = pose_of(pose_rows)
@@ -88,7 +91,7 @@ def project_shell(
 
 @wp.kernel
 def link_points(triangle: Int32s, lists: Lists, points_out: Points):
-    """Link each shell point to its triangle. A point without a triangle carries no force."""
+    """Link each shell point to its triangle; a point without a triangle gets zero force."""
     for k in range(lists.count[NEARBY]):
         points_out.first[lists.near[k]] = -1
     for i in range(triangle.shape[0]):

@@ -1,10 +1,11 @@
 """Penetration depth of a tool of revolution into a structure with a closed triangle surface.
 
-The tool is the union of its largest inscribed balls. The depth of a ball whose centre lies in the
-structure is the sum of its radius and the depth of its centre. The centres form the medial axis of
-the tool. They are divided into cells. A cell is a part of a segment of the half section's medial
-axis, rotated by a range of angles around the tool's axis. A branch-and-bound search over the cells
-finds the deepest ball, with an error of at most `DEPTH_TOLERANCE_M`.
+The tool is the union of its largest inscribed balls. If the centre of a ball lies in the structure,
+the depth of the ball is its radius plus the depth of its centre. The centres of all balls form the
+medial axis of the tool, which is divided into cells. A cell is a part of a segment of the medial
+axis of the tool's half section, rotated by a range of angles around the tool's axis. A
+branch-and-bound search over the cells finds the deepest ball, with an error of at most
+`DEPTH_TOLERANCE_M`.
 """
 
 import warp as wp
@@ -29,8 +30,8 @@ DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
 CELLS = wp.constant(128)
 """Number of rows of the stack of cells.
 
-Each halving of a cell adds one row. 30 halvings reduce the two sides of a cell from 30 mm to about
-a micrometre.
+The stack holds the cells that remain to be searched. Each halving of a cell adds one row. 30
+halvings reduce both sides of a cell from 30 mm to about a micrometre.
 """
 CELL_COLUMNS = wp.constant(6)
 MOST_QUERIES = wp.constant(20000)
@@ -41,25 +42,27 @@ The limit bounds the time of a tick.
 FAR_M = wp.constant(wp.float64(1.0e3))
 """Range of the search for the nearest point [m]. Every structure lies within this range."""
 NEAR_M = wp.constant(wp.float64(1.0e-6))
-"""Distance from the surface below which the direction to it has large rounding errors [m]."""
+"""Distance [m] from a surface below which the direction to the surface is not accurate."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
-"""Distance from the surface to the outer point that is used for a bound, in cell sizes.
+"""Distance from the structure's surface to an auxiliary point outside the structure, in cell sizes.
 
-If the space outside the structure is large enough, the bound is below the true distance by about a
-32nd of the cell size.
+A bound for the balls of a cell is computed from the distance of this point. If the space outside
+the structure is large enough, the bound is below the true distance by about a 32nd of the cell
+size.
 """
 HULL = wp.constant(8)
 """Number of corners of the hull around a cell, see `hull_corner`."""
 WIDE_RAD = wp.constant(wp.float64(1.0))
-"""Half angle [rad] of a cell above which a bound is computed only from the size of the cell.
+"""Smallest half angle [rad] at which the bound of a cell is computed only from the cell's size.
 
-At this angle, the hull corners on the tangents have 1.85 times the radius of the cell.
+For larger angles, the hull is too coarse: at this angle, its corners on the tangents have 1.85
+times the radius of the cell.
 """
 
 
 @wp.struct
 class MedialAxis:
-    """Segments of the medial axis, see `tissue.cutters.body.MedialAxis`."""
+    """Segments of a tool's medial axis, see `tissue.cutters.body.MedialAxis`."""
 
     starts: Vectors  # [segment] radius and height of the centre, ball radius [m]
     ends: Vectors
@@ -86,7 +89,7 @@ def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
-    """Find the point of the surface nearest to `point`, its triangle and its distance."""
+    """Return the distance of `point` from the surface, the nearest surface point, and its face."""
     at = wp.vec3(point)
     query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
     foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))
@@ -102,11 +105,11 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Return corner `k` of a hull around the centres of a cell, and the ball radius at this corner.
+    """Return corner `k` of a hull around the ball centres of a cell, and the ball radius there.
 
-    The hull has four corners at the corners of the cell, and four on the tangents at its middle. A
-    concave function of the centre and the ball radius has its smallest value at a corner of the
-    hull.
+    The ball centres at each end of the cell's segment form an arc around the tool's axis. For each
+    of the two arcs, the hull has corners at the ends of the arc and on the tangent at its middle. A
+    concave function of centre and ball radius has its smallest value at a corner of the hull.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -118,7 +121,7 @@ def hull_corner(
 
 @wp.func
 def first_ball_inside(mesh: wp.uint64, motion: Doubles2D, medial: MedialAxis):
-    """Return whether the centre of the first ball lies in the structure."""
+    """Return whether the centre of the first ball of the medial axis lies in the structure."""
     ball = medial.starts[0]
     return is_in_structure(mesh, in_structure(motion, ball[0], ZERO, ball[1]))
 
@@ -136,12 +139,14 @@ def cell_bounds(
     moved: wp.float64,
     wanted: wp.float64,
 ):
-    """Compute a lower and an upper bound of the smallest distance of the balls of a cell.
+    """Compute bounds of the smallest signed distance between the structure and the balls of a cell.
 
-    Also return the signed distance of the middle of the cell from the surface.
+    Return a lower bound, an upper bound, and the signed distance of the cell's middle from the
+    surface [m].
 
-    `before` is the signed distance of a known point, and `moved` is the distance from this point to
-    the middle. A lower bound that is larger than `wanted` is not improved further.
+    `before` is the known signed distance of another point from the surface, and `moved` is the
+    distance from this point to the middle of the cell. Once the lower bound is at least `wanted`,
+    the bound is not improved further.
     """
     middle = HALF * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
@@ -219,9 +224,10 @@ def over_balls(
     # start and end as fractions of the segment, angle, half angle, bound, signed distance
     cells: Doubles2D,
 ):
-    """Compute a lower bound of the smallest distance [m] of the tool's balls in the structure.
+    """Compute a lower bound of the smallest signed distance [m] between structure and tool's balls.
 
-    The result is at most `best`. Only balls whose centre lies in the structure are included.
+    The result is at most `best`. Only balls whose centre lies in the structure are included. On
+    segments that `medial.across` marks, balls with centres outside are also included.
     """
     smallest = best
     lowest = best

@@ -1,12 +1,12 @@
 """Signed distance between a tool of revolution and a structure.
 
 The structure is a closed triangle surface. A branch-and-bound search over a tree of boxes, and then
-over halves of triangles, finds the point of the surface with the smallest distance from the tool.
-The error is at most `TOLERANCE_M`. If tool and structure overlap, `kernels.structure_depth`
-computes the penetration depth.
+over halves of triangles, finds the point of the structure's surface with the smallest distance from
+the tool. The error is at most `TOLERANCE_M`. If tool and structure overlap,
+`kernels.structure_depth` computes the penetration depth.
 
-Clearance: the distance between a tool's surface and another body is interpolated in a grid of
-distances.
+Clearance: a second kernel computes the distance between a tool's surface and another body, by
+interpolation in a grid of distances.
 """
 
 import warp as wp
@@ -22,9 +22,9 @@ __all__ = ["NODES", "TRIANGLES", "Tree", "clearance", "distance_to_structure"]
 wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
-"""Number of rows of the stacks of nodes and triangles."""
+"""Number of rows of the stack of tree nodes, and of the stack of triangles."""
 MOST_EVALUATIONS = wp.constant(20000)
-"""Number of evaluations after which a search ends with a coarser lower bound.
+"""Number of evaluated boxes and triangles after which a search ends with a coarser lower bound.
 
 The limit bounds the time of a tick.
 """
@@ -55,8 +55,8 @@ def smallest_in_triangle(
 ):
     """Find the smallest distance between the tool and a triangle, but at most `best`.
 
-    Return the distance, the number of evaluations so far, and the smallest bound of the parts that
-    were not searched.
+    Return the distance [m], the number of evaluations so far, and the smallest lower bound of the
+    parts of the triangle that were not searched.
     """
     smallest = best
     # 1e9 m stands for no bound.
@@ -109,7 +109,7 @@ def smallest_in_triangle(
 
 @wp.func
 def in_tool(motion: Doubles2D, point: wp.vec3d):
-    """Convert a point of the structure's frame to the tool's frame."""
+    """Convert a point from the structure's frame to the tool's frame."""
     p = point - wp.vec3d(motion[0, 0], motion[0, 1], motion[0, 2])
     x = motion[1, 0] * p[0] + motion[1, 1] * p[1] + motion[1, 2] * p[2]
     y = motion[2, 0] * p[0] + motion[2, 1] * p[1] + motion[2, 2] * p[2]
@@ -119,7 +119,7 @@ def in_tool(motion: Doubles2D, point: wp.vec3d):
 
 @wp.func
 def node_bound(outline: Outline, tree: Tree, motion: Doubles2D, node: int):
-    """Compute a lower bound of the distance between the tool and the points in a node's box."""
+    """Compute a lower bound of the distance between the tool and the box of a tree node."""
     half = tree.half[node]
     # 1e9 m stands for no bound, so that an empty node is never searched.
     bound = wp.float64(1.0e9)
@@ -154,9 +154,10 @@ def over_surface(
     stack: Vectors2D,
     bounds: Doubles,
 ):
-    """Compute a lower bound of the smallest distance [m] between the tool and the surface.
+    """Compute a lower bound of the signed distance [m] between the tool and a structure's surface.
 
-    The bound is at most `TOLERANCE_M` below the smallest distance.
+    The bound is at most `TOLERANCE_M` below the distance, unless the search ends after
+    `MOST_EVALUATIONS`.
     """
     # 1e9 m stands for no bound.
     smallest = wp.float64(1.0e9)
@@ -224,7 +225,7 @@ def distance_to_structure(
     # out
     distance_out: Doubles,  # [m], negative where tool and structure overlap
 ):
-    """Compute a lower bound of the distance between tool and structure, in one thread."""
+    """Compute a lower bound of the signed distance between tool and structure, in one thread."""
     smallest = over_surface(
         outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
     )
@@ -260,9 +261,9 @@ def clearance(
     # out
     least_out: Singles,  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Compute the smallest distance between the other body and the surface elements of each chunk.
+    """Compute the smallest distance between another body and the surface elements of each chunk.
 
-    Distances are interpolated trilinearly between voxel centres.
+    The distances from the other body are given at voxel centres, and are interpolated trilinearly.
     """
     chunk = wp.tid() + chunk_offset
     # 1e9 m stands for no distance yet.

@@ -1,15 +1,16 @@
-"""Contact of a tool with triangles of a body whose displacements follow from a dense compliance.
+"""Contact of a tool with a triangulated body that has a dense compliance matrix.
 
 The solver is a nonlinear Gauss-Seidel iteration on one thread.
 
-The unknowns are the forces at contact points. A contact point has barycentric weights on its
-triangle. For one triangle after another, the forces at its contact points are solved
-(``kernels.contact_state``). The tool's distance and normal are evaluated at the present position of
-the point, so no outer loop over normals is needed. The changed force F_a of each node of the
-triangle is then added to the displacements of all loaded nodes, ``u_b += W_ba dF_a``
-(``kernels.near_compliance``). Only working triangles are solved. They touch the tool or carry
-force. When their points no longer move, all other nearby triangles are checked. Triangles that the
-tool would penetrate become working triangles.
+The unknowns are the forces at contact points. The position of a contact point is given by
+barycentric weights on its triangle. For one triangle after another, the forces at its contact
+points are solved (``kernels.contact_state``). The tool's distance and normal are evaluated at the
+present position of the point, so no outer loop over normals is needed. The change dF_a of the force
+at each node a of the triangle then changes the displacements of all loaded nodes,
+``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only working triangles are solved, that is,
+triangles that touch the tool or carry force. When the contact points no longer move, all other
+triangles near the tool are checked. Triangles that the tool would penetrate become working
+triangles.
 """
 
 import warp as wp
@@ -48,7 +49,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def load(body: Body, patch: Patch, node: int, change: wp.vec3d):
-    """Add a change to a node's force, and displace all loaded nodes."""
+    """Add a ``change`` to the force on a node, and update the displacements of all loaded nodes."""
     if wp.length_sq(change) > ZERO:
         body.force[node] = body.force[node] + change
         push(patch, patch.slot[node], change, patch.count[LOADED])
@@ -65,9 +66,10 @@ def turn_of(
     friction: wp.float64,
     triangle: int,
 ):
-    """Solve the contact points of a triangle one after another.
+    """Solve the forces at the contact points of a triangle, one point after another.
 
-    Return the largest change of a point's position and the largest displacement of a node [m].
+    Return the largest change of the position of a contact point [m], and the largest displacement
+    of the triangle's nodes before this change [m].
     """
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]
@@ -113,9 +115,9 @@ def turn_of(
 
 @wp.func
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
-    """Recompute the nodal forces and displacements from the contact forces.
+    """Recompute the nodal forces and displacements from the forces at the contact points.
 
-    Rounding errors would accumulate if only changes were added.
+    Rounding errors would accumulate if only changes of force were added.
     """
     for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
@@ -144,9 +146,10 @@ def report(
     state: int,
     results_out: Doubles,
 ):
-    """Write the results: the force and torque on the tool, and the end state.
+    """Compute and write the results, such as the force and torque on the tool and the end state.
 
-    If a penetration remains that no force can remove, the end state is changed to IMMOVABLE.
+    If the body cannot yield at a point and the tool penetrates it there by more than ``slack`` [m],
+    the end state DONE is changed to IMMOVABLE.
     """
     force = wp.vec3d()
     torque = wp.vec3d()
@@ -208,9 +211,10 @@ def solve_contact(
     patch_out: Patch,
     results_out: Doubles,
 ):
-    """Solve the working triangles in sweeps.
+    """Solve the contact forces in sweeps over the working triangles.
 
-    The sweeps end when the contact points rest and the tool penetrates no other triangle.
+    A triangle is working if it touches the tool or carries force. The sweeps end when the contact
+    points no longer move and the tool penetrates no other triangle, or after ``sweeps`` sweeps.
     """
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)

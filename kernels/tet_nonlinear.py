@@ -3,21 +3,23 @@
 The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``. Here
 ``g_a = sum_c reference[q, a, c] grad L_c`` is the gradient of node a's shape function, and ``L_c``
 are the barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress
-``P = d psi / dF`` the force is ``f_a = sum_q w P g_a`` and the tangent is ``K_ab = d f_a / d x_b``.
-There are three laws:
+``P = d psi / dF``, the force is ``f_a = sum_q w P g_a``, where w is the volume that quadrature
+point q represents. The tangent stiffness is ``K_ab = d f_a / d x_b``. The module has three laws for
+the energy density psi:
 
 linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
 The neo-Hookean law of this module differs from the neo-Hookean law in ``kernels.tet_hyperelastic``,
-which separates the change of volume. At small strain, each of the two laws has the moduli of the
-linear law.
+which separates the change of volume from the change of shape. At small strain, both neo-Hookean
+laws have the moduli of the linear law.
 
-The corotational law is the linear law in the rotated frame. Its tangent includes the derivative of
-the rotation: ``(tr S I - S) w = axial(R^T dF - dF^T R)`` with ``R^T dR = [w]x``. The neo-Hookean
-law follows Bonet and Wood 2008, Nonlinear Continuum Mechanics. All three laws have the same
-small-strain limit. The energy of an inverted cell (J <= 0) is infinite, except with the linear law.
+The corotational law is the linear law in the rotated frame. The tangent of the corotational law
+includes the derivative of the rotation: ``(tr S I - S) w = axial(R^T dF - dF^T R)`` with
+``R^T dR = [w]x``. The neo-Hookean law follows Bonet and Wood 2008, Nonlinear Continuum Mechanics.
+All three laws have the same small-strain limit. The energy of an inverted cell (J <= 0) is
+infinite, except with the linear law.
 """
 
 import warp as wp
@@ -53,13 +55,13 @@ LINEAR = wp.constant(0)
 COROTATIONAL = wp.constant(1)
 NEO_HOOKEAN = wp.constant(2)
 POLAR_STEPS = wp.constant(30)
-"""Largest number of Newton steps. Scaled steps converge after about ten."""
+"""Largest number of Newton steps in `rotation_of`, which converges after about ten steps."""
 IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 
 @wp.func
 def rotation_of(f: wp.mat33d):
-    """Compute the rotation of the polar decomposition of F, for det F > 0.
+    """Compute the rotation R of the polar decomposition F = R S, for det F > 0.
 
     The method is Newton's method with scaled steps (Higham 1986).
     """
@@ -84,7 +86,7 @@ def gradient_of(
     reference: Doubles3D,
     corner: Vectors2D,
 ):
-    """Compute the gradient of node a's shape function at a quadrature point [1/m]."""
+    """Compute the gradient [1/m] of the shape function of node ``a`` at quadrature point ``q``."""
     g = wp.vec3d()
     for c in range(4):
         g += reference[q, a, c] * corner[cell, c]
@@ -100,7 +102,7 @@ def deformation(
     corner: Vectors2D,
     displacement: Vectors,
 ):
-    """Compute the deformation gradient at a quadrature point."""
+    """Compute the deformation gradient of a cell at quadrature point ``q``."""
     f = wp.mat33d(IDENTITY)
     for a in range(nodes.shape[1]):
         f += wp.outer(displacement[nodes[cell, a]], gradient_of(cell, q, a, reference, corner))
@@ -128,7 +130,7 @@ def tet_force(
     energy_out: Doubles,  # [cell] [J]
     force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Compute the energy of each cell and its derivative by the positions of the cell's nodes."""
+    """Compute the energy of each cell, and its derivative with respect to node positions."""
     cell = wp.tid() + offset
     lam = lame[cell, 0]
     mu = lame[cell, 1]
@@ -238,7 +240,7 @@ def gather_forces(
     # out
     force_out: Vectors,  # [node] [N]
 ):
-    """Sum the contributions to each node in the order of its cells."""
+    """Sum the forces of the cells at each node, in a fixed order of the cells."""
     node = wp.tid() + offset
     total = wp.vec3d()
     for k in range(start[node], start[node + 1]):
@@ -257,7 +259,7 @@ def gather_blocks(
     # out
     block_out: Matrices,  # [N/m]
 ):
-    """Sum the contributions to each pair of nodes, and write the sum and its transpose.
+    """Sum the stiffness of the cells for each pair of nodes, and write the sum and its transpose.
 
     The matrix is therefore symmetric to the last bit.
     """

@@ -1,15 +1,16 @@
 """Stiffness and stress of straight-sided tetrahedra.
 
-The gradients g_c of the barycentric coordinates are constant in a cell. For shape functions A and
-B, the exact integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T``, with
-weights that only depend on the pair. The block of the stiffness is linear in S::
+The gradients g_c of the barycentric coordinates are constant in a cell. For a pair of shape
+functions A and B, the exact integral of ``grad A (grad B)^T`` is ``S = V sum_cd w_cd g_c g_d^T``. V
+is the volume of the cell, and the weights w_cd depend only on the pair. The stiffness block of the
+pair is linear in S::
 
     K_AB[i, j] = sum_pq C[ip, jq] S[p, q]            any material
     K_AB = lambda S + mu S^T + mu tr(S) I            isotropic
 
-Quadratic cells lock (become too stiff) as lambda / mu grows. A part of lambda, ``softened``,
-therefore uses ``M = V mean(grad A) mean(grad B)^T`` instead of S. This part only resists the mean
-volume change of a cell::
+Quadratic cells lock (become too stiff) as lambda / mu increases. For a part of lambda,
+``softened``, the matrix ``M = V mean(grad A) mean(grad B)^T`` is therefore used instead of S. This
+part of lambda only resists the mean volume change of a cell::
 
     K_AB = K_AB - softened (S - M)
 
@@ -19,9 +20,10 @@ transpose. The matrix is therefore symmetric to the last bit, on any number of t
 Stress: strain and stress in linear or quadratic tetrahedra, averaged over groups of points.
 
 At a point with the barycentric coordinates l, the displacement gradient is
-``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, the strain is its symmetric part, and the stress is D
-times the strain. A group is the centre of one cell, or the points at one node, one point for each
-adjacent cell. Points are weighted by the volume of their cells.
+``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``. The strain is the symmetric part of this gradient, and
+the stress is the material stiffness D times the strain. A group consists of the centre of one cell,
+or of the points at one node, with one point for each adjacent cell. The weight of a point is the
+volume of its cell.
 """
 
 import warp as wp
@@ -78,9 +80,10 @@ def gradient_product(
     pair_weight: Doubles2D,
     gradient: Vectors2D,
 ):
-    """Compute the matrix S of a pair of nodes, divided by the cell's volume.
+    """Compute ``S / V`` of a pair of nodes in a cell, and return the cell's index and this matrix.
 
-    S is transposed if the pair is reversed.
+    S is the integral of the product of the gradients of the two shape functions, and V is the
+    volume of the cell. If ``contribution`` is negative, the pair is reversed and S is transposed.
     """
     entry = contribution
     if contribution < 0:
@@ -111,7 +114,10 @@ def write_pair(
     mirror: int,
     block_out: Matrices,
 ):
-    """Write a pair's block and its transpose. On the diagonal, the upper half is mirrored."""
+    """Write the stiffness block of a pair of nodes, and its transpose for the reversed pair.
+
+    A block on the diagonal of the matrix is made exactly symmetric.
+    """
     if place == mirror:
         block[1, 0] = block[0, 1]
         block[2, 0] = block[0, 2]
@@ -143,7 +149,7 @@ def pair_stiffness_isotropic(
     # out
     block_out: Matrices,  # [N/m]
 ):
-    """Compute the stiffness blocks of isotropic cells."""
+    """Compute the stiffness block of each pair of nodes, for isotropic cells."""
     pair = wp.tid() + offset
     last = lame.shape[0] - 1
     first_sum = wp.mat33d()
@@ -164,7 +170,7 @@ def pair_stiffness_isotropic(
 
 @wp.func
 def voigt(i: int, j: int):
-    """Return the index of a tensor component in the order xx, yy, zz, yz, xz, xy."""
+    """Return the index of tensor component (i, j) in the order xx, yy, zz, yz, xz, xy."""
     # The pairs (1, 2), (0, 2) and (0, 1) add up to 3, 2 and 1.
     where = 6 - i - j
     if i == j:
@@ -192,7 +198,7 @@ def pair_stiffness(
     # out
     block_out: Matrices,
 ):
-    """Compute the stiffness blocks of cells of any linear material."""
+    """Compute the stiffness block of each pair of nodes, for cells of any linear material."""
     pair = wp.tid() + offset
     last = stiffness.shape[0] - 1
     block = wp.mat33d()
@@ -235,7 +241,7 @@ def group_stress(
     von_mises_out: Doubles,  # [group] [Pa]
     principal_out: Vectors,  # [group] [Pa], largest first
 ):
-    """Compute the mean strain and stress of each group. An empty group gets zeros."""
+    """Compute the mean strain and stress of each group of points; 0 for an empty group."""
     group = wp.tid() + offset
     strain = wp.mat33d()
     voigt = wp.vector(length=6, dtype=wp.float64)

@@ -1,12 +1,13 @@
-"""Distances and gradients of the obstacles of a rigid tool: voxels and exact solids.
+"""Distances of points from the obstacles of a rigid tool: voxels and exact solids.
 
-No distance to the surface of the voxels is stored. The distance is computed on demand from the
-remaining fractions of the eight voxels around the point. With the trilinear fraction F and the
-spacing h, the level ``(SURFACE - F) h`` is zero on the surface and has a slope of about one in the
-outward direction. Carving therefore does not have to update distances. ``SURFACE`` is less than one
-half, because a plate that is one voxel thick may half fill two layers of voxels. Shell points are
-moved inward to compensate for this smaller value. Away from bone, ``clearance`` holds a lower bound
-of the distance to the initial bone. Removal can only increase this distance.
+The distance of a point from the surface of the voxels is not stored. It is computed on demand from
+the remaining fractions of the eight voxels around the point, so carving does not have to update
+distances. F is the trilinearly interpolated fraction and h the voxel spacing. The level
+``(SURFACE - F) h`` is zero on the surface, and its slope is about one in the outward direction.
+``SURFACE`` is less than one half, because a plate that is one voxel thick may half fill two layers
+of voxels. The contact surface is therefore larger than the true surface, and shell points of the
+tool are moved inward to compensate. Away from bone, the array ``clearance`` holds a lower bound of
+the distance to the initial bone. Removal of bone can only increase this distance.
 """
 
 import warp as wp
@@ -33,9 +34,9 @@ HALF_SPACE = 0
 BOX = 1
 BALL = 2
 CELL = 2
-"""Edge length of a cell of ``clearance`` [voxel]."""
+"""Edge length of a cell of `Field.clearance` [voxel]."""
 SURFACE = 0.25
-"""Trilinear fraction on the surface that the tool touches."""
+"""Trilinearly interpolated voxel fraction on the surface that the tool touches."""
 LEVEL = wp.constant(wp.float64(SURFACE))
 STEP = wp.constant(wp.float64(1.0 / 65535.0))
 """Filled fraction that one stored step represents, see `kernels.bricks.FULL`."""
@@ -44,7 +45,7 @@ CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
 
 @wp.struct
 class Field:
-    """Convex solids, each with its own contact, and voxels in brick storage."""
+    """Obstacles of a tool: convex solids, and bone as voxels in brick storage."""
 
     kind: Int32s
     centre: Vectors  # [m]; for a half-space, a point on its face
@@ -61,7 +62,7 @@ class Field:
 
 @wp.func
 def box_distance(half: wp.vec3d, local: wp.vec3d):
-    """Compute the distance to a box around the origin, and the gradient of the distance.
+    """Compute the signed distance to a box around the origin, and the gradient of the distance.
 
     Inside the box, the distance is negative, and its magnitude is the distance to the nearest face.
     """
@@ -104,7 +105,7 @@ def solid_distance(field: Field, solid: int, point: wp.vec3d):
 
 @wp.func
 def voxel_clearance(field: Field, point: wp.vec3d):
-    """Return a lower bound of the distance [m] from a point to bone."""
+    """Return a lower bound of the distance [m] from a point to the contact range of bone voxels."""
     ux = (point[0] - field.origin[0]) * field.voxels_per_m
     uy = (point[1] - field.origin[1]) * field.voxels_per_m
     uz = (point[2] - field.origin[2]) * field.voxels_per_m
@@ -126,7 +127,7 @@ def voxel_clearance(field: Field, point: wp.vec3d):
 
 @wp.func
 def held(remaining: Shorts2D, row: int, ix: int, iy: int, iz: int):
-    """Return the filled fraction of a voxel in a brick's row, 0 where no brick is stored."""
+    """Return the filled fraction of a voxel in the brick of ``row``; 0 if ``row`` is negative."""
     fraction = wp.float64(0.0)
     if row >= 0:
         fraction = wp.float64(remaining[row, voxel_column(ix, iy, iz)]) * STEP
@@ -144,7 +145,7 @@ def column_pair(
 ):
     """Return the filled fractions of a voxel and of the next voxel along z.
 
-    ``row`` is the row of the brick, or -2 where it is not known.
+    ``row`` is the row of the brick that contains both voxels, or -2 if the row must be searched.
     """
     low = row
     if row < 0:
@@ -157,9 +158,10 @@ def column_pair(
 
 @wp.func
 def voxel_level(field: Field, point: wp.vec3d):
-    """Compute the level [m] of a point relative to the voxels' surface, and its gradient.
+    """Compute the approximate signed distance (level) [m] of a point from the voxels' surface.
 
-    The level is positive outside and zero on the surface. Its gradient has a length of about one.
+    The level is positive outside and zero on the surface. Its gradient, which is also returned, has
+    a length of about one near the surface.
     """
     ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
     uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
@@ -202,9 +204,10 @@ def field_distance(
     distance_out: Doubles,  # [m]
     normal_out: Vectors,
 ):
-    """Compute the distance from each point to the nearest solid, and the outward direction.
+    """Compute the distance [m] from each point to the nearest obstacle, and the outward direction.
 
-    Voxels only count within the range in which they have an effect.
+    The distance from solids is exact. Farther than half a voxel from bone, a lower bound of the
+    distance from bone is used, with the direction (0, 0, 0).
     """
     i = wp.tid()
     # 1e30 m: no solid yet

@@ -221,9 +221,11 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
 
     The result includes the uncertainty of the law.
 
-    The unknowns are the energy, the errors of the scanner's water value and scale, the fat content
-    of marrow, and the deviation of each tissue from ICRU 44. Each unknown is expressed as a
-    standard normal variable. The covariance is computed from the linearised problem.
+    The unknowns are the effective energy, the scanner's errors in the value of water and in the
+    scale, the fat content of marrow, and one deviation for each tissue. This deviation is the
+    relative difference of the tissue's attenuation from the value computed with ICRU 44. Each
+    unknown is expressed as a standard normal variable. The covariance is computed from the
+    linearised problem.
 
     Raises
     ------

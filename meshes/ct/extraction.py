@@ -305,7 +305,7 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
     image
         Image with the grid of the mask. Its values are not used.
     mask
-        Mask of the label's voxels, shape of the image.
+        Mask of the label's voxels, same shape as the image.
     name
         Name of the label.
 

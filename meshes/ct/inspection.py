@@ -324,7 +324,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     image
         CT [HU].
     mask
-        Mask of the label's voxels, shape of the image. At least one voxel is set.
+        Mask of the label's voxels, same shape as the image. At least one voxel is set.
     name
         Name of the label.
 

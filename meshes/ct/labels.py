@@ -142,8 +142,8 @@ def read_labels(
         name of its label.
     names
         Name of a set from `meshes.ct.label_names.label_sets`, or a TOML file whose table
-        ``[labels]`` assigns a number to each name. None: the names in the file's header are used,
-        or ``label 1`` and so on if the header has no names.
+        ``[labels]`` assigns a number to each name. If None, the names in the file's header are
+        used, or ``label 1`` and so on if the header has no names.
     spacing_mm
         Distance between neighbouring voxels [mm], one number or three, for a file that does not
         state the distance.

@@ -45,8 +45,8 @@ def image_volume(
         Density of the bone in a voxel: one value [kg/m3], or a law of the grey value.
     resample_mm
         New voxel size [mm]. For finer voxels, grey values are interpolated first. For coarser
-        voxels, fractions are averaged, so the bone volume does not change. None: the voxel size of
-        the file, or the smallest of the three voxel sizes if they differ.
+        voxels, fractions are averaged, so the bone volume does not change. If None, the voxel size
+        of the file is used, or the smallest of its three voxel sizes if they differ.
     remark
         Function that is called with each sentence about an assumption.
 

@@ -126,7 +126,7 @@ def along_lps(
     lattice
         Image along LPS axes. Oblique labels are resampled on the grid of this image, which is
         extended as far as the labels reach. The labels then need no second resampling to this grid.
-        None: the grid has the spacing of `stored`.
+        If None, the grid has the spacing of `stored`.
 
     Raises
     ------

@@ -295,7 +295,8 @@ def read_image(
         (`slices/*.tif`). Slices are stacked along +z in the order of the numbers in their names.
     spacing_mm
         Distance between neighbouring voxels [mm], one number or one number per axis of the array.
-        None: the distance stated in the file. TIFF, PNG and BMP slices do not state a distance.
+        If None, the distance stated in the file is used. TIFF, PNG and BMP slices do not state a
+        distance.
     labels
         Whether the values are labels. Labels are not interpolated.
     series

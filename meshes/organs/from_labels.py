@@ -86,7 +86,7 @@ class LabelGrid:
         return float(np.prod(self.spacing_mm))
 
     def within(self, first: tuple[int, ...]) -> "LabelGrid":
-        """Return the same grid, but starting at the voxel with the index `first`."""
+        """Return the grid that starts at the voxel with the index `first` of this grid."""
         x, y, z = (
             start + side * index
             for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
@@ -212,7 +212,7 @@ class LabelledOrgan:
     def mesh(
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Return the tetrahedra of the organ with its parts, in the frame of the image, and notes.
+        """Return the mesh of the organ with its parts in the frame of the image, and notes.
 
         Raises
         ------
@@ -276,9 +276,9 @@ def organ_mesh(
     *,
     report: Progress = silent,
 ) -> tuple[TetMesh, dict[str, str]]:
-    """Return the tetrahedra of a segmented organ, and notes by name of the organ or part.
+    """Return the tetrahedral mesh of a segmented organ, and notes on findings and assumptions.
 
-    The parts of the organ are parts of the mesh.
+    In the mesh, the organ and each label in `parts` are separate named parts.
 
     Parameters
     ----------
@@ -287,14 +287,15 @@ def organ_mesh(
     organ
         Name of the organ's label.
     parts
-        Names of labels in the organ or at its surface that become parts.
+        Names of labels in the organ or at its surface, such as a tumour or a vessel.
     report
         Called with the name of the current task.
 
     Returns
     -------
-    The mesh in the frame of the image, LPS [m], and the notes. The parts of the mesh have the names
-    `organ` and `parts`.
+    The mesh in the frame of the image, LPS [m], and the notes. The names of the parts of the mesh
+    are `organ` and the names in `parts`. The notes are keyed by the name of the organ or part, or
+    by ``mesh``.
 
     Raises
     ------

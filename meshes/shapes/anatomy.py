@@ -69,7 +69,7 @@ class Anatomy:
     sample
         Function that returns bone fraction and depth of a whole grid. Such a function is needed for
         shapes whose signed distance is too expensive to evaluate at each voxel, such as a triangle
-        mesh. None: `shape` is evaluated.
+        mesh. If None, `shape` is evaluated.
     placement
         Placement of the site frame in the frame of the anatomy's file; None without a file.
     caps_m

@@ -89,7 +89,8 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
         Corners with the smallest and the largest coordinates of a box around the query points [m],
-        shape (2, 3). Triangles far from this box may be longer. None: query points may be anywhere.
+        shape (2, 3). Triangles far from this box may be longer. If None, query points may be
+        anywhere.
     """
     corners = corners_m
     box = box_m

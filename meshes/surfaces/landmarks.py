@@ -119,7 +119,7 @@ def find_glenoid(
     centre_mm: Sequence[float] | None = None,
     along: Sequence[float] | None = None,
 ) -> Site:
-    """Find the glenoid of a scapula, or the plane of the face around a given centre.
+    """Find the glenoid of a scapula, or only its articular plane if the centre is given.
 
     Parameters
     ----------
@@ -127,15 +127,17 @@ def find_glenoid(
         Scapula.
     centre_mm
         Centre [mm] in the frame of the file, after scaling to mm. The centre is moved along the
-        normal onto the surface. None: the centre is searched.
+        normal onto the surface. If None, the glenoid is searched.
     along
-        Vector of any length in the direction of x. The vector is projected onto the face. None: y
-        is superior.
+        Vector of any length in the direction of the site's x axis. The vector is projected onto the
+        articular face. If None, the axes are chosen such that the site's y axis points in the
+        superior direction.
 
     Raises
     ------
     InputError
-        If no glenoid is found, the centre is not on the surface, or `along` is normal to the face.
+        If no glenoid is found, the centre is not on the surface, or `along` is normal to the
+        articular face.
     """
     if centre_mm is None:
         return _search_glenoid(surface, along).site

@@ -194,11 +194,11 @@ def place_site(
         Point [mm] in the frame of the file, after scaling to mm. The point is moved along the
         normal onto the surface.
     normal
-        Outward vector of any length at this point. None: the mean normal of the surface within 3 mm
-        of the nearest surface point.
+        Outward vector of any length at this point. If None, the mean normal of the surface within 3
+        mm of the nearest surface point is used.
     along
         Vector of any length in the direction of x. The vector is projected onto the plane
-        perpendicular to the normal. None: y points away from the middle of the bone.
+        perpendicular to the normal. If None, y points away from the middle of the bone.
 
     Raises
     ------
@@ -238,8 +238,8 @@ def site_along(
     note
         Description of the method that found the site.
     along
-        Direction of x. None: y points away from the middle of the bone. If `long_axis` is given, y
-        has its direction or the opposite direction.
+        Direction of x. If None, y points away from the middle of the bone. If `long_axis` is given,
+        y has its direction or the opposite direction.
     long_axis
         Direction of y. The sign is arbitrary.
 

@@ -130,7 +130,7 @@ def read_surface(
     path
         File. Its suffix determines the format.
     scale_mm
-        Millimetres per unit of the file. None: the unit is guessed from the longest side of the
+        Millimetres per unit of the file. If None, the unit is guessed from the longest side of the
         bounding box (5 to 700: millimetres; 0.005 to 0.7: metres; otherwise an error is raised).
     cut_off
         Whether the bone may end at the edge of its scan. If true, a large hole is closed by a face.

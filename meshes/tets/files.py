@@ -111,11 +111,11 @@ def read_tets(
     path
         File. Its suffix determines the format.
     unit_mm
-        Millimetres per unit of the file. None: millimetres or metres, whichever gives a longest
-        side of 20 to 450 mm.
+        Millimetres per unit of the file. If None, the unit is millimetres or metres, whichever
+        gives a longest side of 20 to 450 mm.
     edge_m
-        Edge of the tetrahedra that fill a surface [m]. None: an edge that gives about 30,000
-        tetrahedra.
+        Edge of the tetrahedra that fill a surface [m]. If None, an edge that gives about 30,000
+        tetrahedra is chosen.
     report
         Function that is called with the name and the finished fraction (0 to 1) of the current
         task.
@@ -245,7 +245,8 @@ def given_tets(
         .mesh). The part of each cell is read from a cell array of numbers or names. The array is
         called ``part`` or has a usual name of a meshing program.
     scale_mm
-        Millimetres per unit of the mesh. None: the mesh is in millimetres, and its size is checked.
+        Millimetres per unit of the mesh. If None, the mesh is in millimetres, and its size is
+        checked.
     part_names
         Names of numbered parts.
 

@@ -60,7 +60,7 @@ def tetrahedralise(
     surface
         Closed surface with outward normals, for example from `meshes.read_surface`.
     edge_m
-        Target edge [m]. None: an edge that gives about 30,000 tetrahedra.
+        Target edge [m]. If None, an edge that gives about 30,000 tetrahedra is chosen.
     report
         Function that is called with the name and the finished fraction (0 to 1) of the current
         task.

@@ -318,8 +318,8 @@ class LabelShares:
     def distance(self, points: Floats) -> Array:
         """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
 
-        Farther than one standard deviation from the surface, the magnitude of the result is only a
-        lower bound of the distance.
+        At points farther from the surface than `deviation_m`, the standard deviation of the
+        smoothing, the magnitude of the result is only a lower bound of the distance.
         """
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 

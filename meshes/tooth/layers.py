@@ -138,10 +138,10 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     Parameters
     ----------
     argument, given
-        Name of the argument that determines the size, and its value.
+        Name of the argument that determines the size, and the value of this argument as text.
     per_unit
-        Size divided by the value of this argument: number of voxels along the side, or size in file
-        units.
+        Longest side [mm] divided by the value in `given`: the number of voxels along the side, or
+        the length of the side in units of the file.
     """
     if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
         return

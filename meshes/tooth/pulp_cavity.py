@@ -60,10 +60,10 @@ class PulpCavity:
     tooth
         Voxels of the whole tooth in which the cavity was found.
     inside
-        Mask of the voxels of the cavity, bool, shape of the tooth.
+        Mask of the voxels of the cavity, a bool array with the same shape as the voxels of `tooth`.
     away_m
-        Distance [m] of each voxel from the region that the centre of a ball with a diameter of 0.8
-        mm can reach from outside, shape of the tooth.
+        Distance [m] of each voxel from a region; same shape as the voxels of `tooth`. The centre of
+        a ball with a diameter of 0.8 mm can reach this region from outside the tooth.
     """
 
     tooth: VoxelVolume
@@ -113,7 +113,8 @@ class PulpCavity:
     def voxels(self, volume: VoxelVolume) -> Flags:
         """Return a mask of the cavity in another voxel volume of the same tooth.
 
-        The voxels may have any size. The mask is bool and has the shape of the volume.
+        The voxels may have any size. The mask is a bool array with the same shape as the voxels of
+        `volume`.
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)

@@ -44,11 +44,11 @@ class VoxelVolume:
         Placement of the volume's frame in the frame of the bone's file. None without a file.
     surface_distance
         Signed distance from each voxel's centre to the bone's surface, see
-        `meshes.voxels.distances`, uint8, shape (nx, ny, nz). None: this distance is computed from
-        the fractions when needed.
+        `meshes.voxels.distances`, uint8, shape (nx, ny, nz). If None, this distance is computed
+        from the fractions when needed.
     layer_distance
         Distance from each voxel's centre to the nearest boundary between layers, uint8, shape (nx,
-        ny, nz). None: this distance is computed from the layers when needed.
+        ny, nz). If None, this distance is computed from the layers when needed.
 
     Raises
     ------

@@ -302,8 +302,8 @@ def voxelise(
         Edge of a voxel [m].
     region_m
         Corners [m] of the region with the lowest and the highest coordinates. The region is
-        extended to whole voxels. None: the anatomy's bounding box and a margin of two voxels, in
-        which the surface distance is also stored.
+        extended to whole voxels. If None, the grid covers the anatomy's bounding box and a margin
+        of two voxels, in which the surface distance is also stored.
     minus
         Solid in the site frame that is subtracted with sub-voxel accuracy, such as a pilot hole.
         The subtraction does not change the layers.

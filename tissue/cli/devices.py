@@ -38,8 +38,8 @@ def devices(
     yes
         Push the hand without asking for confirmation.
     out
-        TOML file to write with the measured rate and latency. A scene can use the file with its key
-        materials.
+        TOML file to write with the measured rate and latency. A scene uses these values if its key
+        materials names the file.
     overwrite
         Replace an existing file.
     """

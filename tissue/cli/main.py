@@ -73,8 +73,8 @@ PIPE_CLOSED = 141
 def open_streams() -> None:
     """Replace closed standard streams, and escape characters that a stream cannot encode.
 
-    Otherwise the next opened file would get the closed descriptor, and libraries that print to this
-    descriptor would write into the file.
+    Without a replacement, the next file that is opened would get the closed descriptor. Libraries
+    that print to this descriptor would then write into the file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -102,7 +102,7 @@ def has_working_folder() -> bool:
 
 
 def leave_pipe() -> NoReturn:
-    """End a command whose output is no longer read."""
+    """End a command whose output no other program reads any more, with exit code `PIPE_CLOSED`."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)  # discards buffered output
     sys.exit(PIPE_CLOSED)
@@ -224,10 +224,9 @@ NEGATIVE_LIST = re.compile(r"-[\d.][\d.e+-]*(,\s*[\d.e+-]+)+", re.IGNORECASE)
 
 
 def arguments(words: list[str]) -> list[str]:
-    """Return the words of a command line, in which lists such as -8,-13,0 are joined to their
-    option.
+    """Return the words of a command line, with each list such as -8,-13,0 joined to its option.
 
-    Otherwise a word that begins with a minus would be read as an option.
+    A separate word that begins with a minus would be read as an option.
     """
     found: list[str] = []
     for word in words:

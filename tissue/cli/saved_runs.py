@@ -97,8 +97,8 @@ def compare(
     out
         Folder for the picture and the table; without this option, the figures are only printed.
     over
-        Abscissa of the picture: time, or depth of the tool's tip from its first contact; default
-        depth if the tools mainly advance along their axes.
+        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact;
+        default depth if the tools mainly advance along their axes.
     format_
         Format of the picture, png, svg or pdf, or of one table with the traces of all runs,
         parquet, npz, mat or h5; may be repeated.
@@ -202,7 +202,7 @@ def view(
     web: Flag = False,
     overwrite: Flag = False,
 ) -> None:
-    """Show a run in a window; or show an imported bone, on which a click sets the site.
+    """Show a run, or an imported bone on which a click sets the site, in a window.
 
     Parameters
     ----------

@@ -35,7 +35,8 @@ def serve(
     step_ms
         Simulated time of a step, in whole milliseconds.
     reach_mm
-        Distance from the path of the scene within which tissue is prepared, in mm; default 2.
+        Distance from the scene's path within which tissue is prepared for contact, in mm; default
+        2.
     """
     from tissue.links.pose_server import serve_network, serve_ros2
     from tissue.objects.loop import Loop

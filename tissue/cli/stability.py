@@ -22,8 +22,8 @@ def stability(
 
     With a scene, the command reports whether the coupling between device and tool is stable, and
     computes a map of stable stiffnesses over damping and delay. Without a scene, it makes the
-    atlas. The atlas has one page for each method, which shows a case where the method fails. The
-    atlas takes about three minutes.
+    atlas. Each page of the atlas shows a case in which one method fails. The atlas takes about
+    three minutes.
 
     Parameters
     ----------

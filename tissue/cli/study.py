@@ -57,7 +57,10 @@ class PlanOptions:
     seed: Whole = 0
 
     def plan(self) -> "Plan":
-        """Return the plan; names in an option may be separated by commas."""
+        """Return the plan of a study from these options.
+
+        Names within one option may be separated by commas.
+        """
         from tissue.evaluation.study.plan import Plan
 
         chosen = {"tasks": self.tasks, "methods": self.methods, "groups": self.groups}

@@ -106,7 +106,7 @@ def sweep(
 
 
 def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
-    """Parse values by key from ``key=value,value``.
+    """Parse texts such as ``key=value,value``, and return the list of values of each key.
 
     A comma within brackets or quotes belongs to a value.
 

@@ -44,7 +44,7 @@ problems = _Terminal(stderr=True, emoji=False, markup=False)
 
 
 def whole(_: object, tokens: Sequence[Token]) -> int:
-    """Parse a whole number from the command line, which would otherwise be rounded."""
+    """Parse a whole number from the command line; other numbers are refused, not rounded."""
     try:
         return whole_number_in(tokens[0].value)
     except ValueError:
@@ -63,12 +63,12 @@ MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 
 def left_out(where: str, remedy: str, **flags: object) -> None:
-    """Refuse options that have no effect in the situation ``where``.
+    """Refuse options that have no effect in a situation, which the text ``where`` describes.
 
     Raises
     ------
     InputError
-        If such an option is given. The message contains the option and the remedy.
+        If one of the options is given. The message contains the option and the remedy.
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():

@@ -99,12 +99,12 @@ class _Source:
 
 
 def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Create the draft of a scene with a bone.
+    """Create the content of the output folder (`Draft`) for a scene with a bone.
 
     Raises
     ------
     InputError
-        If the image or an option cannot be used. The findings until then are notes of the error.
+        If the image or an option cannot be used. The error then has the findings so far as notes.
     """
     source, sentences = _source(request, progress)
     try:

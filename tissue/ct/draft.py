@@ -48,11 +48,11 @@ class Draft:
     scene
         TOML of the scene.
     record
-        Measurements and assumptions as plain numbers.
+        Measurements and assumptions of the import, as plain numbers.
     files
-        Dictionary from the name of another file to the function that writes it. Pictures are last.
+        Function that writes each of the other files, keyed by file name. Pictures are last.
     sentences
-        Description for users.
+        Description of the import for users.
     has_site
         True if the scene can be run without changes.
     """
@@ -64,7 +64,7 @@ class Draft:
     has_site: bool = True
 
     def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
-        """Write the folder, and return the sentences, including the sentences on failed pictures.
+        """Write the output folder, and return `sentences` and a sentence for each failed picture.
 
         Files of an earlier import in the folder are removed first. Other files in the folder are
         kept.
@@ -99,7 +99,7 @@ class Draft:
 
 
 def write_surface(surface: Surface, path: Path) -> None:
-    """Write a surface as binary PLY in mm, in the frame of the surface."""
+    """Write a surface as binary PLY, with coordinates in mm in the frame of the surface."""
     import pyvista
 
     mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
@@ -110,7 +110,7 @@ def write_surface(surface: Surface, path: Path) -> None:
 def write_density(density: Image, path: Path, *, law: str) -> None:
     """Write densities as NRRD in LPS, rounded to 1 kg/m3.
 
-    `law` describes the origin and the uncertainty of the densities.
+    `law` is a text on the origin and the uncertainty of the densities.
     """
     _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
 
@@ -150,13 +150,13 @@ def _write_image(image: Image, path: Path, about: Mapping[str, str]) -> None:
 
 
 def scene_name(folder: Path) -> str:
-    """Return the name of the scene for an output folder."""
+    """Return the name of the scene, which follows from the name of the output folder."""
     plain = re.sub(r"[^a-z0-9_-]+", "-", folder.resolve().name.lower()).strip("-_")
     return plain or "imported"
 
 
 def scene_tables(scene: Scene, keys: Iterable[str]) -> dict[str, Any]:
-    """Return selected keys and tables of a scene, without values that are defaults.
+    """Return the given keys and tables of a scene, without values that equal the defaults.
 
     The duration is left out if the motion is a path of points, because a run then lasts as long as
     its path. A copied duration would stop the tool early on a longer path.

@@ -67,9 +67,9 @@ def import_ct(
     pictures
         If true, pictures are drawn.
     progress
-        Called with a description of the current step.
+        Function that is called with a description of the current step.
     **options
-        Options listed below. None selects the default.
+        Further options, listed below. The value None selects the default of an option.
 
     Other Parameters
     ----------------
@@ -90,8 +90,8 @@ def import_ct(
     series : int
         Number of the series in a folder with several series.
     spacing_mm : float or three floats
-        Distance between neighbouring voxels [mm], in all directions or along each axis. The option
-        is for files without this distance, such as TIFF and PNG slices.
+        Distance between neighbouring voxels [mm], in all directions or along each axis. Use it for
+        files that do not contain this distance, such as TIFF and PNG slices.
     density : str
         Density law: ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
         `meshes.ct.calibration.density_law`. Default: internal if the image allows it.

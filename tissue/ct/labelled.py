@@ -50,7 +50,7 @@ At a depth of 2.2 mm the error is 5 %.
 
 
 def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Create the draft of a scene with a tooth."""
+    """Create the content of the output folder (`Draft`) for a scene with a tooth."""
     progress("reading the labels", 0.0)
     labels = request.read_labels()
     image = labels.image
@@ -176,7 +176,7 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
 
 
 def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
-    """Create the draft of a scene with a soft organ."""
+    """Create the content of the output folder (`Draft`) for a scene with a soft organ."""
     region = request.region or ""
     progress("reading the image", 0.0)
     image = request.read_image()

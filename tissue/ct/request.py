@@ -66,7 +66,7 @@ SOFT = (
     "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle"
     "|gluteus|iliopsoas"
 )
-"""Words that mark the name of a label as a soft organ."""
+"""Words in the name of a label that indicate a soft organ."""
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,12 @@ class ImportRequest:
                 raise InputError(name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
-        """Raise an error for coordinates that are not finite, lack a frame, or have a wrong order.
+        """Check the points of the request and their coordinate system.
 
-        A frame without coordinates that are given as numbers is also an error.
+        Raise an error if coordinates are not finite, if the coordinate system is unknown, or if the
+        two corners of the box have a wrong order.
+
+        The coordinate system RAS is also an error if no coordinates are given as numbers.
         """
         points: dict[str, Sequence[object]] = {
             "site": [self.site],
@@ -194,12 +197,16 @@ class ImportRequest:
 
     @property
     def is_tooth(self) -> bool:
-        """True if the site is the site of a tooth."""
+        """True if the requested site is on a tooth."""
         return self.site in TEETH
 
     @property
     def is_soft(self) -> bool:
-        """True if the name of the region is a soft organ, or if moduli are given for its parts."""
+        """True if the import is of a soft organ.
+
+        This is the case if moduli are given for parts of the region, or if the name of the region
+        contains a word for a soft organ.
+        """
         return bool(self.parts) or (
             self.region is not None and re.search(SOFT, self.region.lower()) is not None
         )
@@ -211,17 +218,17 @@ class ImportRequest:
 
     @property
     def point_mm(self) -> Point | None:
-        """Site, if it is given as a point [mm, LPS]."""
+        """Site [mm, LPS] if it is given as a point; otherwise None."""
         return None if self.site is None or isinstance(self.site, str) else self._lps(self.site)
 
     @property
     def normal_lps(self) -> Point | None:
-        """Outward direction in LPS, if it is given."""
+        """Outward direction in LPS; None if the request gives no direction."""
         return None if self.normal is None else self._lps(self.normal)
 
     @property
     def box_mm(self) -> Box | None:
-        """Box to keep [mm, LPS], lowest corner first."""
+        """Box of the image to keep [mm, LPS], lowest corner first; None for the whole image."""
         if self.crop_mm is None:
             return None
         (a, b, c), (d, e, f) = map(self._lps, self.crop_mm)
@@ -229,7 +236,7 @@ class ImportRequest:
         return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
 
     def shown(self, point_m: np.ndarray) -> str:
-        """Return a point [m, LPS] as text [mm], in the coordinates of the request."""
+        """Return a point [m, LPS] as text in mm, in the coordinate system of the request."""
         point = self._lps(_three(1e3 * point_m))  # LPS and RAS differ by the same two signs
         # adding zero removes the sign of a negative zero
         return f"{in_brackets((each + 0.0 for each in point), '.4g')} {self.coordinates}"
@@ -252,7 +259,7 @@ class ImportRequest:
             return read_image(self.source, spacing_mm=self.spacing_mm, series=self.series)
 
     def read_labels(self, image: Image | None = None) -> Labels:
-        """Read the labels. If an image is given, resample the labels to its voxels."""
+        """Read the labels; if an image is given, resample the labels to the voxels of the image."""
         assert self.labels is not None
         with names_of_caller({"file": "labels", "names": "label_names"}):
             labels = read_labels(
@@ -319,9 +326,9 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site of a request, and a sentence that describes it.
+    """Return the site of a request on a surface, and a sentence that describes the site.
 
-    The result is None if the request names no site and the usual site is not found.
+    The site is None if the request names no site and the usual site is not found.
 
     Raises
     ------
@@ -402,9 +409,11 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
 def kept_clear(
     request: ImportRequest, labels: Labels | None, report: Progress
 ) -> tuple[dict[str, Surface], list[str]]:
-    """Return the surfaces of the structures that the tool must not touch, and sentences.
+    """Return the surfaces of structures that the tool must not touch, and sentences for the user.
 
-    The surfaces have the names from `plain_names`.
+    The sentences describe the structures.
+
+    The surfaces are keyed by the names that `plain_names` returns.
 
     Raises
     ------
@@ -437,7 +446,7 @@ def kept_clear(
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert names of labels to names that a scene accepts.
+    """Convert names of labels to names that are allowed in a scene.
 
     The converted names consist of ASCII letters, digits and underscores, and are unique.
     """

@@ -39,8 +39,9 @@ def body_points(profile: Profile, *, spacing_m: float) -> Array:
     """Return points of a body of revolution for pictures and bounding boxes [m], shape (n, 3).
 
     The origin is at the tip. The points lie on the cutting and the smooth surface up to the top of
-    the profile, on every ring at which the outline has a corner, and on a lattice inside. On the
-    surface, the distance between points is `spacing_m` [m], or more to limit the number of points.
+    the profile, and on a lattice inside. They also lie on each circle around the axis at which the
+    outline has a corner. The distance between points on the surface is `spacing_m`, or larger to
+    limit their number to about `ON_SURFACE`.
     """
     spacing = max(spacing_m, (sum(piece.area_m2 for piece in profile.pieces) / ON_SURFACE) ** 0.5)
     parts = [spiral(piece, spacing_m=spacing)[0] for piece in profile.pieces]
@@ -76,7 +77,7 @@ def _inside(profile: Profile, spacing: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OutlineTable:
-    """Half sections of the convex parts of a tool as arrays, for `kernels.tool_distance.Outline`.
+    """Half sections of the parts of a tool as arrays, for `kernels.tool_distance.Outline`.
 
     Attributes
     ----------
@@ -86,7 +87,8 @@ class OutlineTable:
         Geometry of the pieces [m], shape (pieces, 10). Line: start, unit direction, length. Arc:
         centre, radius, direction of the middle, cosine of the half angle, directions of the ends.
     first
-        First piece of each part, followed by the number of pieces, shape (parts + 1,).
+        Index of the first piece of each part, and at the end the number of all pieces, shape (parts
+        + 1,).
     convex
         1 if a part is convex, shape (parts,).
     """
@@ -98,9 +100,9 @@ class OutlineTable:
 
 
 def outline_table(profile: Profile) -> OutlineTable:
-    """Split a tool into convex parts and return their outlines as arrays.
+    """Split a tool with `convex_parts`, and return the outlines of its parts as arrays.
 
-    A peg is separate from the cutter that it guides.
+    A guide peg and its cutter are separate parts.
     """
     parts = convex_parts(profile)
     rows = [_row(piece) for part in parts for piece in part]
@@ -127,9 +129,11 @@ def _row(piece: Piece) -> list[float]:
 
 
 def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
-    """Split a tool into convex outlines whose union is the tool.
+    """Split a tool at its guide peg, and return the outline of each part.
 
-    A peg is a separate part that extends through the tool to its top.
+    The union of the parts is the tool, because the part of the peg extends through the cutter to
+    the top of the cutter. A tool without a peg is one part. The parts of all built-in cutters are
+    convex.
     """
     pieces = profile.pieces
     first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
@@ -195,8 +199,8 @@ class MedialAxis:
         Radius, height and ball radius at the two ends of each segment [m], shape (segments, 3). The
         ball radius is linear along a segment.
     across
-        1 if no single convex part of the tool contains the balls of the segment, shape
-        (segments,). An example is the foot of a peg.
+        1 if no single part of `convex_parts` contains all balls of the segment, shape (segments,).
+        This occurs where a peg joins the cutter.
     """
 
     starts_m: Array
@@ -207,8 +211,9 @@ class MedialAxis:
 def medial_axis(profile: Profile) -> MedialAxis:
     """Compute the medial axis of a half section.
 
-    Each largest inscribed ball touches the outline. The outline is sampled. At each sample, a
-    bisection finds the largest ball that touches the outline from inside.
+    The medial axis consists of the centres of the largest inscribed balls, which touch the outline.
+    At samples of the outline, a bisection finds the largest ball that touches the outline there
+    from inside.
     """
     chains = [_chain(profile, touch) for touch in _touches(profile.pieces)]
     starts = np.concatenate([chain[:-1] for chain in chains])

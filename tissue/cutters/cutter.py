@@ -55,7 +55,9 @@ The margin is larger than the half diagonal of a block of 8 x 8 x 8 voxels.
 
 @dataclass(frozen=True)
 class PointShell:
-    """Elements of the cutting surface in the tool's frame: origin at the tip, z along the axis.
+    """Elements of a cutter's surface, in the frame of the tool.
+
+    The origin of this frame is at the tip, and z points along the axis.
 
     Attributes
     ----------
@@ -77,7 +79,10 @@ class PointShell:
 
 @dataclass(frozen=True)
 class DistanceTable:
-    """Signed distance by radius and height [voxel], see :class:`kernels.revolution.Revolution`."""
+    """Signed distance [voxel] as a function of radius and height [voxel].
+
+    The arrays are used by :class:`kernels.revolution.Revolution`.
+    """
 
     distance: Singles
     slope: Singles
@@ -89,7 +94,7 @@ class DistanceTable:
     high: float
 
     def bend_at(self, radius: Array, height: Array) -> Singles:
-        """Return a sixth of the sum of the principal curvatures at points, shape (n,).
+        """Return a sixth of the sum of the principal curvatures [1/voxel] at points, shape (n,).
 
         The points are given by radius and height above the tip [voxel]. Near an edge of the
         profile, the value is `kernels.revolution.EDGE_BEND`.
@@ -131,7 +136,10 @@ class Cutter:
 
     @property
     def chip_per_speed_s(self) -> float:
-        """Ratio of chip thickness to normal feed speed, 2 pi / (N omega) [s]."""
+        """Ratio of chip thickness to the feed speed normal to the surface, 2 pi / (N omega) [s].
+
+        N is `flute_count`, and omega is the magnitude of `spin_rad_s`.
+        """
         return 2.0 * pi / (self.flute_count * abs(self.spin_rad_s))
 
     @property
@@ -145,18 +153,23 @@ class Cutter:
         return sum(piece.area_m2 for piece in self.profile.pieces if piece.cutting)
 
     def shell(self, *, spacing_m: float, cutting: bool = True) -> PointShell:
-        """Return a point shell of the surface that cuts, or does not cut, see `PointShell`.
+        """Return the point shell of the cutting surface, or of the smooth surface.
 
-        The distance between elements is about ``spacing_m``, and less toward the axis. Elements lie
-        on golden-angle spirals, a Fibonacci lattice on each piece. No two elements have the same
-        height, so the rim of a cut never reaches many elements at once. Sums over part of the
-        surface converge almost as fast as sums over the whole surface.
+        The smooth surface, which does not cut, is used if `cutting` is False.
+
+        The distance between elements is about ``spacing_m``, and smaller near the axis. On each
+        piece of the profile, the elements form a Fibonacci lattice: a spiral with the golden angle
+        between consecutive elements. On a piece that is not flat, the elements lie at different
+        heights, so the rim of a cut never reaches many elements at once. As the spacing decreases,
+        sums over part of the surface converge almost as fast as sums over the whole surface.
         """
         key = self.profile, spacing_m, cutting
         return _shells.of(key, lambda: self._shell(spacing_m, cutting))
 
     def load_factors(self, radii_m: Array) -> Array:
-        """Return factors of tangential and radial loads at distances from the axis, shape (n, 2).
+        """Return factors of the tangential and the radial load, shape (n, 2).
+
+        `radii_m` contains the distances of the n elements from the axis [m].
 
         The factors are 1 unless the cutter is a drill with a chisel edge.
         """
@@ -183,7 +196,7 @@ class Cutter:
         return PointShell(points, normals, areas, np.hypot(points[:, 0], points[:, 1]))
 
     def table(self, *, spacing_m: float) -> DistanceTable:
-        """Return the distance table in voxels of ``spacing_m``."""
+        """Return the distance table of the cutter for voxels of size ``spacing_m``."""
         return _tables.of((self.profile, spacing_m), lambda: self._table(spacing_m))
 
     def _table(self, spacing_m: float) -> DistanceTable:
@@ -231,7 +244,7 @@ _shells: Kept[PointShell] = Kept(8)
 
 
 def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
-    """Return positions [m], normals and areas [m2] of surface elements of one piece."""
+    """Return positions [m], normals and areas [m2] of the surface elements on a piece."""
     # At least 16 elements in a piece; chosen.
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)

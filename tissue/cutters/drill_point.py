@@ -60,7 +60,7 @@ class DrillPoint:
         return 0.5 * self.web_m / sin(CHISEL_ANGLE)
 
     def rakes_rad(self, radii_m: Array) -> Array:
-        """Return the normal rake of the lips at radii outside the web [m], shape (n,).
+        """Return the normal rake of the lips [rad], shape (n,), at radii [m] outside the web.
 
         The flute is a helix surface through the straight lip (Galloway 1957, Transactions of the
         ASME 79).
@@ -72,7 +72,7 @@ class DrillPoint:
         return np.arctan(flute) - np.arctan(np.tan(web) * cos(half))
 
     def load_factors(self, radii_m: Array) -> Array:
-        """Return factors of tangential and radial loads at radii of the point [m], shape (n, 2).
+        """Return factors of the tangential and the radial load at n radii [m], shape (n, 2).
 
         The factors are relative to the loads of an edge with the reference rake. The tangential
         factor of the chisel edge is 1.
@@ -90,7 +90,7 @@ class DrillPoint:
 
     @property
     def indentation(self) -> float:
-        """Thrust on the chisel edge, relative to the thrust on an edge with the reference rake."""
+        """Ratio of the thrust on the chisel edge to that on an edge with the reference rake."""
         from scipy.optimize import brentq
 
         wedge = atan(tan(0.5 * self.point_angle_rad) * sin(CHISEL_ANGLE))

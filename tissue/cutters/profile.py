@@ -63,9 +63,9 @@ class Line:
         return pi * (self.start[0] + self.end[0]) * self.length_m
 
     def at(self, share: Array) -> tuple[Array, Array]:
-        """Return points [m] and outward normals, each of shape (n, 2).
+        """Return points (radius, height) [m] and outward unit normals, shape (n, 2) each.
 
-        ``share`` is the position along the piece, as a fraction of its length.
+        ``share`` contains the n positions along the piece, as fractions of its length.
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -75,9 +75,12 @@ class Line:
         )
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return the distance [m] of ``points``, shape (n, 2), from this piece, and a curvature.
+        """Return distances [m] of points from this piece, and curvatures [1/m], shape (n,) each.
 
-        The curvature is the meridional curvature of the parallel curve at the points [1/m].
+        ``points`` contains (radius, height) [m], shape (n, 2).
+
+        Each curvature is that of the curve that passes through the point and has a constant
+        distance from the piece.
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -88,7 +91,10 @@ class Line:
         return distance, np.where(ends, 1.0 / np.maximum(distance, 1e-12), 0.0)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Return the points that outline the piece, without its last point."""
+        """Return the start (radius, height) [m] of the piece, as the only corner.
+
+        The end of the piece is left out, because it is the start of the next piece.
+        """
         return [self.start]
 
 
@@ -97,7 +103,8 @@ class Line:
 class Arc:
     """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad].
 
-    The angle is 0 outward and -pi/2 toward the tip.
+    An angle of 0 points away from the tool's axis, and -pi/2 points down, as from a ball's centre
+    to the tip.
     """
 
     centre: tuple[float, float]
@@ -118,18 +125,21 @@ class Arc:
         return 2.0 * pi * (self.centre[0] * self.length_m + self.radius * climb)
 
     def at(self, share: Array) -> tuple[Array, Array]:
-        """Return points [m] and outward normals, each of shape (n, 2).
+        """Return points (radius, height) [m] and outward unit normals, shape (n, 2) each.
 
-        ``share`` is the position along the piece, as a fraction of its length.
+        ``share`` contains the n positions along the piece, as fractions of its length.
         """
         angle = self.first + share * (self.last - self.first)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])
         return np.asarray(self.centre) + self.radius * normal, normal
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return the distance [m] of ``points``, shape (n, 2), from this arc, and a curvature.
+        """Return distances [m] of points from this arc, and curvatures [1/m], shape (n,) each.
 
-        The curvature is the meridional curvature of the parallel curve at the points [1/m].
+        ``points`` contains (radius, height) [m], shape (n, 2).
+
+        Each curvature is that of the curve that passes through the point and has a constant
+        distance from the arc.
         """
         from_centre = points - np.asarray(self.centre)
         reach = np.linalg.norm(from_centre, axis=1)
@@ -145,9 +155,9 @@ class Arc:
         return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Return points that outline the piece, without its last point.
+        """Return the corners [m] of a polygon along the arc, without the end of the arc.
 
-        The error of the outline is 1e-5 of the radius.
+        The distance between polygon and arc is at most 1e-5 of the radius.
         """
         # The largest distance between a chord of 0.009 rad and the arc is 1e-5 of its radius.
         share = np.linspace(0.0, 1.0, max(int((self.last - self.first) / 0.009), 2), endpoint=False)
@@ -189,9 +199,9 @@ class Profile:
 
     @property
     def edges(self) -> Array:
-        """Points where the outline is not smooth, shape (n, 2): radius and height [m].
+        """Points (radius, height) [m] at which the outline is not smooth, shape (n, 2).
 
-        At the axis, the outline continues as its mirror image.
+        At the axis, the outline is smooth if it joins its mirror image without a corner.
         """
         ends = np.array([0.0, 1.0])
         starts = [piece.at(ends) for piece in self.pieces]
@@ -210,7 +220,9 @@ class Profile:
     def distance(self, points: Array) -> tuple[Array, Array]:
         """Return the signed distance [m], negative inside, and the meridional curvature [1/m].
 
-        The distance and the curvature are evaluated at (radius, height) points.
+        Both are evaluated at ``points``, which contains (radius, height) [m], shape (n, 2). The
+        curvature is that of the curve that passes through the point and has a constant distance
+        from the outline.
         """
         seen = [piece.seen_from(points) for piece in self.pieces]
         distances = np.stack([distance for distance, _ in seen])
@@ -238,7 +250,7 @@ def _inside(outline: Array, points: Array) -> Flags:
 
 
 def ball_burr(*, diameter_m: float) -> Profile:
-    """Return a ball with the tip at its lowest point."""
+    """Return a ball burr, whose tip is the lowest point of the ball."""
     r = 0.5 * diameter_m
     return Profile((Arc((0.0, r), r, -0.5 * pi, 0.5 * pi),), convex=True)
 
@@ -295,7 +307,7 @@ def _peg(radius: float, length: float, top: float) -> list[Piece]:
 def hemispherical_reamer(
     *, diameter_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
-    """Return a hemisphere that cuts with its face.
+    """Return a reamer shaped as half a ball, which cuts with its round face.
 
     The reamer has a central guide peg if the diameter of the peg is not 0.
     """
@@ -326,7 +338,7 @@ def flat_reamer(
 
 
 def pear_bur(*, diameter_m: float, length_m: float) -> Profile:
-    """Return a pear-shaped bur: a ball at the tip, tapering to half its width at the neck."""
+    """Return a pear-shaped bur: a ball at the tip, and a taper to half its diameter at the neck."""
     r = 0.5 * diameter_m
     slope = float(np.arctan2(0.5 * r, length_m - r))  # angle of the flank to the axis
     flank = Line((r * cos(slope), r + r * sin(slope)), (0.5 * r, length_m))

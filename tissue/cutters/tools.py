@@ -106,7 +106,7 @@ def hemispherical_reamer(
     flutes: int,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a reamer shaped as half a ball.
+    """Return a reamer shaped as half a ball, which cuts with its round face.
 
     The reamer has a smooth peg at its front if the diameter and length of the peg [mm] are given.
     """

@@ -62,10 +62,10 @@ The pulp lies 3 mm below the junction of enamel and dentin.
 class Drilling(ContactEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
-    A round bur of 1 mm at 400,000 revolutions per minute moves straight down. The resistance
-    decreases where the enamel ends. No observation shows the depth of the junction of enamel and
-    dentin directly. Each episode draws a position on the occlusal surface, and the densities of
-    enamel and dentin. The densities change the cutting forces.
+    A round bur of 1 mm diameter at 400,000 revolutions per minute moves straight down. The
+    resistance decreases where the enamel ends. No observation shows the depth of the junction of
+    enamel and dentin directly. Each episode draws a position on the occlusal surface, and the
+    densities of enamel and dentin. The densities change the cutting forces.
 
     **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, multiplied by 3 N, positive
     downwards. The motion of the bur is computed from the balance of thrust, cutting force, inertia
@@ -137,7 +137,7 @@ class Drilling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """Restorable tooth under the bur, created at the first reset."""
+        """Tooth under the bur, created at the first reset and restored at each reset."""
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         return RestorableBone(
             self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials
@@ -158,7 +158,7 @@ class Drilling(ContactEnvironment):
         self._speed = self._deepest_m = 0.0
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tip above the drawn position."""
+        """Place the tip above the position that was drawn at random."""
         motion.tip_m[:2] = self._place_m
         motion.tip_m[2] = self.surface_m + START_M
         motion.heading[0] = (0.0, 0.0, -1.0)
@@ -181,7 +181,10 @@ class Drilling(ContactEnvironment):
         return float(heights[0]), float(heights[1])
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the bur to a first estimate, computed with the force at the end of the last tick."""
+        """Move the bur to a first estimate of its next pose.
+
+        The estimate is computed with the force at the end of the last tick.
+        """
         self._thrust = self.thrust_N * float(self._command[0])
         self._before = self._speed
         self._top_m = float(motion.tip_m[2])
@@ -200,7 +203,10 @@ class Drilling(ContactEnvironment):
         self._set_speed(response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Search downwards for the pose at which the force of the tooth balances the thrust."""
+        """Search downwards for the pose at which the tooth balances the thrust.
+
+        The function returns True if it moved the bur and the force must be computed again.
+        """
         if not self._searches:
             return False
         balanced = max(self._balanced(response, motion, down=True), 0.0)

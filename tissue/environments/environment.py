@@ -1,4 +1,4 @@
-"""Base of the environments: restorable bone, ticks, observation and reward."""
+"""Base of the environments: bone that can be restored, ticks, observation and reward."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ LAYER_BITS = 255
 
 
 class RestorableBone:
-    """Voxels under one cutter; `restore` resets them to the uncut state.
+    """Voxels that a cutter removes, and that `restore` resets to their state before any cut.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class RestorableBone:
         self._layer = self._material & LAYER_BITS
 
     def restore(self, density_kg_m3: Mapping[str, float]) -> None:
-        """Restore the uncut bone, and set the densities of some layers [kg/m3]."""
+        """Restore the bone before any cut, and set the densities [kg/m3] of the given layers."""
         store = self.model.store
         self.model.restore(self._uncut)
         density = self._material >> 16
@@ -108,9 +108,9 @@ class RestorableBone:
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def left(self, at: Ints) -> Flags:
-        """Return a mask of the voxels that are at least half full.
+        """Return a mask of the given voxels, True for a voxel that is at least half full.
 
-        The voxels are given by indices into the flat array of stored voxels.
+        `at` contains the indices of the voxels in the flat array of stored voxels.
         """
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
@@ -118,9 +118,9 @@ class RestorableBone:
     def draw_section(
         self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
     ) -> None:
-        """Draw the layers of the remaining bone at a coordinate ``at_m`` [m].
+        """Draw the layers of the remaining bone in a plane section.
 
-        The plane is perpendicular to the axis ``across``.
+        The plane is perpendicular to the axis ``across`` (0 to 2), at the coordinate ``at_m`` [m].
         """
         from matplotlib.colors import ListedColormap
 
@@ -147,7 +147,7 @@ class RestorableBone:
         panel.set_ylabel(f"{'xyz'[second]} / mm")
 
     def draw_under_tool(self, panel: "Axes", tip_m: Array, colours: tuple[str, ...]) -> None:
-        """Draw a section along x under the tool, and the outline of its ball."""
+        """Draw the section in the x-z plane through the tip, and the outline of the round tool."""
         from matplotlib.patches import Circle
 
         self.draw_section(panel, 1, tip_m[1], colours)
@@ -174,7 +174,8 @@ class Entry:
     name
         Name of the quantity.
     scale
-        Value, in `unit`, that becomes 1 in the observation; larger values are clipped.
+        Value of the quantity, in `unit`, that becomes 1 in the observation. Larger values are
+        clipped to 1.
     unit
         Unit of the scale.
     count
@@ -190,7 +191,7 @@ class Entry:
 class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     """Environment in which a policy moves a tool against tissue.
 
-    The environment object is also the motion of the tool.
+    The environment object is also the `Motion` that moves the tool in the simulation.
 
     In a step, one action is applied for `ticks` ticks of 1 ms. The entries of an action lie in [-1,
     1]. The observation consists of the values of `entries`, each divided by its scale and clipped
@@ -200,10 +201,10 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
             - 0.1 * ticks / M
 
-    Here P is the potential of the task, F is the magnitude of the contact force, and M is the
-    number of ticks of a whole episode. ``info`` contains the parts of the reward in
-    ``reward_terms`` and the random draws of the episode in ``drawn``. It also contains the largest
-    force of the step in ``peak_force_N``, and the sum of rewards so far in ``score``.
+    Here P is the potential of the task, and F is the magnitude of the contact force in a tick of
+    the step. M is the number of ticks of a whole episode. ``info`` contains the parts of the reward
+    in ``reward_terms`` and the random draws of the episode in ``drawn``. It also contains the
+    largest force of the step in ``peak_force_N``, and the sum of rewards so far in ``score``.
 
     Parameters
     ----------
@@ -275,7 +276,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @cached_property
     def stepper(self) -> Stepper:
-        """Stepper of motion and tissue; made at the first reset."""
+        """Object that advances motion and tissue by ticks; it is made at the first reset."""
         return Stepper(self, self.model, balances=self.balances)
 
     @property
@@ -286,7 +287,9 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `options` sets fixed values for quantities in `ranges`.
+        """Begin an episode with random draws of the quantities in `ranges`.
+
+        `options` sets fixed values for some of these quantities.
 
         Raises
         ------
@@ -317,7 +320,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         return self._observe(), {"drawn": dict(self.drawn), "score": 0.0, **self._facts()}
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advance by `ticks` ticks under one action."""
+        """Apply one action for `ticks` ticks."""
         self._require_episode("step")
         command = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         start = self._potential()
@@ -366,7 +369,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         }
 
     def restore(self, snapshot: State) -> None:
-        """Return to a snapshot of this environment, or of an environment with equal arguments."""
+        """Restore a snapshot of this environment, or of another one with equal arguments."""
         self.drawn = dict(snapshot["own"]["drawn"])
         self._prepare()
         put_back(self, snapshot["own"])
@@ -380,7 +383,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @property
     def time_left(self) -> float:
-        """Remaining share of the time of the episode."""
+        """Share of the episode's duration that is left, from 1 to 0."""
         return 1.0 - self._done_steps / self._steps
 
     @property
@@ -394,7 +397,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         return self._loads[:3], 1e3 * self._loads[3:]
 
     def named(self, observation: Any) -> dict[str, Array]:
-        """Return the values of an observation, keyed by name, in the units of `entries`."""
+        """Return the values of an observation in their units, keyed by the names of `entries`."""
         values = np.asarray(observation, np.float64) * self._scales
         places = np.cumsum([e.count for e in self.entries])
         return {

@@ -50,11 +50,11 @@ The scripted expert removes 0.9 of the target in 4 s, 0.99 in 5.5 s and 0.999 in
 class Milling(ContactEnvironment):
     """Mill a complete pocket into cortical bone, with low force and without overcut.
 
-    A ball burr of 4 mm rotates at 20,000 revolutions per minute above a block whose top is at z =
-    0. The pocket is the volume that the burr sweeps if its tip covers a rectangle of 4 x 2 mm at a
-    depth of 0.8 mm. A margin of 0.25 mm on both sides of the wall of the pocket counts neither as
-    target nor as overcut. The tool follows the commanded velocity exactly. Each episode draws the
-    density of the bone and the start position of the tool.
+    A ball burr of 4 mm diameter rotates at 20,000 revolutions per minute above a block whose top is
+    at z = 0. The pocket is the volume that the burr sweeps if its tip covers a rectangle of 4 x 2
+    mm at a depth of 0.8 mm. A margin of 0.25 mm on both sides of the wall of the pocket counts
+    neither as target nor as overcut. The tool follows the commanded velocity exactly. Each episode
+    draws the density of the bone and the start position of the tool.
 
     **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, multiplied by 10 mm/s. A
     virtual fixture keeps the tip within 2.75 mm of the middle along x, and within 1.75 mm along y.
@@ -121,7 +121,7 @@ class Milling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """Restorable bone of the block, created at the first reset."""
+        """Bone of the block, created at the first reset and restored at each reset."""
         burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         block = _block(self.pocket_mm)
         return RestorableBone(
@@ -150,13 +150,13 @@ class Milling(ContactEnvironment):
         self.bone.restore(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tip at the drawn position."""
+        """Place the tip at the position that was drawn at random."""
         motion.tip_m[:] = [1e-3 * self.drawn[f"start_{axis}_mm"] for axis in "xyz"]
         motion.heading[0] = (0.0, 0.0, -1.0)
         motion.speed_m_s = 0.0
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tip with the commanded velocity, within its limits."""
+        """Move the tip with the commanded velocity, but not beyond its limits of position."""
         wanted = motion.tip_m + 1e-3 * self.top_speed_mm_s * step_s * self._command
         moved = np.clip(wanted, *(1e-3 * self.reach_mm)) - motion.tip_m
         length = float(np.sqrt(moved.dot(moved)))

@@ -64,12 +64,12 @@ TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
 class Palpation(ContactEnvironment):
     """Find a stiff nodule in soft tissue: press, slide, and lift the finger above the nodule.
 
-    A fingertip, modelled as a ball of 16 mm, moves over a slab of linear elastic tissue with a
-    friction coefficient of 0.1. A nodule of 16 mm, 20 times as stiff as the tissue, lies 5 mm below
-    the surface, at a lateral distance of 10 to 18 mm from the start of the tip. Each episode draws
-    the modulus of the tissue, the distance and direction of the nodule, and the rotation of the
-    slab. All forces are proportional to the modulus. The origin of the frame is on the surface, at
-    the lateral position of the start.
+    A fingertip, modelled as a ball of 16 mm diameter, moves over a slab of linear elastic tissue
+    with a friction coefficient of 0.1. A nodule of 16 mm diameter, 20 times as stiff as the tissue,
+    lies 5 mm below the surface. Its lateral distance from the start position of the tip is 10 to 18
+    mm. Each episode draws the modulus of the tissue, the distance and direction of the nodule, and
+    the rotation of the slab. All forces are proportional to the modulus. The origin of the frame is
+    on the surface, at the lateral position of the start.
 
     **Action**, 3 numbers in [-1, 1]: velocity of the tip, multiplied by 60 mm/s along x and y, and
     by 30 mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between
@@ -177,7 +177,7 @@ class Palpation(ContactEnvironment):
         self._path = []
 
     def begin(self, motion: ToolMotion) -> None:
-        """Place the tool at the position of the tip, in the frame of the slab.
+        """Place the tool at the current position of the tip, converted to the frame of the slab.
 
         The nodule lies below the origin of this frame.
         """
@@ -185,7 +185,7 @@ class Palpation(ContactEnvironment):
         np.dot(self._turn, away, out=motion.tip_m)
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tip with the commanded velocity, within its limits."""
+        """Move the tip with the commanded velocity, but not beyond its limits of position."""
         wanted = self.tip_m + TOP_SPEED_M_S * step_s * self._command
         aside = float(np.hypot(wanted[0], wanted[1]))
         if aside > REACH_M:

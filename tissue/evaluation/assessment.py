@@ -39,13 +39,13 @@ __all__ = [
 
 
 GAP_S = 0.15
-"""Longest time between two breaches that count as one [s], about a period of slow tremor.
+"""Longest time between two breaches that count as one breach [s]; about one period of slow tremor.
 
-Without this rule, a trembling hand that rests at a limit would make one breach in each period of
-the tremor.
+Without this rule, a trembling hand whose mean position lies at a limit would cause one breach in
+each period of the tremor.
 """
 FORCE_MARGIN = 1.25
-"""Default limit of the trainee's force, as a ratio to the peak force of the reference.
+"""Default limit of the trainee's force, divided by the peak force of the reference run.
 
 The value is a convention, not a standard.
 """
@@ -54,7 +54,7 @@ The value is a convention, not a standard.
 class NoSharedContactError(InputError):
     """Error for a run that does not touch the tissue where the reference run does.
 
-    `reason` is the end of a sentence whose subject is the run.
+    `reason` states what the run did instead, for example "touches nothing".
     """
 
     def __init__(self, reason: str) -> None:
@@ -69,7 +69,7 @@ class NoSharedContactError(InputError):
 
 @dataclass(frozen=True)
 class Breach:
-    """Span of time above a limit."""
+    """Time span in which a quantity of the trainee's run is above its limit."""
 
     what: str
     start_s: float
@@ -81,7 +81,7 @@ class Breach:
 
     @property
     def sentence(self) -> str:
-        """Time and size of the breach in words."""
+        """Times of the breach, its limit and the largest value, in words."""
         return (
             f"{self.what} above {self.limit:.3g} {self.unit} from {self.start_s:.3f} to "
             f"{self.end_s:.3f} s, "
@@ -91,20 +91,21 @@ class Breach:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Assessed quantity over the ticks of the trainee.
+    """Assessed quantity in every tick of the trainee's run.
 
     Attributes
     ----------
     what, unit
-        Name and unit.
+        Name and unit of the quantity.
     values
-        Values of the trainee, shape (ticks,).
+        Values in the trainee's run, shape (ticks,).
     limit
         Limit of the values.
     reference
-        Values of the reference at the place that is aligned with each tick, shape (ticks,).
+        Values in the reference run at the place aligned with each tick of the trainee, shape
+        (ticks,). None if the quantity has no value in the reference run.
     limited
-        Ticks in which the limit applies, shape (ticks,). None for all ticks.
+        True for ticks in which the limit applies, shape (ticks,). None if it applies in all ticks.
     """
 
     what: str
@@ -115,7 +116,7 @@ class Quantity:
     limited: NDArray[np.bool_] | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Return the spans above the limit.
+        """Return the time spans in which the values are above the limit.
 
         Two spans are joined if the time between them is at most `GAP_S`.
         """
@@ -144,24 +145,25 @@ class Assessment:
     Attributes
     ----------
     steadiness
-        Tremor and score of the trainee's hand. None without a score.
+        Tremor and score of the trainee's hand. None if the run has no score.
     figures
-        Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
-        ..., "reference": ...}.
+        Results by name. The name of a number ends with its unit. Results of both runs are given as
+        {"trainee": ..., "reference": ...}.
     breaches
         Spans of time in which a limit was exceeded, in the order of time.
     events
-        Events of the trainee that the reference does not have: time [s] and a sentence each.
+        Events that occur only in the trainee's run, each as a time [s] and a sentence.
     time_s
         Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
-        Distance from the reference's path at the aligned place [mm], size of the force [N], and
-        depth along the reference tool's axis from its first contact [mm].
+        The three assessed quantities: distance of the tool from the path of the reference run [mm],
+        size of the force [N], and depth [mm]. The depth is measured along the mean tool axis of the
+        reference run, from the place of the first contact in that run.
     notes
         One sentence for each difference between the two runs that limits the meaning of the
         figures.
     unscored
-        Reason why the run has no score; empty with a score.
+        Reason why the run has no score. Empty if the run has a score.
     """
 
     steadiness: Steadiness | None
@@ -177,7 +179,7 @@ class Assessment:
 
     @property
     def breached(self) -> tuple[str, ...]:
-        """Names of the breached structures, which the trainee's tool had to keep clear of."""
+        """Names of the structures to keep clear that the trainee's tool breached."""
         return tuple(
             name
             for name, each in self.figures["keep_clear"].items()
@@ -200,29 +202,32 @@ def assess(
     pause is therefore not an error.
 
     The score rates the steadiness of the hand (see `tissue.evaluation.steadiness`). Distances from
-    the path and forces are not part of it: these figures depend on the device more than on the
+    the path and forces do not affect the score, because they depend more on the device than on the
     hand.
 
     Parameters
     ----------
     trainee, reference
-        Runs.
+        Run of the trainee, and reference run.
     force_limit_N
-        Limit of the force on the tool [N]. Default: 1.25 times the reference's peak.
+        Limit of the force on the tool [N]. Default: 1.25 times the peak force of the reference run.
     deviation_limit_mm
-        Limit of the distance from the reference's path [mm]. It applies while the run touches the
-        tissue, or the reference touches it at the aligned place.
+        Limit of the distance from the path of the reference run [mm]. The limit applies in ticks in
+        which the trainee's tool touches the tissue, or the reference tool touches it at the aligned
+        place.
     overshoot_limit_mm
         Allowed depth of the tip below the reference's deepest point [mm].
 
     Raises
     ------
     InputError
-        If a run holds no trace, or the reference has no contact.
+        If a run has no trace of at least ten ticks, the reference run has no contact, or a limit is
+        not positive.
     OtherTaskError
         If the runs have different tasks (another anatomy, tool or material).
     NoSharedContactError
-        If the run has no contact where the reference has contact.
+        If the trainee's run has no contact, or the reference run has no contact at any of the
+        aligned places.
     """
     require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
@@ -339,9 +344,10 @@ class _Aligned:
 
 
 def _require_shared_contact(size: Array, ideal_size: Array) -> None:
-    """Check that a run has contact, and that the reference has contact at an aligned place.
+    """Check that the trainee's run has contact, and the reference run at some aligned place too.
 
-    The arguments are the sizes of both forces over the ticks of the run [N], shape (ticks,).
+    `size` is the size of the trainee's force in every tick [N], shape (ticks,). `ideal_size` is the
+    size of the force of the reference run at the aligned places [N], shape (ticks,).
     """
     if not size.any():
         raise NoSharedContactError("touches nothing")
@@ -350,7 +356,7 @@ def _require_shared_contact(size: Array, ideal_size: Array) -> None:
 
 
 def _new_events(mine: Summary, theirs: Summary) -> tuple[tuple[float, str], ...]:
-    """Return time [s] and sentence of the events that only the trainee's run has."""
+    """Return time [s] and sentence of each event that occurs only in the trainee's run."""
     known = {each["what"] for each in theirs.get("events", ())}
     return tuple(
         (each["time_s"], each["what"])
@@ -388,15 +394,15 @@ def _trace(run: AssessedRun, name: str) -> Table:
 
 
 def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str, float]:
-    """Return a figure of the trainee's run and of the reference."""
+    """Apply a function to the traces of the trainee's run and of the reference run."""
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
 def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Steadiness | None, str]:
     """Return tremor and score of the hand in a run, or the reason why the run has no score.
 
-    `scale` holds the constants of the reference. A run with constants of its own hand would
-    otherwise have a scale of its own.
+    `scale` holds the constants of the reference run, which define the tremors with the scores 0 and
+    100. A trainee's run that changed constants of the hand would otherwise have another scale.
     """
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
         return None, "the run has no device whose constants are known"
@@ -413,9 +419,10 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
 
 
 def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | None]]:
-    """Return smallest distance and breach of each structure that a run has to keep clear of.
+    """Return smallest distance to and breach of each structure that a run has to keep clear of.
 
-    A run that was stopped has no such entry in its summary. Its distances are in the trace.
+    The summary of a run that was stopped does not contain these values. They are then computed from
+    the distances in the trace.
     """
     if "keep_clear" in summary:
         return dict(summary["keep_clear"])
@@ -437,7 +444,7 @@ def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | N
 def _least_distances(
     mine: Mapping[str, Mapping[str, float | None]], theirs: Mapping[str, Mapping[str, float | None]]
 ) -> dict[str, dict[str, float | None]]:
-    """Return the smallest distances of both runs from the structures that are kept clear [mm]."""
+    """Return the smallest distance of the tool from each structure to keep clear [mm], by run."""
     return {
         name: {
             "trainee": each["least_distance_mm"],
@@ -455,7 +462,7 @@ def _contact_s(trace: Table) -> float:
 
 
 def _approach(trace: Table) -> tuple[Array, Array]:
-    """Return the mean axis of the tool in contact and the place of the first contact [mm].
+    """Return the mean tool axis over ticks in contact, and the tip at the first contact [mm].
 
     The axis points out of the tissue.
     """

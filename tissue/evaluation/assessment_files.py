@@ -72,7 +72,7 @@ def _structure_lines(found: Assessment) -> list[str]:
 
 
 def _breaches(count: int) -> str:
-    """Return a number of breaches in words."""
+    """Return the text for a number of breaches, such as "2 breaches"."""
     return "1 breach" if count == 1 else f"{count} breaches"
 
 
@@ -85,7 +85,7 @@ def _score_line(hand: Steadiness) -> str:
 
 
 def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list[str], bytes]:
-    """Return the lines and the picture (PNG) of an assessment, for a report."""
+    """Assess a run; return the lines of text and the picture (PNG) for a report."""
     found = assess(trainee, reference)
     with TemporaryDirectory() as folder:
         picture = Path(folder) / FILES[1]
@@ -94,9 +94,9 @@ def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list
 
 
 def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
-    """Return a line with the folder of each run, which names the person.
+    """Return a line for each run with the end of its path, which contains the person's name.
 
-    A run in memory has no folder and no line.
+    A run that exists only in memory has no folder and gets no line.
     """
     runs = {"trainee": trainee, "reference": reference}
     # A trainee may have a folder for each attempt, so two parts of the path are shown.
@@ -132,7 +132,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def draw_assessment(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits with breaches."""
+    """Draw the quantities of trainee and reference over time, the limits, and shaded breaches."""
     # inches for three panels below each other; the margins are shares of the figure, with space
     # for title and legend on top
     chart = figure(9.0, 7.2)

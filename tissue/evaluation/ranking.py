@@ -1,4 +1,4 @@
-"""Ranking of trainees by the score of their runs against one reference, with learning curves."""
+"""Ranking of trainees by breaches and scores of their runs, with learning curves."""
 
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -48,31 +48,31 @@ COLUMNS = (
     "limits_exceeded",
 )
 LEAST_ATTEMPTS = 3
-"""Smallest number of attempts for which the interval is computed from their spread."""
+"""Smallest number of attempts of a trainee from whose spread an interval is computed."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "os^DvPX"
 BREACHED = "#D55E00"
 INCH_PER_ROW = 0.32
-"""Height of the row of a trainee in the picture [inches]."""
+"""Height of the row of each trainee in the picture [inches]."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """Assessed run of a trainee, and its name."""
+    """Assessed run of a trainee, with the name of the run."""
 
     name: str
     found: Assessment
 
     @property
     def steadiness(self) -> Steadiness:
-        """Tremor and score. Only runs with a score are attempts."""
+        """Tremor and score of the hand in the run. Every attempt has a score."""
         assert self.found.steadiness is not None, self.name
         return self.found.steadiness
 
 
 @dataclass(frozen=True)
 class Person:
-    """Trainee with all attempts, in their order."""
+    """Trainee with all attempts, in the order of the attempts."""
 
     name: str
     attempts: tuple[Attempt, ...]
@@ -89,15 +89,16 @@ class Person:
 
     @property
     def breached_share(self) -> float:
-        """Share of the attempts that breached a structure."""
+        """Fraction of the attempts in which the tool breached a structure to keep clear."""
         return sum(bool(each.found.breached) for each in self.attempts) / len(self.attempts)
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the mean score.
 
-        It follows from the spread of the attempts (Student's t). For one or two attempts it
-        follows from the interval of each attempt.
+        For three or more attempts, the interval is computed from the spread of the scores
+        (Student's t). For one or two attempts, it is computed from the intervals of the individual
+        scores.
         """
         count = len(self.attempts)
         if count >= LEAST_ATTEMPTS:
@@ -113,10 +114,10 @@ class Person:
 
     @property
     def gain(self) -> tuple[float, float, float] | None:
-        """Change of the score from attempt to attempt, with its 95 % interval.
+        """Change of the score from one attempt to the next, with the ends of its 95 % interval.
 
-        The change is the slope of a straight line that is fitted to the scores. It is None for
-        fewer than three attempts.
+        The change is the slope of a straight line that is fitted to the scores. The result is None
+        for fewer than three attempts.
         """
         from scipy.stats import linregress, t
 
@@ -130,22 +131,23 @@ class Person:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Trainees in the order of their safety and score, the best first.
+    """Trainees ordered by safety and score, the best first.
 
-    Trainees with a smaller share of runs that breached a structure come first. Equal shares are in
-    the order of the mean score.
+    Trainees who breached a structure in a smaller fraction of their runs come first. Trainees with
+    equal fractions are ordered by the mean score.
 
     Attributes
     ----------
     scene
         Name of the scene.
     people
-        Trainees in this order.
+        Ordered trainees.
     left_out
-        Sentence for each run that is not ranked. Such a run is of another task, has no score, or
-        has no contact where the reference has contact.
+        Sentence for each run that is not ranked. Such a run has another task, has no score, or has
+        no contact where the reference run has contact.
     notes
-        Names of runs by the sentence on a difference between their scenes and the reference.
+        Names of runs, keyed by the sentence on a difference between their scenes and the scene of
+        the reference run.
     """
 
     scene: str
@@ -155,20 +157,20 @@ class Ranking:
 
 
 def is_run(folder: Path) -> bool:
-    """Return whether a folder holds a run."""
+    """Return whether a folder is the folder of a run."""
     return (folder / "summary.json").is_file()
 
 
 def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRun]) -> Ranking:
-    """Assess the runs of trainees against a reference, and order the trainees.
+    """Assess the runs of trainees against a reference run, and order the trainees.
 
     See `Ranking` for the order.
 
     Parameters
     ----------
     folder
-        Folder with a folder for each trainee. The folder of a trainee is a run, or contains the
-        runs of all attempts. The names of the runs give their order: ``attempt2`` comes before
+        Folder with a folder for each trainee. The folder of a trainee is a run folder, or contains
+        the run folders of all attempts. Attempts are ordered by name: ``attempt2`` comes before
         ``attempt10``.
     reference
         Run with which all other runs are compared.
@@ -178,7 +180,7 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
     Raises
     ------
     InputError
-        If a folder holds no run, or no run can be ranked.
+        If the folder of a trainee contains no run, or no run can be ranked.
     """
     people = []
     left_out = []
@@ -232,10 +234,11 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
 
 
 class _Notes:
-    """Notes on differences between the scenes of ranked runs, with the runs of each note.
+    """Collector of notes on differences between scenes, with the runs that each note concerns.
 
-    Scores are compared between the trainees, too. A reference without a device has no coupling, so
-    the first ranked run then takes its place.
+    Runs with different scales of the coupling are not comparable. If the reference run has no
+    device, it has no coupling. The couplings are then compared with the coupling of the first
+    ranked run.
     """
 
     def __init__(self, reference: AssessedRun) -> None:
@@ -282,9 +285,9 @@ def ranking_lines(found: Ranking) -> list[str]:
                 line += ": the attempts show no change, because this interval contains 0"
         lines.append(line)
         lines += [f"   least distance to {each}" for each in _distance_texts(person, structures)]
-    for note, runs in found.notes.items():
+    for note, noted in found.notes.items():
         lines.append(f"note: {note}")
-        lines += [f"   {each}" for each in _runs_by_trainee(runs)]
+        lines += [f"   {each}" for each in _runs_by_trainee(noted)]
     return lines + [f"left out: {each}" for each in found.left_out]
 
 
@@ -310,13 +313,13 @@ def _structures(found: Ranking) -> list[str]:
 
 
 def _least_mm(attempt: Attempt, structure: str) -> float:
-    """Return the smallest distance to a structure [mm], NaN if it is not known."""
+    """Return the smallest distance of the tool from a structure in a run [mm], NaN if unknown."""
     kept = attempt.found.figures["keep_clear"]
     return float(kept[structure]["least_distance_mm"]) if structure in kept else float("nan")
 
 
 def _distance_texts(person: Person, structures: Sequence[str]) -> Iterator[str]:
-    """Yield the smallest distances of all attempts to each structure, with breaches, in words."""
+    """Yield a text for each structure, with the smallest distance in each attempt and breaches."""
     for name in structures:
         each = [
             f"{_least_mm(attempt, name):.2f} mm"
@@ -327,7 +330,7 @@ def _distance_texts(person: Person, structures: Sequence[str]) -> Iterator[str]:
 
 
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write ``ranking.csv``, a row for each run, and ``ranking.png``.
+    """Write ``ranking.csv``, which has a row for each run, and ``ranking.png``.
 
     Raises InputError if the folder is a file, or holds another ranking.
     """
@@ -346,7 +349,7 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
 
 
 def _rows(found: Ranking, structures: Sequence[str]) -> list[tuple[object, ...]]:
-    """Return the values of `COLUMNS` and of the structures for each run."""
+    """Return a table row for each run: values of `COLUMNS`, distances, and breaches."""
     return [
         (
             place,
@@ -399,7 +402,10 @@ def _draw(found: Ranking, path: Path) -> None:
 
 
 def _look(place: int) -> tuple[str, str]:
-    """Return colour and marker of a trainee. No two of the first 49 have the same."""
+    """Return colour and marker of the trainee at a place.
+
+    The first 49 trainees have different combinations of colour and marker.
+    """
     return COLOURS[place % len(COLOURS)], MARKERS[place // len(COLOURS) % len(MARKERS)]
 
 
@@ -419,7 +425,7 @@ def _draw_scores(people: Sequence[Person], axes: "Axes") -> None:
 
 
 def _draw_distances(people: Sequence[Person], structures: Sequence[str], axes: "Axes") -> None:
-    """Draw the smallest distance of each run to each structure, and mark breaches."""
+    """Draw the smallest distance of the tool from each structure in each run, and mark breaches."""
     for index, name in enumerate(structures):
         marker = MARKERS[index % len(MARKERS)]
         breached_at: list[tuple[float, int]] = []
@@ -441,7 +447,7 @@ def _draw_distances(people: Sequence[Person], structures: Sequence[str], axes: "
 
 
 def _draw_learning(people: Sequence[Person], axes: "Axes") -> None:
-    """Draw the score over the attempts of each trainee with several attempts."""
+    """Draw the score against the number of the attempt, for each trainee with several attempts."""
     for place, person in enumerate(people):
         if len(person.attempts) > 1:
             attempts = np.arange(1, len(person.attempts) + 1)

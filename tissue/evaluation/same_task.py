@@ -1,4 +1,4 @@
-"""Run that is assessed, and the comparison of its task with the task of a reference run."""
+"""Assessed run, and comparison of its task with the task of a reference run."""
 
 import filecmp
 import tomllib
@@ -27,26 +27,29 @@ __all__ = [
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 """Parts of a scene that define the task.
 
-The correct forces and depths depend on the tissue and on the tool.
+The correct forces and depths depend on these parts.
 """
 NUMERICAL = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
 )
-"""Keys of the parts in `TASK` that change only the computation, not the task."""
+"""Scene keys in the parts of `TASK` that change only the computation, and not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Scene keys that may differ between a trainee's run and the reference without a note.
+"""Parts of a scene that may differ between a trainee's run and the reference run without a note.
 
-These keys describe the run, the user who moves the tool, and the device. `coupling_notes` names
-differences of the coupling.
+These parts describe the run, the user who moves the tool, and the device. For differences of the
+coupling, which belongs to the device, `coupling_notes` yields notes.
 """
 OPERATOR = ("hands", "devices")
-"""Tables of constants that may differ, because they describe the user and the device."""
+"""Tables of constants that may differ between two runs of the same task.
+
+They describe the user and the device.
+"""
 
 
 class OtherTaskError(InputError):
     """Error for a run whose task is not the task of the reference run.
 
-    `difference` names the first difference, with both values.
+    `difference` names the first scene key or constant that differs, with both values.
     """
 
     def __init__(self, difference: str) -> None:
@@ -61,7 +64,10 @@ class OtherTaskError(InputError):
 
 @dataclass(frozen=True)
 class AssessedRun:
-    """Data of a run that an assessment reads. `path` is None if the run has no folder."""
+    """Data of a run that an assessment needs.
+
+    `path` is the folder of the run, or None for a run in memory.
+    """
 
     path: Path | None
     summary: Summary
@@ -71,7 +77,7 @@ class AssessedRun:
 
 
 def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
-    """Check that two runs have the same scene, tissue, tool and material."""
+    """Check that two runs have the same scene name, and the same tissue, tool and material."""
     names = [str(each.summary.get("scene")) for each in (trainee, reference)]
     differences = [("scene", *names)] if names[0] != names[1] else []
     if trainee.scene is not None and reference.scene is not None:
@@ -109,10 +115,11 @@ def _task_constants(run: AssessedRun) -> dict[str, float]:
 
 
 def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[str]:
-    """Yield a note for each scale of the coupling that differs between two runs.
+    """Yield a note if the motion scale or the force scale of the coupling differs between two runs.
 
-    The scales change motion and force at the device, from which the score is computed. A run
-    without a device has no coupling. `name` is the name of the other run in the note.
+    These scales change motion and force at the device, from which the score is computed. A run
+    without a device has no coupling and gives no note. `name` is the name of the other run in the
+    notes.
     """
     if run.scene is None or other.scene is None:
         return
@@ -137,7 +144,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield sentences on further differences between the two scenes."""
+    """Yield a sentence for each difference of two scenes that is outside `TASK` and `FREE`."""
     if trainee is None or reference is None:
         yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
         return
@@ -150,8 +157,8 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
 def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
     """Yield each key whose value differs between two scenes, with both values.
 
-    Keys with default values are included. A key that only one of the scenes has gets the value
-    "nothing" for the other scene.
+    Keys with default values are included. If only one scene has a key, the value for the other
+    scene is "nothing".
     """
     first = dict(entries(tomllib.loads(one.to_toml())))
     second = dict(entries(tomllib.loads(other.to_toml())))
@@ -165,8 +172,8 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
 def _same_file(key: str, one: object, other: object) -> bool:
     """Return whether a key names two files of the same name and content.
 
-    A file that is not on this machine is compared by its name. A trainee's run may come from
-    another machine with another path to the anatomy.
+    If one of the files is not on this machine, only the names are compared. A trainee's run may
+    come from another machine, on which the path of the anatomy file differs.
     """
     names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
     if not names_file or not isinstance(one, str) or not isinstance(other, str):

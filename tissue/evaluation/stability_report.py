@@ -31,9 +31,10 @@ LINES = {
 
 
 def scene_stability(scene: Scene) -> StabilityMap:
-    """Map the closed-loop stability of a scene's device and operator around its coupling stiffness.
+    """Compute the stability map of the closed loop of a scene's device and operator.
 
-    The model of the hand includes the reflex if the reflex lowers the critical stiffness.
+    The hand is modelled with or without its stretch reflex. The map is computed for the variant
+    with the lower critical stiffness.
 
     Raises
     ------
@@ -54,9 +55,10 @@ def scene_stability(scene: Scene) -> StabilityMap:
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
-    """Return the verdict in words, and the largest stable stiffness at some delays [N/m].
+    """Return the stability of the chosen stiffness, and critical stiffnesses by delay, in words.
 
-    Each stiffness is given by eigenvalues, by measurement, and as the passive bound.
+    The critical stiffness at each delay is computed from eigenvalues and measured in a simulation.
+    The passive bound is given too.
     """
     chosen = found.chosen
     data = found.over_delay
@@ -86,10 +88,10 @@ def _chosen(found: StabilityMap) -> str:
 def write_stability_files(
     scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool
 ) -> list[Path]:
-    """Write the picture of a stability map and its boundaries [N/m].
+    """Write the picture of a stability map, and tables of the stability boundaries [N/m].
 
-    The boundaries are written as functions of damping and delay, to ``stability_damping`` and
-    ``stability_delay``.
+    The table ``stability_damping.csv`` has the boundaries by damping, and ``stability_delay.csv``
+    by delay.
 
     Raises
     ------
@@ -114,10 +116,10 @@ def write_stability_files(
 
 
 def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
-    """Draw both charts.
+    """Draw the charts of stiffness against damping and against delay.
 
-    The charts show the growth from eigenvalues as shading, the measured boundary, lines of theory,
-    and the chosen point.
+    Shading marks points that are unstable by eigenvalues. The charts also show the measured
+    boundary, theoretical bounds, and the chosen stiffness.
     """
     # inches; the margins are shares of the figure: title and chosen point above, legend below
     chart = figure(9.0, 4.9)
@@ -133,7 +135,7 @@ def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
 
 
 def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
-    """Draw one chart."""
+    """Draw the chart of stiffness against one parameter."""
     label, scale = LABELS[data.along]
     across = scale * data.values
     low = data.stiffnesses_N_m[0]

@@ -1,4 +1,4 @@
-"""Steadiness of a hand: tremor of its intended motion, from position and force of the device."""
+"""Steadiness of a hand: tremor of the intended motion, from position and force of the device."""
 
 from dataclasses import dataclass
 from math import log, pi, sqrt
@@ -19,40 +19,45 @@ Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
 """Band of physiological tremor [Hz]; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
 SMOOTH_HZ = 40.0
-"""Cut-off [Hz] of the velocity that gives the direction of friction; above the tremor band."""
-STICKS_M_S = 0.05
-"""Speed below which the friction of the device is treated as viscous [m/s].
+"""Cut-off of the low-pass on the velocity from which the friction is computed [Hz].
 
-The friction of a device that sticks is not known. It is at most the Coulomb friction. The value
-was chosen between 0.005 and 0.1 m/s with `python tests/bench/bench_assessment.py --sticks`. With
-0.005 m/s, the tremor computed for slow scenes is twice as large on a device with 0.26 N of
-friction.
+The cut-off is above the tremor band.
+"""
+STICKS_M_S = 0.05
+"""Speed below which the friction of the device is modelled as viscous [m/s].
+
+While a device sticks, its friction is not known; it is at most the Coulomb friction. The speed was
+chosen between 0.005 and 0.1 m/s with `python tests/bench/bench_assessment.py --sticks`. With 0.005
+m/s, the tremor computed for slow scenes is twice as large on a device with 0.26 N of friction.
 """
 WINDOW_S = 0.25
-"""Window over which the tremor is averaged [s], two to three periods long."""
+"""Length of the windows over which the tremor is averaged [s]: two to three periods of tremor."""
 QUANTILE = 0.75
-"""Quantile of the tremor over the windows.
+"""Quantile over the windows that is taken as the tremor of the run.
 
-A few windows with an impact would dominate the mean. Windows in which the device sticks would
-dominate the median.
+The mean would depend too much on a few windows with an impact, and the median on windows in which
+the device sticks.
 """
 PAD_S = 0.5
 """Time by which the signal is extended at both ends for the filters [s]."""
 LEAST_WINDOWS = 4
 PATH_HZ = 4.0
-"""Cut-off of the motion along the path, below the band of tremor."""
+"""Cut-off of the low-pass that separates the motion along the path from the tremor [Hz].
+
+The cut-off is below the tremor band.
+"""
 DRAWS = 1000
-"""Number of random draws of the noise in all windows, for the interval."""
+"""Number of random draws of the tremor in all windows, from which the interval is computed."""
 LEAST_MM = 1e-4
-"""Smallest tremor in a score [mm], far below the tremor of a hand.
+"""Smallest tremor with which a score is computed [mm], far below the tremor of a hand.
 
 The score of zero tremor would be infinite.
 """
 TYPICAL = "intermediate"
-"""Group whose grip is assumed, because the grip of an individual person is not known."""
+"""Expertise group whose grip is assumed, because the grip of an individual person is unknown."""
 NOVICE, EXPERT = "novice", "expert"
 SCALE = "0 is the tremor of a novice's hand alone, and 100 that of an expert's hand"
-"""Explanation of the score in printed results."""
+"""Explanation of the scale of the score in printed results."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +67,16 @@ class Steadiness:
     Attributes
     ----------
     tremor_mm
-        Root mean square of the intended motion between 8 and 12 Hz, all three axes together.
+        Root mean square of the intended motion between 8 and 12 Hz, all three axes together: the
+        `QUANTILE` over windows of the run.
     score
         Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
         the constants of hands.toml. The score is linear in the logarithm of the tremor, and may
         lie outside the range from 0 to 100. The computed tremor also depends on the task and on
         the scales of the coupling, so only runs with equal scales are comparable.
     low, high
-        95 % interval of the score over the windows of the run.
+        Ends of the 95 % interval of the score, from the scatter of the tremor in the windows of the
+        run.
     """
 
     tremor_mm: float
@@ -95,13 +102,14 @@ def steadiness(
     device
         Inertia, damping and friction of the device.
     constants
-        Constants of the hands.
+        Constants of the hands, which define the assumed grip and the scale of the score.
 
     Raises
     ------
     InputError
-        If the run is too short, or the device moved so slowly that its friction hides the tremor. A
-        device slower than the tremor of a novice stops and reverses in every period.
+        If the run is too short, or the device moved too slowly. If a device moves more slowly than
+        the tremor of a novice, it stops and reverses in every period, and its friction hides the
+        tremor.
     """
     ticks = round(WINDOW_S / TICK_S)
     count = len(position_m) // ticks
@@ -146,12 +154,13 @@ def hand_motion_m(
     *,
     band_Hz: tuple[float, float],
 ) -> Array:
-    """Compute the motion that the hand intended [m], shape (n, 3), within a band of frequencies.
+    """Compute the intended motion of the hand [m], shape (n, 3), in a band of frequencies.
 
-    The hand pulls the device towards its intended position by a spring, a damper and a reflex. The
-    force on the device follows from its motion, its inertia, its damping, its friction and its
-    motors. Solved for the intended position, the result does not depend on the device or on the
-    tissue, as far as the grip is known. The filters have no lag.
+    In the model, the hand pulls the device towards the intended position by a spring, a damper and
+    a reflex. The force of the hand follows from the measured motion of the device, from its
+    inertia, damping and friction, and from the force of its motors. The model is then solved for
+    the intended position. The result does not depend on the device or on the tissue, as far as the
+    grip is known. The filters have no phase lag.
 
     Parameters
     ----------
@@ -159,7 +168,7 @@ def hand_motion_m(
         Position of the device [m] and force that the device applied [N], with a row for each tick,
         shape (n, 3).
     device, grip
-        Parameters of device and grip. The mass of the grip moves with the device.
+        Parameters of device and grip. The mass of the grip is added to the mass of the device.
     band_Hz
         Ends of the band, at which the filter halves the amplitude.
     """
@@ -182,7 +191,7 @@ def hand_motion_m(
 
 
 def _require_motion(position_m: Array, novice: HandParameters) -> None:
-    """Check that a device moves faster than a tremor for at least a quarter of the time."""
+    """Check that a device moves faster than a novice's tremor for a quarter of the time or more."""
     frequency = _frequencies_Hz(len(position_m))
     place = _spectrum(position_m - position_m[0])
     along = 2j * np.pi * frequency * place / (1.0 + (frequency / PATH_HZ) ** 4)
@@ -199,19 +208,19 @@ def _require_motion(position_m: Array, novice: HandParameters) -> None:
 
 
 def _frequencies_Hz(ticks: int) -> Array:
-    """Return the frequencies of a spectrum of `_spectrum` [Hz], shape (frequencies, 1)."""
+    """Return the frequencies [Hz] of the rows that `_spectrum` returns, shape (frequencies, 1)."""
     found = np.fft.rfftfreq(ticks + 2 * round(PAD_S / TICK_S), TICK_S)[:, None]
     return np.asarray(found, dtype=np.float64)
 
 
 def _spectrum(values: Array) -> Spectrum:
-    """Return the spectrum of rows of ticks, which are extended at both ends."""
+    """Return the spectrum of values with one row per tick, which are extended at both ends."""
     pad = round(PAD_S / TICK_S)
     return np.fft.rfft(np.pad(values, ((pad, pad), (0, 0)), mode="edge"), axis=0)
 
 
 def _signal(spectrum: Spectrum, ticks: int) -> Array:
-    """Return the rows of ticks of a spectrum, without the extensions at both ends."""
+    """Return the values of a spectrum, one row per tick, without the extensions at both ends."""
     pad = round(PAD_S / TICK_S)
     whole: Array = np.fft.irfft(spectrum, ticks + 2 * pad, axis=0)
     return whole[pad : pad + ticks]

@@ -1,4 +1,4 @@
-"""Training of a scene's predictors: fit to recorded runs, forecast errors, and validation."""
+"""Training of the predictors of a scene: fit to recorded runs, prediction errors, validation."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
@@ -64,40 +64,45 @@ __all__ = [
 
 
 IDEAL_SHARE = 0.25
-"""Weight of the ideal force in the targets of a tool that does not cut.
+"""Weight of the ideal force in the training targets, for a tool that does not cut.
 
-The ideal force contains no encoder steps and no noise of friction. In needle, the excess error 4 ms
-ahead was divided by the excess error of the zero-order hold. The ratio is 0.80 with a weight of 0,
-0.57 with 0.25, and 0.94 with 0.5. With larger weights, the predicted force differs more from the
-observed force, and the guard uses the fallback. The ideal force of a tool that cuts belongs to
-another cut, and is a worse target in caries.
+The ideal force contains no encoder steps and no noise of friction. The weight was chosen in the
+scene ``needle``, by the excess error of predictions 4 ms ahead, divided by the excess error of the
+zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With
+larger weights, the predicted force differs more from the observed force, so the guard uses the
+fallback. The ideal force of a cutting tool belongs to another cut than the recorded force. In the
+scene ``caries``, it is a worse target.
 """
 DELAYS_MS = (0, 4, 8)
-"""Latencies of training runs, in turn [ms]. A hand moves differently if the force is late."""
+"""Latencies that the training runs use in turn [ms].
+
+Several latencies are used, because a hand moves differently if the force is delayed.
+"""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Data of a run that a predictor receives, one row per tick.
+    """Data of a run that a predictor receives, and the exact data of the run, one row per tick.
 
     Attributes
     ----------
     position_m, velocity_m_s
-        Position of the device as measured by its encoders, and velocity as estimated by the loop's
-        filter, shape (n, 3).
+        Position of the device as measured by its encoders [m], and velocity as estimated by the
+        filter of the loop [m/s], each of shape (n, 3).
     force_N
-        Force on the device, without delay, shape (n, 3).
+        Force on the device without delay [N], shape (n, 3).
     contact
-        Contact that a loop receives in every tick.
+        Contact data that the loop passes to predictors, one entry for each tick.
     group, seed
-        Group of the hand, and its seed.
+        Expertise group of the hand, and seed of the run.
     model_s
-        Median time that the tissue took to answer in a tick [s].
+        Median computing time of the tissue model in a tick [s].
     true_position_m
-        Exact position of the device, without encoder steps, shape (n, 3). None if it is unknown.
+        Exact position of the device [m], without encoder steps, shape (n, 3). None if it is
+        unknown.
     ideal_N
-        Force that a loop without delay, encoder steps and filters gives on the same path of the
-        device, shape (n, 3). None if it was not computed.
+        Ideal force [N], shape (n, 3): the force of a loop without delay, encoder steps and filters
+        on the same path of the device. None if it was not computed.
     """
 
     position_m: Array
@@ -111,14 +116,19 @@ class Recording:
     ideal_N: Array | None = None
 
     def samples(self) -> tuple[Array, Array]:
-        """Return coordinates, shape (n, COORDINATES, 3), and targets, shape (n, 2 HORIZON, 3).
+        """Return training coordinates (n, COORDINATES, 3) and targets (n, 2 HORIZON, 3).
 
-        The n ticks are those with all targets. Before the first tick, the device is assumed at
-        rest. Targets are the displacements to the later true positions of the device, which have no
-        encoder steps, and the changes to the later stretches between the true positions and the
-        tool [m]. In front of a tool that cuts, the loop's filter is applied to the true positions.
-        For other tools, these stretches are averaged with those of the ideal force, see
-        `IDEAL_SHARE`.
+        The n ticks are those for which all targets are known. Before the first tick, the device is
+        assumed to be at rest. All targets are in metres.
+
+        The first half of the targets are displacements from the measured position of the device to
+        its later true positions, which have no encoder steps.
+
+        The other half are changes of the stretch (force divided by spring stiffness) from the
+        present tick to later ticks. A later stretch is the vector from the true position of the
+        device to the tool, or zero without contact. For a tool that cuts, the filter of the loop is
+        applied to the true positions first. For other tools, a later stretch is the weighted mean
+        of this vector and of the ideal force divided by the spring stiffness; see `IDEAL_SHARE`.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if self.contact[0].cuts:
@@ -146,21 +156,21 @@ class Recording:
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
     """Return the scene of a trial.
 
-    Hands, seeds and latencies are used in turn. The run predicts no force and computes no stress in
-    parallel to the ticks.
+    Successive trials use the hands, the latencies and the seeds in turn. The run uses no predictor,
+    and computes no stress field.
 
     Parameters
     ----------
     scene
-        Scene. A scene without a device gets a Touch.
+        Scene. If it has no device, the device Touch is used.
     index
-        Number of the trial. It is also the seed of the trial.
+        Number of the trial, which is also its seed.
     delay_ms
         Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
-        Ratio of the tissue's force to the scene's force for the same motion. If the force is linear
-        in the moduli or in the cutting coefficients, this is equivalent to multiplying all of them
-        by the ratio.
+        Factor on the force of the tissue for the same motion. If the force is linear in the moduli
+        or in the cutting coefficients, this is equivalent to multiplying these constants by the
+        factor.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -184,9 +194,9 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 
 
 class Recorder:
-    """Runner of trials of one scene.
+    """Recorder of the trials of one scene.
 
-    A linear elastic organ is built only once, because a run does not change it.
+    A linear elastic organ is built only once, because a run does not change its model.
     """
 
     def __init__(self, *, cores: int | None = None) -> None:
@@ -194,14 +204,15 @@ class Recorder:
         self._organ: Parts | None = None
 
     def record(self, scene: Scene, *, encoder_step_m: float | None = None) -> Recording:
-        """Run a scene by its hand.
+        """Run a scene with its simulated hand; return the recorded data.
 
-        The simulated device has the encoder steps of its parameters, unless others are given [m].
+        The encoder step is taken from the parameters of the simulated device, unless
+        `encoder_step_m` [m] is given.
 
         Raises
         ------
         InputError
-            If the scene cannot be built.
+            If the scene cannot be built, or its forces are not finite.
         """
         parts = self._parts(scene)
         motion = parts.motion
@@ -236,7 +247,7 @@ class Recorder:
         )
 
     def ideal_force_N(self, scene: Scene, run: Recording) -> Array:
-        """Compute the force of the ideal loop along the device motion of a run [N], shape (n, 3).
+        """Compute the force of the ideal loop on the device path of a run [N], shape (n, 3).
 
         See `tissue.simulation.reference_force.ideal_force_N`.
 
@@ -245,7 +256,8 @@ class Recorder:
         scene
             Scene of the run.
         run
-            Run whose device positions are followed, without encoder steps if they are known.
+            Run whose device path is used: the true positions if they are known, otherwise the
+            measured ones.
 
         Raises
         ------
@@ -261,7 +273,7 @@ class Recorder:
         return rendered_force_N(parts, len(times_s))
 
     def _parts(self, scene: Scene) -> Parts:
-        """Return the hand of a scene and the tissue that it touches."""
+        """Build the objects that simulate a scene, including the hand's motion and the tissue."""
         # Only a linear elastic organ is unchanged by a run.
         organ = (
             isinstance(scene.tool, Probe)
@@ -285,9 +297,9 @@ class Recorder:
 
 
 def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, list[Contact], Array]:
-    """Return position, force and true position, contacts, and the times of the tissue.
+    """Run some ticks; return their data, their contacts, and the times of the tissue model [s].
 
-    Measured position, force and true position have shape (n, 9). The seconds that the tissue took
+    The data have shape (n, 9): measured position [m], force [N] and true position [m]. The times
     have shape (n,).
     """
     stepper = Stepper(motion, tissue)
@@ -316,46 +328,49 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, li
 
 
 TRIALS = 12
-"""Default number of runs of a scene, four for each group of hands."""
+"""Default number of recorded runs of a scene: four for each expertise group."""
 LEAST_TRIALS = 6
-"""Smallest number of runs. One of them is used for validation."""
+"""Smallest number of recorded runs. With this number, one run is used for validation."""
 MOST_TRIALS = 10_000
-"""Maximum number of runs.
+"""Largest number of recorded runs.
 
-A hundred times as many runs as for the shipped predictors would take days, so a larger number
-counts as a typing error.
+This is a hundred times as many runs as for the shipped predictors, and would take days. A larger
+number counts as a typing error.
 """
 HELD_OUT = 4
-"""Interval between two runs that are used for validation: one run in four.
+"""Number of runs of which one is used for validation.
 
 The other runs are used for training.
 
-The number and the three groups of hands have no common factor, so each group is used for validation
-in turn.
+Runs use the three expertise groups in turn. This number and 3 have no common factor, so the groups
+are used for validation in turn too.
 """
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
-"""Ticks ahead at which predictors are compared."""
+"""Horizons at which predictors are compared [ticks]."""
 LEAST_RUNS = 3
 MARGIN = 3.0
-"""Limit of a window's mean square, relative to the largest mean square in training.
+"""Limit of the mean square of the scaled coordinates, divided by the largest value in training.
 
-A window above this limit counts as outside the training range. The value is assumed.
+The coordinates are past displacements and stretches. Above the limit, they count as outside the
+training range. The value is assumed.
 """
 
 
 def train(
     scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent
 ) -> Trained:
-    """Train the predictors of a scene on runs by hands of all groups, and validate them.
+    """Train the predictors of a scene on runs with simulated hands, and validate the predictors.
+
+    The hands are of all expertise groups.
 
     The validation uses runs that are not used for training.
 
-    The seed of the scene is not used: trial i has seed i.
+    The seed of the scene is not used, because trial i has the seed i.
 
     Raises
     ------
     InputError
-        If there are too few trials or the scene cannot be run.
+        If the number of trials is out of range, or the scene cannot be run.
     """
     if not LEAST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(
@@ -393,9 +408,11 @@ def train(
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Choose the fallback with the smallest mean error among the predictors of `FALLBACKS`.
+    """Return the trained predictors with the best fallback for the guard.
 
-    These are the predictors without an operator.
+    The fallback is the predictor of `FALLBACKS` with the smallest mean error.
+
+    The predictors in `FALLBACKS` have no operator.
     """
     errors = _mean_errors(FALLBACKS, trained, touching(runs), force_limit_N, (VALIDATED_AT,))
     return replace(trained, fallback=min(errors, key=lambda kind: errors[kind][0]))
@@ -408,7 +425,7 @@ def _mean_errors(
     force_limit_N: float,
     horizons: Sequence[float] = HORIZONS,
 ) -> dict[str, list[float]]:
-    """Return the mean error over runs of each kind of predictor at each horizon."""
+    """Return the mean error over runs for each predictor, as a list over the horizons."""
     errors = {}
     for kind in kinds:
         make = partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -417,7 +434,7 @@ def _mean_errors(
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
-    """Add the mean errors of all predictors on validation runs.
+    """Return the trained predictors with the mean errors of all predictors on validation runs.
 
     Raises
     ------
@@ -441,12 +458,14 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
 
 
 def fit(scene: str, runs: Sequence[Recording]) -> Trained:
-    """Fit the operator of a scene to recorded runs. All axes of a run have equal weight.
+    """Fit the operator of a scene to recorded runs.
+
+    The x, y and z axes have equal weight.
 
     Raises
     ------
     InputError
-        If there are too few runs, nothing is touched, or the runs are not suitable for training.
+        If there are too few runs, no run has a force, or the runs are not suitable for training.
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
@@ -482,7 +501,10 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
 
 
 def _largest_square(moments: Moments, seen_in_runs: Iterable[Array]) -> float:
-    """Return the largest mean square of scaled coordinates in any tick, over all axes together."""
+    """Return the largest value, over all ticks, of the mean square of the scaled coordinates.
+
+    The mean is taken over all axes together.
+    """
     inverse = 1.0 / np.diag(moments.coordinates)
     squares = (np.einsum("tca,c->t", seen**2, inverse).max() for seen in seen_in_runs)
     return float(max(squares)) / COORDINATES
@@ -491,12 +513,14 @@ def _largest_square(moments: Moments, seen_in_runs: Iterable[Array]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """Compute the forecasts of every tick [N], shape (n, horizons, 3), and a flag for each tick.
+    """Predict the force in every tick of a run at some horizons [ticks].
 
-    The flag, shape (n,), is set if the forecast is from the primary predictor.
+    Return the predicted forces [N], shape (n, horizons, 3), and a flag for each tick, shape (n,).
+    The flag is 1 if the force is mainly that of the primary predictor, and 0 if it is mainly that
+    of the fallback.
 
-    The predictor receives a force every `model_ticks` ticks. Until the next force, it receives the
-    contact of the tick of the last force, as in a loop.
+    As in a loop with a slow model, the predictor receives a force only every `model_ticks` ticks.
+    Between two forces, it receives the contact data of the last tick with a force.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
@@ -522,15 +546,15 @@ def forecast_errors(
     horizons: Sequence[float] = HORIZONS,
     model_ticks: int = 1,
 ) -> Array:
-    """Return ||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
+    """Return the relative error of a new predictor on each run, shape (runs, horizons).
 
-    F is the reference force in the predicted tick. The norms are taken over all ticks that can be
-    predicted.
+    The error is ||predicted - F|| / ||F||, where F is the recorded force in the predicted tick. The
+    norms are taken over all ticks whose predicted tick lies in the run.
 
     Raises
     ------
     InputError
-        If a run has no force in those ticks; see `touching`.
+        If a run has no force in the predicted ticks; see `touching`.
     """
     errors = np.empty((len(runs), len(horizons)))
     for row, run in enumerate(runs):
@@ -543,8 +567,8 @@ def forecast_errors(
 
 
 def touching(runs: Sequence[Recording]) -> list[Recording]:
-    """Return the runs that have a force in ticks that can be predicted.
+    """Return the runs that have a force in ticks that can be predicted at all `HORIZONS`.
 
-    In a short scene, a hand may touch the tissue too late.
+    In a short scene, a hand may not reach the tissue before the run ends.
     """
     return [run for run in runs if run.force_N[max(HORIZONS) :].any()]

@@ -1,7 +1,7 @@
 """Assembled stiffness and loads of tetrahedra, and of a capsule on their surface.
 
-The stiffness of tetrahedra is stored in 3x3 blocks. The block of a pair of nodes is summed once and
-mirrored.
+The stiffness of tetrahedra is stored in 3x3 blocks. The block of a pair of nodes is summed once,
+and its transpose is copied to the mirrored position.
 
 A capsule is a thin elastic membrane on the surface, in plane stress.
 
@@ -15,8 +15,8 @@ pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)``, with the thickness t a
 
 Prefer linear cells under a stiff capsule on a curved body. Quadratic cells with straight edges have
 nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners are
-displaced inwards too far. The error of their displacement is 8 % if capsule and body are equally
-stiff, with 7 cells per quadrant. The error of the mean displacement is 2 %.
+displaced inwards too far. The error of the displacement of the corners is 8 % if capsule and body
+are equally stiff, with 7 cells per quadrant. The error of the mean displacement is 2 %.
 """
 
 from functools import cache
@@ -56,8 +56,9 @@ SOFTENED_RATIO = 1.0
 The errors are measured above the nodule in the scene `palpation`. The excess is the additional
 force caused by the nodule. With edges of 4 mm and a ratio of 1, the error is 2.5 % for the excess
 and -0.1 % for the force. With a ratio of 2, the errors are 3.5 % and +0.4 %. Without softening and
-with edges of 5 mm, they are 10 % and 3.6 %: `python tests/bench/bench_nodule.py --parts meshes`.
-With a ratio of 0 and edges of 5 mm, the displacement under Hertz's pressure is up to 5 % too large.
+with edges of 5 mm, the errors are 10 % and 3.6 %: `python tests/bench/bench_nodule.py --parts
+meshes`. With a ratio of 0 and edges of 5 mm, the displacement under Hertz's pressure is up to 5 %
+too large.
 """
 
 
@@ -105,11 +106,11 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
 
 
 def _softening(rows: Array) -> Array:
-    """Return the part of the first Lame constant that resists a mean change of volume [Pa].
+    """Return the part of the first Lame constant [Pa] that resists only a mean volume change.
 
-    The shape is (rows,). For stiffness matrices C, the bulk modulus under a uniform stress, 1 / (1
-    C^-1 1), and the largest shear modulus are used in place of the Lame constants. The softened
-    matrices are still positive definite.
+    The result has one value for each row, shape (rows,). For stiffness matrices C, the bulk modulus
+    under a uniform stress, 1 / (1 C^-1 1), and the largest shear modulus are used in place of the
+    Lame constants. The softened matrices are still positive definite.
     """
     if rows.ndim == 2:
         return np.maximum(rows[:, 0] - SOFTENED_RATIO * rows[:, 1], 0.0)
@@ -124,8 +125,9 @@ def pair_tables(order: int) -> tuple[Int32s, Array, Array]:
     """Return corners and weights for each pair of shape functions in a cell, each of shape (p, 4).
 
     Shape function A has the corners i and j, shape function B the corners k and n. The weights
-    belong to the products ik, in, jk and jn of the gradients. The first array of weights gives the
-    mean of the products, the second array the product of the means.
+    multiply the products ik, in, jk and jn of the gradients of the barycentric coordinates. With
+    the first array of weights, the sum is the mean of the product of the gradients of A and B. With
+    the second array, it is the product of their means.
     """
     products = gradient_products(4, order)
     # The four functions of the corners come first, then the functions of the edges of a quadratic
@@ -201,7 +203,7 @@ def capsule_stiffness(
 
 
 def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:
-    """Return the blocks, summed over faces in the order of the faces and then mirrored."""
+    """Return the matrix of the blocks, which are summed in the order of the faces and mirrored."""
     turned = pattern.contribution < 0
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]
     ordered[turned] = ordered[turned].swapaxes(1, 2)
@@ -219,7 +221,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
-    """Return the weight of the cells on the nodes [N], shape (n, 3), along -z.
+    """Return the nodal forces [N], shape (n, 3), of the weight of the cells, which acts along -z.
 
     The density [kg/m3] is one number, or one number for each cell, shape (m,).
     """
@@ -229,14 +231,14 @@ def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
 
 
 def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None) -> Array:
-    """Return the nodal forces of a traction on faces of the surface [N], shape (n, 3).
+    """Return the nodal forces [N], shape (n, 3), of a traction on faces of the surface.
 
     Parameters
     ----------
     space
         Nodes and cells.
     traction_Pa
-        Force per area [Pa], shape (3,), or one for each face, shape (f, 3).
+        Force per area [Pa], shape (3,), or one force per area for each face, shape (f, 3).
     faces
         Nodes of the faces, shape (f, 3) or (f, 6); default all of `Space.faces`.
     """
@@ -248,7 +250,7 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None)
 
 
 def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
-    """Distribute forces, (r, 3), to the nodes of each row with shares, (k,), and sum them."""
+    """Distribute row forces, shape (r, 3), to the nodes with shares, shape (k,), and sum them."""
     each = (force[:, None, :] * share[:, None]).reshape(-1, 3)
     rows = nodes.ravel()
     return np.stack(

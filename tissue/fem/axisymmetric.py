@@ -6,9 +6,9 @@ At a radius r the deformation gradient has the in-plane part ``I + grad u`` and 
 the logarithms of the principal stretches. A Newton step is solved with the tangent and is halved
 until the energy decreases.
 
-Contact is evaluated at Gauss points of the top face. Let g be their depth inside the ball, p a
-multiplier and k a penalty. An augmented Lagrangian adds the energy ``(max(0, p + k g)^2 - p^2) / 2
-k`` per area (Simo and Laursen 1992, Comput. Struct. 42:97).
+Contact is evaluated at Gauss points of the top face. Let g be the depth of such a point inside the
+ball, p a multiplier and k a penalty. An augmented Lagrangian adds the energy ``(max(0, p + k g)^2 -
+p^2) / 2 k`` per area (Simo and Laursen 1992, Comput. Struct. 42:97).
 
 The solver has about 3,000 unknowns, compared with 30,000 for tetrahedra. A fit can therefore
 compute many laws.
@@ -64,7 +64,7 @@ ROUNDING = 1e-16
 SETTLED = 1e-5
 """Allowed unbalanced force at the end of a solve, divided by the largest nodal force."""
 SHORTEST = 1.0 / 64.0
-"""Smallest share of a step of the ball that is tried before the press has failed."""
+"""Smallest part of a step of the ball that is tried before the press counts as failed."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +128,9 @@ def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> 
 
 
 def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
-    """Return the mesh between rising edges r and z [m], held at the base and across the axis.
+    """Return the mesh with cell edges at r and z [m], held at the base and radially at the axis.
 
-    ``radius_m`` is the radius of the ball.
+    `r` and `z` are in rising order. `radius_m` is the radius of the ball.
     """
     columns = 2 * len(r) - 1
     rows = 2 * len(z) - 1
@@ -162,7 +162,7 @@ def _graded(count: int, edge: float, end: float) -> Array:
 
 
 def press_forces(mesh: LayerMesh, law: Hyperelastic | LinearLaw, depths_m: Array) -> Array:
-    """Compute the force of a ball on a layer at rising depths [N], shape of the depths.
+    """Compute the force [N] of a ball on a layer at rising depths, same shape as `depths_m`.
 
     At the first depth without an equilibrium, and at all larger depths, the forces are NaN.
 
@@ -345,7 +345,7 @@ class _Layer:
 
 
 def _lagrange(at: Array) -> tuple[Array, Array]:
-    """Return the quadratic shape functions of nodes -1, 0, 1 and their derivatives, (q, 3)."""
+    """Return quadratic shape functions of nodes -1, 0, 1 and their derivatives, shape (q, 3)."""
     value = np.stack([0.5 * at * (at - 1.0), 1.0 - at**2, 0.5 * at * (at + 1.0)], axis=-1)
     slope = np.stack([at - 0.5, -2.0 * at, at + 0.5], axis=-1)
     return value, slope

@@ -86,9 +86,10 @@ class Iterate:
     residual
         Load minus the stiffness times the displacement.
     slopes
-        ``r . B r`` of the present residual and of all earlier residuals.
+        Scalar products ``r . B r`` of the present and all earlier residuals r, with the
+        preconditioner B.
     factors
-        Factor of the last direction in the next direction, for each step so far.
+        Factor with which the previous direction entered the direction of each step so far.
     lengths
         Step lengths along the directions so far.
     """
@@ -114,9 +115,9 @@ def conjugate_gradients(
 ) -> Solution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The factor of the last direction follows Polak and Ribiere. This factor allows a preconditioner
-    that is slightly unsymmetric, or in single precision (Golub and Ye 1999, SIAM J. Sci. Comput.
-    21:1305).
+    The factor with which the last direction enters the next direction follows Polak and Ribiere.
+    This factor allows a preconditioner that is slightly unsymmetric, or in single precision (Golub
+    and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
@@ -127,15 +128,15 @@ def conjugate_gradients(
     precondition
         Function that multiplies forces by B, an approximate inverse of K.
     error
-        Function that estimates the relative error of an iterate. The iterations end when it is at
-        most ``tolerance``.
+        Function that estimates the relative error of an iterate. The iterations end when this
+        estimate is at most ``tolerance``.
     limit
         Largest number of iterations.
     start
         First guess; default: zero.
     least_curvature
-        Below this value ``p . K p`` of a direction p is a rounding error, and K is not positive
-        definite.
+        Function that returns a limit for a direction p. If ``p . K p`` is not above the limit, K
+        counts as not positive definite.
     correct_last
         True to add the correction for the last residual, which is already computed, to the
         converged solution. The correction reduces the error if no eigenvalue of ``B K`` is above 2.

@@ -24,10 +24,10 @@ class Frame:
     time_s
         Time of the state that the fields belong to [s].
     points
-        Values at the nodes, as a dictionary by name with unit, shape (nodes,) or (nodes, 3).
+        Values at the nodes, shape (nodes,) or (nodes, 3), keyed by a name with unit.
     cells
-        Values in the cells, as a dictionary by name with unit, shape (cells,) or (cells, 3). NaN in
-        removed cells.
+        Values in the cells, shape (cells,) or (cells, 3), keyed by a name with unit. The value of a
+        removed cell is NaN.
     """
 
     time_s: float
@@ -53,7 +53,7 @@ class FieldSeries:
     frames
         Frames in the order of time.
     node_sets
-        Nodes by role, ``held`` or ``touchable``.
+        Indices of nodes, keyed by role: ``held`` or ``touchable``.
     """
 
     nodes_m: Array
@@ -87,7 +87,7 @@ class StressState:
 
 
 def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> StressState:
-    """Return the stress at the centre of each cell, which is its mean over the cell.
+    """Return the stress at the centre of each cell, which equals the mean stress of the cell.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def group_stress(
     member: Int32s,
     places: Array,
 ) -> StressState:
-    """Return the mean stress of groups of cells at points in the cells, weighted by cell volume.
+    """Return the mean stress of groups of points in cells, weighted by the volumes of the cells.
 
     The parameters are described in `kernels.tetrahedra.group_stress`, and the errors in
     `cell_stress`.

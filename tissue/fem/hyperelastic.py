@@ -49,7 +49,8 @@ class NonlinearBody:
     law
         Elastic law.
     cell_factors
-        Factor of the moduli of a hyperelastic law in each cell, shape (m,); None for 1.
+        Factor by which the moduli of a hyperelastic law are multiplied in each cell, shape (m,);
+        None for a factor of 1.
     membrane
         Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as returned by
         `tissue.fem.assembly.capsule_stiffness`; None for no membrane.
@@ -131,7 +132,7 @@ class NonlinearBody:
         ]
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
-        """Return the elastic energy [J] and its derivative, shape (n, 3) [N].
+        """Return the elastic energy [J] and its derivative [N], shape (n, 3).
 
         The energy is infinite if a cell is inverted.
         """
@@ -157,8 +158,9 @@ class NonlinearBody:
         displacement_m
             Displacement of the nodes [m], shape (n, 3).
         definite
-            True to make the eigenvalues of a hyperelastic law positive at each quadrature point.
-            The matrix is then positive definite for any supports that prevent rigid motions.
+            If true, the eigenvalues of the tangent of a hyperelastic law are made positive at each
+            quadrature point. The matrix is then positive definite for any supports that prevent
+            rigid motions.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches[int(definite)]:

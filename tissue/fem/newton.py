@@ -3,9 +3,10 @@
 The direction of a Newton step is solved with the tangent by conjugate gradients. The preconditioner
 is one factorisation of the stiffness at rest. The iterations stop at a direction of negative
 curvature (Steihaug 1983, SIAM J. Numer. Anal. 20:626), so that the resulting direction always
-lowers the energy. The step is halved until energy and slope decrease. A step that inverts a cell
-has infinite energy and is never used. The multipliers of a sphere are corrected between Newton
-solves.
+lowers the energy. The step is halved until the energy decreases. Near the minimum, where
+differences of the energy are rounding errors, the slope along the step must fall to half instead. A
+step that inverts a cell has infinite energy and is never used. The multipliers of a sphere are
+corrected between Newton solves.
 
 The sphere is rigid and without friction. Its contact is an augmented Lagrangian on the surface
 nodes (Simo and Laursen 1992, Comput. Struct. 42:97). Let g be the depth of a node inside the
@@ -52,8 +53,8 @@ class RigidSphere:
     centre_m
         Centre [m], shape (3,).
     tolerance
-        Allowed final depth of a node in the sphere, or distance of a node with force, divided by
-        the radius.
+        Allowed final distance between the surface of the sphere and a node that lies inside the
+        sphere or carries a contact force, divided by the radius.
     """
 
     def __init__(
@@ -74,16 +75,16 @@ class RigidSphere:
         """Centre [m], shape (3,). If it moves, the multipliers are kept as a first guess."""
 
     def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
-        """Return the energy [J] and its derivative with respect to the positions of ``nodes`` [N].
+        """Return the contact energy [J] and its derivative [N], shape (s, 3).
 
-        The derivative has shape (s, 3).
+        The derivative is with respect to the positions of ``nodes``.
         """
         pressed, outward, _ = self._pressed(positions_m)
         energy = 0.5 * np.sum((pressed**2 - self._multiplier**2) / self._penalty)
         return float(energy), -pressed[:, None] * outward
 
     def blocks(self, positions_m: Array) -> Array:
-        """Return the second derivatives of the energy for each node [N/m], shape (s, 3, 3)."""
+        """Return the second derivatives of the energy [N/m] for each node, shape (s, 3, 3)."""
         pressed, outward, distance = self._pressed(positions_m)
         along = outward[:, :, None] * outward[:, None]
         stiff = np.where(pressed > 0.0, self._penalty, 0.0)
@@ -101,7 +102,7 @@ class RigidSphere:
         return False
 
     def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
-        """Return each node's force [N], direction from the centre, and distance to it [m]."""
+        """Return force [N], direction from the centre and distance to the centre [m] by node."""
         from_centre = positions_m[self.nodes] - self.centre_m
         # A node at the centre has no direction; the lower bound avoids a division by zero.
         distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)
@@ -123,14 +124,15 @@ CORRECTIONS = 60
 Each correction reduces the penetration to a tenth or less.
 """
 LINEAR_LIMIT = 500
-"""Largest number of iterations for a direction; the last iterate also lowers the energy."""
+"""Largest number of iterations for a direction. An unconverged direction also lowers the energy."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NewtonSolution(Solution):
     """Displacement, outcome and forces of a solve by Newton's method.
 
-    The residual is the largest unbalanced force divided by the largest balanced force.
+    The residual is the largest unbalanced force, divided by the largest internal force or contact
+    force.
 
     Attributes
     ----------
@@ -292,7 +294,7 @@ class NewtonSolver:
         return energy, float(size), np.where(self.held, 0.0, slope)
 
     def _whole(self, displacement: Array, sphere: RigidSphere | None) -> bsr_array:
-        """Return the second derivative of the energy."""
+        """Return the second derivative [N/m] of the energy of body and sphere."""
         tangent = self.body.stiffness(displacement)
         if sphere is not None:
             row = np.repeat(np.arange(self.body.space.node_count), np.diff(tangent.indptr))
@@ -361,8 +363,9 @@ def press_at(
 
     Returns
     -------
-    The equilibrium, or the first solution that did not converge; the sphere; and the length of its
-    path from the first touch [m]. The length is not positive if the sphere does not reach the body.
+    The equilibrium, or the first solution that did not converge; the sphere; and the length of the
+    sphere's path from its first touch of the body [m]. The length is not positive if the sphere
+    does not reach the body.
 
     Raises
     ------

@@ -1,13 +1,14 @@
 """Equilibrium of a nonlinear body under slowly changing nodal forces, solved by L-BFGS.
 
-Each step needs one evaluation of the internal forces and one solve with a factor. The first factor
-belongs to the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
-Program. 45:503) depend on the body and not on the forces. They therefore stay valid when the load
-changes. When a solve needs many steps, the stiffness at the present displacement is factorised.
+Each step needs one evaluation of the internal forces and one solve with a factorised stiffness. The
+first factor belongs to the stiffness at rest. The curvature pairs of the last steps (Liu and
+Nocedal 1989, Math. Program. 45:503) depend on the body and not on the forces. They therefore stay
+valid when the load changes. When a solve needs many steps, the stiffness at the present
+displacement is factorised.
 
-Springs may hold some nodes near prescribed displacements. Tissue that a tool presses deeply may be
-stable only because the tool is rigid. Under the same forces without the tool, its tangent is
-indefinite and there is no equilibrium nearby.
+Springs may hold some nodes near prescribed displacements. They represent a rigid tool, because
+tissue that is pressed deeply may be stable only with the tool. Under the same forces without the
+tool, the tangent of the tissue is indefinite and there is no equilibrium nearby.
 """
 
 from collections import deque
@@ -35,15 +36,16 @@ ARMIJO = 1e-4
 ROUNDING = 1e-12
 """Relative rounding error of the energy."""
 SMALL = 1e-3
-"""Smallest reference force of the residual, as a share of the largest load so far.
+"""Smallest reference force of the residual, relative to the largest load so far.
 
-The residual of a smaller load is divided by this reference force, so such a load need not be
-balanced.
+The residual is the largest unbalanced force divided by a reference force, usually the largest force
+of the load. If this is smaller than `SMALL` times the largest load so far, the reference is larger
+than the load. Such a small load need not be balanced.
 """
 MANY = 8
 """Number of steps after which the stiffness at the present displacement is factorised anew."""
 SMALLEST_PART = 1.0 / 16.0
-"""Smallest part of a change of load that is tried before the solve keeps its last equilibrium."""
+"""Smallest fraction of a change of load that is tried; then the last equilibrium is kept."""
 
 
 class Body(Protocol):
@@ -53,7 +55,7 @@ class Body(Protocol):
         """Return the energy [J] and its derivative [N], shape (n, 3)."""
 
     def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
-        """Return the tangent [N/m], with positive eigenvalues if requested, shape (3n, 3n)."""
+        """Return the tangent [N/m], shape (3n, 3n), with positive eigenvalues if `definite`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +110,13 @@ class Springs:
         return cls(root, solve_triangular(lower, target_m.ravel(), lower=True))
 
     def at(self, share: float, start_m: Array) -> "Springs":
-        """Return springs with targets between a displacement and the targets of these springs.
+        """Return springs whose targets lie between a start displacement and the present targets.
 
         Parameters
         ----------
         share
-            Share of the distance, 0 to 1. With 0 the springs have no force at the start.
+            Position between the targets at the start (0) and the present targets (1). With 0 the
+            springs have no force at the start.
         start_m
             Displacement of the nodes at the start [m], shape (n, 3).
         """
@@ -128,7 +131,7 @@ class Springs:
         return 0.5 * float(stretch @ stretch), -(self.root.T @ stretch).reshape(-1, 3)
 
     def product(self, change_m: Array) -> Array:
-        """Compute the change of the restoring forces for a change of displacement [N], (n, 3)."""
+        """Compute the change of the restoring forces [N], shape (n, 3), for `change_m`."""
         return (self.root.T @ (self.root @ change_m.ravel())).reshape(-1, 3)
 
 
@@ -139,17 +142,18 @@ class Followed:
     Attributes
     ----------
     displacement_m, internal_N
-        Displacement [m], and internal forces at it [N], each of shape (n, 3).
+        Displacement [m], and internal forces at this displacement [N], each of shape (n, 3).
     load_N
         Sum of the load and the forces of the springs [N], shape (n, 3).
     residual
-        Largest unbalanced force, divided by the reference force: the largest force of the load, or
-        a share of the largest force of earlier loads if that is larger.
+        Largest unbalanced force, divided by a reference force. The reference is the largest force
+        in the load and in the internal forces at the start, or `SMALL` times the largest such force
+        so far if this is larger.
     steps
         Number of steps.
     reached
-        Share of the change of load and springs that was applied, 0 to 1. If it is less than 1, the
-        displacement is the equilibrium for this share.
+        Fraction, 0 to 1, of the change of load and springs that was applied. If this fraction is
+        less than 1, the displacement is the equilibrium for this fraction of the change.
     """
 
     displacement_m: Array
@@ -171,9 +175,10 @@ class _State:
 
 @dataclass(eq=False)
 class _Tangent:
-    """Factor of the stiffness at a displacement [m]; the stiffness may be made definite first.
+    """Cholesky factor of the stiffness of a body at a displacement [m].
 
-    A pickled tangent has no factor. The factor is computed again at the first use.
+    If `is_definite` is true, the eigenvalues of the stiffness were made positive before the
+    factorisation. A pickled tangent has no factor. The factor is computed again at the first use.
     """
 
     displacement_m: Array
@@ -291,14 +296,15 @@ class QuasiNewton:
         self._tangent = None
 
     def state(self) -> dict[str, Any]:
-        """Return the state that later solves depend on, without the attributes in `RECORD`.
+        """Return the state on which later solutions depend, without the attributes in `RECORD`.
 
-        Nothing is copied, because a solve replaces these arrays and does not write to them.
+        The arrays in the state are not copied, because `follow` replaces them and does not write to
+        them.
         """
         return {"last": self._last, "memory": list(self._memory), "tangent": self._tangent}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Return to an earlier state, of this solver or of an equal solver."""
+        """Restore an earlier state of this solver or of an equal solver."""
         tangent: _Tangent | None = state["tangent"]
         factor = self.at_rest
         if tangent is not None:
@@ -338,7 +344,7 @@ class QuasiNewton:
         return _State(displacement_m, *self._body.energy_and_force(displacement_m))
 
     def _left(self, load_N: Array) -> tuple[Array, Array]:
-        """Return load plus spring forces, and their unbalanced part [N], each of shape (n, 3)."""
+        """Return load plus spring forces, and unbalanced forces [N], each of shape (n, 3)."""
         acting = load_N + self._springs.energy_and_force(self.displacement_m)[1]
         return acting, np.where(self._fixed, 0.0, acting - self._last.internal_N)
 
@@ -408,7 +414,8 @@ class QuasiNewton:
     def _pair(self, change: Array, force: Array) -> None:
         """Store a change of displacement and of the body's force as a curvature pair.
 
-        The pair is stored only if its curvature is positive with the springs.
+        The pair is stored only if the curvature of body and springs together is positive along the
+        change.
         """
         whole = force + np.where(self._fixed, 0.0, self._springs.product(change))
         curved = np.sum(change * whole)
@@ -417,7 +424,7 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _solve(self, forces_N: Array) -> Array:
-        """Solve with the factor and the springs [m], shape (n, 3)."""
+        """Return displacements [m], shape (n, 3), under forces on the body with springs."""
         if self._held is None:
             self._held = self.factor
             if self._springs.root.shape[0]:

@@ -60,25 +60,26 @@ class RegionBody:
         Numbers of the cells of the region.
     loaded
         Sets of nodes of the body near a contact, each of shape (l,): the nodes on which forces may
-        act, and the nodes where the law may differ from the linear law. The random forces for the
-        modes act on each set in an equal number of loads. Forces on nodes at the border would need
-        many modes.
+        act, and the nodes where the law may differ from the linear law. Each set gets an equal
+        number of the random loads from which the modes are computed. Nodes on the border are left
+        out, because forces on them would need many modes.
     law, cell_factors
-        Law, and factors of its moduli in each cell of the body, shape (m,).
+        Law, and factor on the moduli of the law in each cell of the body, shape (m,).
     membrane
-        Function that returns the stiffness of a membrane on faces of a space [N/m]; None for no
-        membrane. The stiffness at rest contains the membrane on the whole surface.
+        Function that returns the stiffness [N/m] of a membrane on given faces of a space; None for
+        no membrane. The stiffness at rest contains the membrane on the whole surface.
 
     Attributes
     ----------
     nodes, all_nodes
-        Inner nodes of the region, shape (n,), and all of its nodes, shape (r,), numbered as in the
-        body.
+        Inner nodes of the region, shape (n,), and all nodes of the region, shape (r,), numbered as
+        in the body.
     body, cells
         Nonlinear body of the region alone, and numbers of its cells in the whole body.
     nodes_m, fixed
         Positions [m], and mask of components with zero displacement, each of shape (n + p, 3). The
-        last p rows belong to the modes; their positions are not used.
+        last p rows belong to the modes, of which each row represents three. The positions of these
+        rows are not used.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class RegionBody:
         self._assembly = _Assembly(part.pattern, self._inner, self._border, extra)
 
     def _reduced(self, rest: DirectSolver, loaded: Sequence[Ints]) -> tuple[Array, Array]:
-        """Return the modes, (3b, 3p), and the stiffness of the other cells in them, (3p, 3p)."""
+        """Return modes, shape (3b, 3p), and the other cells' stiffness in them, shape (3p, 3p)."""
         if not len(self._border):
             return np.zeros((0, 0)), np.zeros((0, 0))
         random = np.random.default_rng(SEED)
@@ -148,7 +149,7 @@ class RegionBody:
         return np.ascontiguousarray(modes), 0.5 * (outside + outside.T)
 
     def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns that best fit displacements of the body [m], shape (n + p, 3)."""
+        """Return the unknowns [m], shape (n + p, 3), that best fit displacements of the body."""
         border = nodal_m[self.all_nodes[self._border]].ravel()
         return np.vstack([nodal_m[self.nodes], (self._modes.T @ border).reshape(-1, 3)])
 
@@ -161,7 +162,7 @@ class RegionBody:
         return moved
 
     def linear_difference_N(self, unknowns_m: Array) -> Array:
-        """Return the linear forces on `all_nodes` minus the forces of the law [N], (r, 3).
+        """Return linear forces minus the forces of the law on `all_nodes` [N], shape (r, 3).
 
         Under this additional load, a linear body has the displacement of this body.
         """
@@ -170,7 +171,7 @@ class RegionBody:
         return linear.reshape(-1, 3) - self.body.energy_and_force(moved)[1]
 
     def energy_and_force(self, unknowns_m: Array) -> tuple[float, Array]:
-        """Return the energy [J] and its derivative, shape (n + p, 3) [N]."""
+        """Return the energy [J] and its derivative [N], shape (n + p, 3)."""
         energy, nodal = self.body.energy_and_force(self.nodal_m(unknowns_m))
         shares = unknowns_m[len(self._inner) :].ravel()
         pull = self._outside @ shares
@@ -181,7 +182,7 @@ class RegionBody:
         return energy + 0.5 * float(shares @ pull), force
 
     def stiffness(self, unknowns_m: Array, *, definite: bool = False) -> bsr_array:
-        """Return the tangent stiffness [N/m], (3n + 3p, 3n + 3p), see `NonlinearBody`."""
+        """Return the tangent stiffness [N/m], shape (3n + 3p, 3n + 3p), see `NonlinearBody`."""
         tangent = self.body.stiffness(self.nodal_m(unknowns_m), definite=definite)
         return self._assembly.assembled(tangent, self._modes, self._outside)
 
@@ -194,7 +195,7 @@ class _Assembly:
     pattern
         Block pattern of the tangent for all nodes of the region.
     inner, border
-        Inner nodes and nodes on the border, rising.
+        Numbers of the inner nodes and of the nodes on the border, in rising order.
     extra
         Number of modes divided by three.
     """
@@ -256,7 +257,7 @@ class _Assembly:
 
 
 def _are_among(faces: Ints, others: Ints) -> Flags:
-    """Return a mask of the triangles that are among other triangles, shape (f,)."""
+    """Return a mask of the triangles in `faces` that are also in `others`, shape (f,)."""
     rows = np.vstack([np.sort(faces, axis=1), np.sort(others, axis=1)])
     places = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
     return np.isin(places[: len(faces)], places[len(faces) :])

@@ -8,8 +8,8 @@ The shape functions of straight-sided simplices are written in barycentric coord
 The gradients g_c of these coordinates are constant. The gradient of shape function A is ``sum_c
 sum_i slope[A, c, i] l_i g_c``. For a corner it is g_A (linear) or ``(4 l_A - 1) g_A`` (quadratic),
 with 1 = sum l_i. For the middle of edge ij it is ``4 (l_i g_j + l_j g_i)``. Products are integrated
-exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so no quadrature is
-needed.
+exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))`` in d dimensions, so no
+quadrature is needed.
 
 The block pattern contains the positions of the 3x3 blocks of an assembled matrix, and the cells
 that contribute to each block.
@@ -64,9 +64,9 @@ class Pattern:
         index of the pair in the cell. The contributions to a pair are in the order of cells. If the
         pair is reversed in its cell, the bitwise complement is stored.
     place
-        Block of each pair whose row is the lower node, shape (p,).
+        For each pair, index of the block whose row is the lower node of the pair, shape (p,).
     mirror
-        Block of the transposed pair, shape (p,); equal to `place` on the diagonal.
+        For each pair, index of the transposed block, shape (p,); equal to `place` on the diagonal.
     """
 
     row_start: Int32s
@@ -123,7 +123,7 @@ def local_pairs(nodes_a_cell: int) -> Ints:
 def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
     """Return the stable order that sorts pairs of numbers, and the start of each distinct pair.
 
-    The numbers are below `count`. The starts have shape (p + 1,).
+    The numbers are below `count`. The starts of p distinct pairs have shape (p + 1,).
     """
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)
@@ -143,7 +143,7 @@ def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
 
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
-"""Corners of the edges of a tetrahedron in the order of their middle nodes, VTK's order."""
+"""Corners of the edges of a tetrahedron, in VTK's order of the nodes in the middles of edges."""
 
 TRIANGLE_EDGES = EDGES[:3]
 """Corners of each edge of a triangle."""
@@ -189,7 +189,7 @@ def gradient_products(corners: int, order: int) -> Array:
 
 
 def mean_gradient_products(corners: int, order: int) -> Array:
-    """Return products of mean gradients, with the shape of `gradient_products`."""
+    """Return products of mean gradients, same shape as the result of `gradient_products`."""
     slope = gradient_slopes(corners, order).mean(axis=2)
     return np.einsum("ac,bd->abcd", slope, slope)
 
@@ -197,7 +197,7 @@ def mean_gradient_products(corners: int, order: int) -> Array:
 def mean_shape(corners: int, order: int) -> Array:
     """Return the means of the shape functions over the simplex, shape (nodes,).
 
-    They are the shares of the nodes in a uniform load.
+    These means are the shares of the nodes in a uniform load.
     """
     if order == 1:
         return np.full(corners, 1.0 / corners)
@@ -327,7 +327,7 @@ class Space:
 
     @cached_property
     def _edges(self) -> tuple[Ints, Ints]:
-        """Corners of each edge in rising order, (e, 2), and the edges of each cell, (m, 6)."""
+        """Rising corners of each edge, shape (e, 2), and edges of each cell, shape (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
         edge_of = np.empty(len(order), np.int64)

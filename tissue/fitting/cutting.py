@@ -51,7 +51,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""Field of `CuttingCoefficients` and factor to its unit, for each constant of a layer."""
+"""Field of `CuttingCoefficients` and factor to the unit of this field, for each constant."""
 
 
 @dataclass(frozen=True)
@@ -78,18 +78,19 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class CuttingForward:
-    """Cut with variable coefficients and densities, see `tissue.fitting.problem.Forward`.
+    """Loads of a recorded cut as a function of its free constants, see `Forward`.
 
     Attributes
     ----------
     record
         Geometry of the cut.
     coefficients
-        Coefficients of each layer that are not free.
+        Cutting coefficients of each layer. Free constants replace their values in these
+        coefficients.
     free
         Free constants.
     times_s
-        Times on the clock of the poses, shape (n,).
+        Times of the loads on the clock of the poses [s], shape (n,).
     notes
         Assumptions, in words.
     """
@@ -120,12 +121,12 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with averaged loads, and the measured log for the comparison.
+        """Return the cut with loads averaged like the samples of a log, and the log to compare.
 
-        Each average is taken over the duration of one sample of the log. The averages are computed
-        at three times the rate of the samples.
+        A sample of the log is a mean over a block of time. The loads of the cut are averaged over
+        blocks of the same duration, at three times the rate of the samples.
 
-        A fit computes loads thousands of times, so the average is computed once.
+        A fit computes loads thousands of times, so the averages are computed once, before the fit.
         """
         span_s = log.within_s[-1] - log.within_s[0]
         # with three points per block, the interpolation error is 0.1 to 0.4 % of a milling force
@@ -146,7 +147,7 @@ class CuttingForward:
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
         """Return the coefficients and the density factors of each layer.
 
-        The parameter values have shape (p,).
+        `x` contains the values of the free constants, shape (p,).
         """
         found = list(self.coefficients)
         factors = np.ones(len(found))
@@ -169,7 +170,7 @@ def cutting_forward(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> CuttingForward:
-    """Replay a log's poses through a scene's bone or tooth, and leave constants free.
+    """Record the cut along the poses of a log, and return its loads as a function of constants.
 
     Parameters
     ----------
@@ -184,9 +185,9 @@ def cutting_forward(
     free
         Free constants: full names, or a table with parts of the name, such as
         ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default: all
-        constants that have a range and are not set by the scene. These are the constants of a band.
-        The density exponent is free only if a density differs from the reference density of the
-        coefficients. The factor on each layer's density is always free.
+        constants that have a range and are not set by the scene. An uncertainty band varies the
+        same constants. The density exponent is free only if a density differs from the reference
+        density of the coefficients. The factor on each layer's density is always free.
     cores
         Processor cores to use; default all.
     progress
@@ -195,8 +196,8 @@ def cutting_forward(
     Raises
     ------
     InputError
-        If the scene has nothing to cut, the tool never touches it along the poses, or `free` names
-        an unknown constant.
+        If the scene has no bone or tooth, the tool never touches the bone or tooth along the poses,
+        or `free` names an unknown constant.
     """
     motion = ReplayPoses(times_s, tips_m, quaternions)
     record = record_loads(scene, motion=motion, cores=cores, progress=progress)
@@ -218,7 +219,7 @@ def cutting_forward(
 
 
 def forward_of(scene: Scene, record: LoadRecord, free: Sequence[str]) -> CuttingForward:
-    """Return the loads of a record with free constants, see `cutting_forward`."""
+    """Return the loads of a recorded cut as a function of free constants, see `cutting_forward`."""
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     return CuttingForward(
         record,
@@ -264,29 +265,31 @@ def _free_constants(
 
 
 REFERENCE = "reference_density_kg_m3"
-"""Key of the reference density of coefficients."""
+"""Key of the density at which the cutting coefficients are valid."""
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
-"""Depths of the cut in candidate logs, relative to the radius of the tool.
+"""Depths of cut in logs that could be measured next, relative to the radius of the tool.
 
-`FEEDS` and `SPINS` are the feeds and spins, relative to the feed and the spin of the log.
+`FEEDS` and `SPINS` are the feeds and spins of these logs, relative to the feed and the spin of the
+measured log.
 
-Feed and spin change the chip force but not the edge force. This separates the coefficients of both
-forces. The depth changes the directions of the forces of the cutting elements.
+Feed and spin change the chip force but not the edge force. Logs at several feeds and spins
+therefore separate the coefficients of the two forces. The depth changes the directions of the
+forces of the cutting elements.
 """
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
-"""Ticks of a record over which the steady load is averaged.
+"""Ticks of a recorded cut over which the steady load is averaged.
 
-At the start, the tool fills a cavity. It has left the cavity before these ticks. `TICKS` is the
-number of ticks of a record.
+The first pose lies inside bone, so the tool begins in a cavity of its own shape. It has left this
+cavity before these ticks. `TICKS` is the number of ticks of a recorded cut.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
-"""Travel of the tool in a record, relative to its radius.
+"""Travel of the tool in each kind of recorded cut, relative to the radius of the tool.
 
-A plunge is so short that its depth hardly changes.
+A plunge is so short that the depth of cut hardly changes.
 """
 VOXELS = 20
 """Number of voxels along a radius of the tool.
@@ -295,7 +298,7 @@ With 10, 20 and 40 voxels, the steady loads of a ball burr agree within 0.12 %.
 """
 AIR = 250
 LASTS = 1250
-"""Number of ticks of a candidate log.
+"""Number of ticks of a log that could be measured next.
 
 The first `AIR` ticks are in air and show the bias of the sensor.
 """
@@ -304,7 +307,7 @@ The first `AIR` ticks are in air and show the bias of the sensor.
 def cutting_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the problem of a cut through bone or a tooth, see `tissue.fitting.fit.fit_scene`."""
+    """Return the data of the fit of a cut through bone or a tooth, see `fit_scene`."""
     progress("recording the geometry of the log", 0.0)
     with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(
@@ -340,7 +343,7 @@ def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
 
 
 def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
-    """Return possible cuts with the free constants of a log, by a description of each cut.
+    """Return forward models of cuts that could be measured next, keyed by a description.
 
     Parameters
     ----------
@@ -367,7 +370,7 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, steady: LayerLoads) -> CuttingForward:
-    """Return a record of motion in air, followed by one second of steady loads in one layer."""
+    """Return the loads of a log with 0.25 s in air and then 1 s of steady loads in one layer."""
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
     ticks = np.repeat(steady.unit, LASTS, axis=2)
     ticks[:, :, :AIR] = 0.0
@@ -390,7 +393,7 @@ def _feed_m_s(like: CuttingForward) -> float:
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerLoads, float]:
-    """Return the steady loads of one tick in a block, and their feed [m/s]."""
+    """Return the mean unit loads of a steady cut through a block, and the feed of the cut [m/s]."""
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m
     deep = np.array([0.0, 0.0, -depth_m])

@@ -36,10 +36,10 @@ Such numbers are not constants of a material.
 """
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Ratio of a value to the end of its cited range, above which it contradicts its prior.
+"""Ratio of a value to the end of its cited range, above which the value contradicts its prior.
 
-This limit is needed because some priors have a heavy tail towards zero. `FAR` is the limit in
-standard deviations of a prior. 0.3 % of the constants lie beyond `FAR` by chance.
+This limit is needed in addition to `FAR`, because some priors have a heavy tail towards zero. `FAR`
+is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie beyond it.
 """
 UNIT_TIMES = 100.0
 """Ratio of a value to the end of its cited range that suggests a wrong unit.
@@ -55,17 +55,18 @@ class ConstantFit:
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this
-        specimen.
+        ``TABLE.MATERIAL.NAME``; or ``density.LAYER`` for the factor by which the density of a layer
+        is multiplied in this specimen.
     prior
         Cited median and range.
     low, value, high
         Quantiles at 5, 50 and 95 % after the fit, in the unit of the name.
     z
-        These quantiles and the ends of the cited range, in standard deviations of the prior, shape
-        (5,).
+        The three quantiles `low`, `value` and `high`, and the two ends of the cited range, as
+        standard normal numbers of the prior, shape (5,).
     contraction
-        Standard deviation after the fit divided by the standard deviation before the fit.
+        Standard deviation of the constant after the fit, divided by the standard deviation before
+        the fit.
     state
         ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``. A doubtful value lies far
         outside its cited range, or was found with a clock offset that contradicts its prior.
@@ -114,9 +115,9 @@ class Fitted:
     Attributes
     ----------
     source
-        Kind of the measurement, in a word.
+        Kind of the measurement, one word.
     meaning
-        Meaning of the numbers in the file of constants.
+        Explanation of the numbers in the file of constants that the fit writes.
     """
 
     source: ClassVar[str] = "log"
@@ -135,7 +136,7 @@ class Fitted:
 
     @property
     def scene_keys(self) -> dict[str, float]:
-        """Fitted keys of the scene, which are not constants of a material."""
+        """Fitted values of scene keys, which are not constants of a material."""
         return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
 
@@ -154,13 +155,13 @@ class SceneFit(Fitted):
     identified
         Constants and combinations that the log determines.
     gains
-        Expected information gains of other logs, the largest first.
+        Expected information gains of logs that could be measured next, the largest first.
     block_s
         Time over which samples were averaged [s].
     notes
         Findings and assumptions, in sentences.
     fixed
-        Fixed constants that the free constants depend on, by their names.
+        Values of fixed constants on which the free constants depend, keyed by name.
     """
 
     name: str
@@ -200,7 +201,7 @@ class SceneFit(Fitted):
 
     @property
     def offset_sd(self) -> float:
-        """Offset of the clocks in standard deviations of its prior."""
+        """Offset between the clocks of forces and poses, in standard deviations of its prior."""
         return self.posterior.nuisances.offset_s / OFFSET_S
 
     @property
@@ -219,7 +220,7 @@ class SceneFit(Fitted):
 
     @property
     def correlation(self) -> Array:
-        """Correlation of the constants of materials."""
+        """Correlation matrix of the fitted constants that belong to a material."""
         places = np.array(self.of_material, dtype=np.int64)
         covariance = self.posterior.covariance_z[np.ix_(places, places)]
         spread = np.sqrt(np.diag(covariance))
@@ -227,7 +228,7 @@ class SceneFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Size of the measurement, for programs."""
+        """Entry of the results file: the time over which samples were averaged [s]."""
         return {"block_s": self.block_s}
 
     @property
@@ -273,7 +274,7 @@ class TableFit(SceneFit):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """See `SceneFit`."""
+        """Sentences that summarise the fit for the user, as for `SceneFit`."""
         return (*law_sentences(self.laws), *self.notes, *self._warnings)
 
 
@@ -287,8 +288,8 @@ def fit_table(
     """Fit the constants of a scene's bone to a table of steady loads, and compare cutting laws.
 
     The fit finds the maximum of the posterior with the cited ranges as priors. The errors of the
-    rows are assumed independent and normal. Parameters and errors are those of
-    `tissue.fitting.table.table_forward`.
+    rows are assumed independent and normal. The parameters and the errors that are raised are
+    described in `tissue.fitting.table.table_forward`.
     """
     progress("computing the loads of the drill", 0.0)
     forward = table_forward(scene, table, free)
@@ -383,7 +384,7 @@ def fit_scene(
 def _determines_nothing(posterior: Posterior, log: MeasuredLog, *, is_mesh: bool) -> InputError:
     """Return the error for a log that determines no constant.
 
-    If `is_mesh`, the error of the mesh is the reason.
+    If `is_mesh` is true, the message names the error of the finite-element mesh as the reason.
     """
     if is_mesh:
         return InputError(

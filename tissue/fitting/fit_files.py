@@ -53,10 +53,10 @@ def write_fitted(
     entries
         The n constants by their names, ``TABLE.MATERIAL.NAME``.
     correlation
-        Correlation of their standard normal numbers, shape (n, n), see
+        Correlation of the standard normal numbers of these constants, shape (n, n), see
         `tissue.materials.constants.Prior`.
     fixed
-        Constants without a range on which the other constants depend.
+        Constants that have no range, and on which the fitted constants depend.
     remark
         Lines of comment at the top.
     """
@@ -180,7 +180,7 @@ def _write_table_loads(fit: TableFit, folder: Path) -> None:
 
 
 def unit_of(name: str) -> tuple[str, str]:
-    """Return the name in words without its unit, and the unit in its usual form."""
+    """Split the name of a constant into words without the unit, and the unit in its usual form."""
     last = name.rpartition(".")[2]
     unit = next((each for each in UNITS if last.endswith(f"_{each}")), "")
     words = (
@@ -368,7 +368,7 @@ def _report(fit: SceneFit | ProbeFit, folder: Path) -> str:
 
 
 def _next_logs(fit: SceneFit) -> str:
-    """Return the section of a report on the next measurement; empty without candidates."""
+    """Return the section of a report on the log to measure next; empty if no logs are known."""
     if not fit.gains:
         return ""
     rows = "".join(

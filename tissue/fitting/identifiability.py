@@ -1,6 +1,6 @@
 """Identifiability of constants from a log.
 
-The module finds constants whose interval is narrower than their prior, and combinations of
+The module finds constants whose interval is narrower after the fit than before, and combinations of
 constants that the log cannot separate.
 """
 
@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 AT_PRIOR = 0.9
-"""Smallest ratio of standard deviations at which a constant counts as at its prior.
+"""Ratio of standard deviations above which a constant counts as unchanged from its prior.
 
 The ratio is the standard deviation after the fit divided by the standard deviation of the prior.
 
@@ -37,12 +37,13 @@ DETERMINED = 0.5
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
 """
 LEAST_SHARE = 0.1
-"""Share of a direction below which a constant is not named in a combination.
+"""Component of a direction below which the constant is not named in a combination.
 
-Each of these constants adds less than 1 % to the squared length of the direction.
+A direction is an eigenvector of the information of the log, of length 1, with a component for each
+constant. A component below 0.1 adds less than 1 % to the squared length.
 """
 ALONE = 0.95
-"""Share of a direction above which a single constant represents the direction.
+"""Squared component of a direction above which a single constant represents the direction.
 
 Such a direction is reported as that constant and not as a combination.
 """
@@ -59,7 +60,8 @@ BALANCED = 0.2
 The ratio is the absolute value of the weighted sum, divided by the sum of the absolute values of
 its terms.
 
-No powers of densities are computed for a difference, because its terms cancel.
+For a difference, no powers of densities (`Combination.powers`) are computed, because its terms
+nearly cancel.
 """
 DENSITY = "density."
 EXPONENT = ".density_exponent"
@@ -88,11 +90,12 @@ class Combination:
     value, low, high
         Median, 5 and 95 % quantiles.
     contraction
-        Standard deviation divided by the standard deviation of the prior.
+        Standard deviation of the combination after the fit, divided by its standard deviation
+        before the fit.
     of
-        Function of all constants in their own units, shape (p,), that returns the value. It uses
-        only the named constants. The weights and powers are an approximation of this function near
-        the fitted values.
+        Function that returns the value of the combination for all constants in their own units,
+        shape (p,). It uses only the named constants. The weights and powers are an approximation of
+        this function near the fitted values.
     """
 
     weights: dict[str, float]
@@ -132,12 +135,12 @@ class Identified:
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Constants that the log determines one by one."""
+        """Single constants that the log determines."""
         return tuple(np.array(self.names)[self.contraction < DETERMINED].tolist())
 
     @property
     def at_prior(self) -> tuple[str, ...]:
-        """Constants whose interval the log does not narrow."""
+        """Constants whose interval the log narrows by less than 10 %."""
         return tuple(np.array(self.names)[self.contraction > AT_PRIOR].tolist())
 
     @property
@@ -149,10 +152,10 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    The combinations follow from the eigenvectors of the log's information in units of the prior,
-    with free nuisance parameters. A direction of z that the log determines is the slope of a
-    weighted mean of the loads. The log determines this mean even if the direction of z changes
-    along a curve of constant mean.
+    The combinations follow from the eigenvectors of the information of the log about z, the
+    standard normal numbers of the constants, with free nuisance parameters. Each eigenvector is the
+    gradient of a weighted mean of the loads with respect to z. The result describes this mean,
+    because its gradient may turn along a curve on which the mean is constant.
     """
     p = len(posterior.names)
     target = posterior.target
@@ -187,9 +190,9 @@ def _combination(
 ) -> Combination:
     """Return the combination for a direction of z.
 
-    The combination is a mean of whitened loads, shape (m * channels,). The derivative of the mean
-    with respect to z is the information multiplied by the direction. Constants with little
-    influence are not named, but their uncertainty widens the interval.
+    The combination is the sum of the whitened loads with the weights `mean`, shape (m * channels,).
+    The derivative of this sum with respect to z is `information` times `direction`. Constants with
+    little influence are not named, but their uncertainty widens the interval.
     """
     target = posterior.target
     noise = posterior.nuisances
@@ -252,9 +255,10 @@ class Gain:
     nats
         Expected gain of information about all constants [nats].
     widest
-        Constant with the widest present interval.
+        Constant whose interval is the widest before the candidate log.
     shrinks_to
-        Ratio of the interval of this constant after the candidate log to its present interval.
+        Width of the interval of the constant `widest` after the candidate log, divided by its width
+        before this log.
     """
 
     label: str
@@ -268,9 +272,10 @@ def expected_information(
 ) -> list[Gain]:
     """Return the expected information of candidate logs, largest first.
 
-    The candidates have the noise of the measured log. The information is half the logarithm of the
-    determinant of I + C M. C is the present covariance of z. M is the Fisher information of the
-    candidate with an unknown bias (Chaloner and Verdinelli 1995, linearised at the maximum).
+    The candidates are assumed to have the same noise as the measured log. The information is half
+    the logarithm of the determinant of I + C M. I is the identity, and C is the present covariance
+    of the standard normal numbers z. M is the Fisher information of the candidate with an unknown
+    bias (Chaloner and Verdinelli 1995, linearised at the maximum).
 
     Parameters
     ----------

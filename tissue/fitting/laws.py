@@ -7,9 +7,9 @@ loads minus the number of constants. Constants at their lower limit of 0 are not
 
 A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
 edge term. Free coefficients absorb the factor between the two drills, so the maximum likelihood
-does not distinguish the drills. A second misfit uses the cited ranges as priors. This misfit is
-the smallest sum of squared errors and of squared standard normal numbers of the constants. In a
-linear problem, its degrees of freedom are the number of loads.
+does not distinguish the drills. A second misfit uses the cited ranges as priors. This misfit is the
+smallest value of a sum: the squared errors of the loads plus the squared standard normal numbers of
+the constants. In a linear problem, it has as many degrees of freedom as there are loads.
 """
 
 from collections.abc import Sequence
@@ -31,19 +31,20 @@ __all__ = ["REJECTED", "LawMisfit", "MaximumLikelihood", "compared_laws", "law_s
 
 
 REJECTED = 0.05
-"""Probability of a larger misfit below which a law is rejected."""
+"""Limit of the probability of a larger misfit (p value), below which a law is rejected."""
 TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")
 THRUST = ("radial_chip_Pa", "radial_edge_N_m")
 """Chip and edge coefficient that a maximum-likelihood fit finds for the thrust.
 
 `TORQUE` holds the two coefficients of the torque.
 
-The axial coefficients reduce the thrust in proportion to the radial ones. The fitted coefficients
-of the thrust are therefore differences of radial and axial coefficients, and may have any sign. The
-coefficients of the torque are 0 or above.
+The effects of the axial coefficients on the thrust are proportional to the effects of the radial
+coefficients, and have the opposite sign. The fitted coefficients of the thrust are therefore
+differences of radial and axial coefficients, and may have any sign. The coefficients of the torque
+are 0 or above.
 """
 TYPICAL = np.array([1e8, 1e3])
-"""Units of chip and edge coefficients [Pa, N/m] for which their effects have similar size."""
+"""Units of chip and edge coefficients [Pa, N/m], chosen to give effects of similar size."""
 EXPONENTS = np.linspace(0.0, 0.9, 19)
 """Exponents of the size effect from which the search begins."""
 PRECISION = 1e-4
@@ -55,7 +56,7 @@ ALIKE = (
 NO_EFFECT = 1e-6
 """Singular value, relative to the largest, below which a combination has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
-"""Root mean square residual, relative to the mean load, that is used for an exact fit."""
+"""Smallest root mean square residual, relative to the mean load. It replaces 0 in an exact fit."""
 
 
 @dataclass(frozen=True)
@@ -72,19 +73,20 @@ class LawMisfit:
     constants
         Number of constants of the maximum-likelihood fit, without the scatter.
     size_exponent
-        Exponent m of this fit.
+        Exponent m of the maximum-likelihood fit; 0 for the linear law.
     chi_square, freedom, p
-        Sum of squares of this fit relative to the scatter, degrees of freedom, and probability of a
-        larger sum. None without a scatter or without degrees of freedom.
+        Sum of squared errors of the maximum-likelihood fit relative to the scatter, its degrees of
+        freedom, and the probability of a larger sum. `chi_square` and `p` are None without a
+        scatter; `p` is also None without degrees of freedom.
     aic
-        Akaike's information criterion, up to a constant that all laws of a table share. None if
-        the table has no scatter, and so few rows that the law could fit one load exactly.
+        Akaike's information criterion, up to a constant that all laws of a table share. None if the
+        table has no scatter and has so few rows that the law could fit one load exactly.
     left_out
-        Root mean square error of rows that are predicted from the other rows, relative to the
-        loads of the row. None if the other rows do not determine the constants.
+        Root mean square relative error of the loads of a row when the law is fitted to all other
+        rows. None if the other rows do not determine the constants.
     cited_chi_square, cited_p
-        Sum of squares with the cited ranges as priors, and the probability of a larger sum. None
-        without a scatter.
+        Misfit with the cited ranges as priors (see the description of the module), and the
+        probability of a larger misfit. None without a scatter.
     """
 
     has_size_effect: bool
@@ -111,13 +113,13 @@ class LawMisfit:
 
 
 def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
-    """Return the misfit of the linear law and of the law with a size effect, each for both drills.
+    """Return the misfits of the linear and the size-effect law, with and without a chisel edge.
 
     Parameters
     ----------
     scene
-        A block of bone and a drill, see `tissue.fitting.table.table_forward`. The chisel edge has
-        the scene's ``tool.web_mm``, or its default if that is 0.
+        A block of bone and a drill, see `tissue.fitting.table.table_forward`. The drill with a
+        chisel edge has the web ``tool.web_mm`` of the scene, or the default web if this key is 0.
     table
         Measured loads.
     """
@@ -159,7 +161,7 @@ def _probability(chi_square: float | None, freedom: int) -> float | None:
 
 
 def _with_law(scene: Scene, *, has_size_effect: bool, has_chisel: bool) -> Scene:
-    """Return a scene with one of the laws and one of the drills."""
+    """Return a scene with the chosen law, and with a drill with or without a chisel edge."""
     web_mm = (getattr(scene.tool, "web_mm", None) or None) if has_chisel else 0.0
     minimum = scene.cutting.minimum_chip_um or None
     changes = {"size_exponent": None, "minimum_chip_um": minimum}
@@ -174,7 +176,7 @@ def _with_law(scene: Scene, *, has_size_effect: bool, has_chisel: bool) -> Scene
 
 
 def _cited_chi_square(forward: CuttingForward, table: SteadyTable) -> float | None:
-    """Return the smallest sum of squares with the cited ranges as priors."""
+    """Return the misfit with the cited ranges as priors; None for a table without a scatter."""
     if table.scatter is None:
         return None
     target = TableTarget(forward, table)
@@ -203,7 +205,8 @@ class MaximumLikelihood:
     Parameters
     ----------
     forward
-        Function for the loads of the rows, each divided by its unit.
+        Function for the loads of the table's rows, each divided by its entry in
+        `SteadyTable.units`.
     table
         Measured loads.
     has_size_effect
@@ -244,7 +247,7 @@ class MaximumLikelihood:
                 self.aic = None
 
     def left_out(self) -> float | None:
-        """Return the relative error of each row as predicted from the other rows."""
+        """Return the root mean square relative error of rows predicted from the other rows."""
         rows = np.arange(len(self._values))
         if (len(rows) - 1) * len(self._places) < self.constants:
             return None
@@ -256,7 +259,7 @@ class MaximumLikelihood:
         return float(np.sqrt(np.mean(np.square(errors))))
 
     def _fitted(self, rows: NDArray[np.intp]) -> tuple[float, float, Array]:
-        """Return the smallest misfit of some rows, its exponent and its coefficients."""
+        """Return the smallest misfit to some rows, and its exponent and coefficients."""
 
         def misfit(exponent: float) -> float:
             return self._solved(exponent, rows)[0]
@@ -277,7 +280,7 @@ class MaximumLikelihood:
     def _solved(self, exponent: float, rows: NDArray[np.intp]) -> tuple[float, Array]:
         """Return minus twice the log likelihood, up to a constant, and the coefficients.
 
-        The coefficients of each load have shape (channels, 2).
+        The coefficients are a chip and an edge coefficient for each load, shape (channels, 2).
         """
         squares = np.zeros(len(self._places))
         found = np.zeros((len(self._places), len(TYPICAL)))

@@ -34,15 +34,15 @@ __all__ = ["MeasuredLog", "log_of", "read_log"]
 
 
 LARGEST = {"N": 1e5, "Nm": 1e4}
-"""Loads above which a log must have another unit [N, N m]. No instrument exerts 100 kN."""
+"""Loads from which a log is refused, because its unit must be wrong [N, N m]."""
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
-A position beyond this distance has another unit or is damaged. The computation of a cut along such
-a jump would not end.
+A position beyond this distance has another unit or is damaged. A cut along a path with such a jump
+would take too long to compute.
 """
 GAP = 5.0
-"""Ratio of a time step to the median step above which it is reported as a gap.
+"""Ratio of a time step to the median time step above which the step is reported as a gap.
 
 A few lost consecutive samples are therefore not reported as a gap.
 """
@@ -76,8 +76,8 @@ class MeasuredLog:
     load_times_s
         Times of the loads [s], shape (m,).
     loads
-        Loads on the tool in the scene's frame [N, N m], torques about the tip, shape (m, channels);
-        NaN where missing.
+        Forces [N] and torques about the tip [N m] on the tool in the scene's frame, shape (m,
+        channels). Missing values are NaN.
     channels
         Names of the channels, such as ``force_x_N``.
     notes
@@ -122,8 +122,8 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         ``model_force`` is used.
     columns
         ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
-        name. A minus reverses the sign. Without a given unit, the column has the unit in its
-        header, or the unit of the name. ``NAME=NUMBER`` gives a constant, and ``time_s=RATE:Hz``
+        name. A minus reverses the sign. If UNIT is not given, the unit is taken from the header of
+        the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and ``time_s=RATE:Hz``
         gives a rate in place of times.
 
     Raises
@@ -238,7 +238,7 @@ def _checked(
 
 
 def _merge(taken: dict[str, Array], notes: list[str]) -> None:
-    """Average samples with equal times, in place. The first of their orientations is used."""
+    """Average samples with equal times, in place. Of their orientations, the first one is kept."""
     of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
     clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
     for name in taken:
@@ -276,7 +276,7 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
 PLATEAU = 10
 """Number of consecutive samples at an extreme value that indicates a saturated sensor.
 
-In a channel with noise, so many equal neighbours are unlikely.
+In a channel with noise, so many equal consecutive samples are unlikely.
 """
 SHARPER = 5
 """Smallest ratio of the length of a plateau to the lengths of the plateaus before and after it.
@@ -289,25 +289,26 @@ ROUGH = 0.05
 A smoother channel has no noise, and may rest at any value without saturation.
 """
 BASELINE = 0.5
-"""Share of the largest load below which an extreme value belongs to a tool without contact.
+"""Share of the largest load below which an extreme value counts as a load without contact.
 
-Such an extreme is not the end of a sensor's range.
+An extreme value is the smallest or the largest value of a channel. Below this limit, it is not
+taken for the end of the sensor's range.
 """
 SLOWER = 5.0
-"""Smallest ratio of the pose interval to the load interval at which poses are too slow.
+"""Ratio of the pose interval to the load interval above which poses are reported as too slow.
 
-The path between two poses then matters.
+The shape of the path between two poses then affects the loads.
 
 With loads at 1 kHz, a block of 5 ms then holds less than one pose.
 """
 CORNER_M = 2e-5
-"""Largest error of a straight line between two poses [m], half the noise of an optical tracker."""
+"""Accepted error of a straight line between two poses [m]: half an optical tracker's noise."""
 SPEED_S = 0.1
 """Time over which the speed of a tool is computed [s]."""
 
 
 def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
-    """Return loads without saturated values, shape (m, channels), and add a note on their number.
+    """Return loads with saturated values replaced by NaN, shape (m, channels), and add notes.
 
     Parameters
     ----------
@@ -330,7 +331,7 @@ def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) 
 
 
 def _saturated(values: Array) -> list[float]:
-    """Return the extreme values at which a channel stays like a saturated sensor."""
+    """Return the extreme values at which a channel rests so long that the sensor is saturated."""
     known = values[np.isfinite(values)]
     # too short for any plateau
     if len(known) < PLATEAU:

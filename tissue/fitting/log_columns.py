@@ -34,21 +34,21 @@ QUANTITIES: dict[str, str] = {
     **dict.fromkeys(FORCES, "force"),
     **dict.fromkeys(TORQUES, "torque"),
 }
-"""Key of `UNITS` of each quantity that a fit of a cut can use.
+"""Kind of each quantity that a fit of a cut can use, as a key of `UNITS`.
 
 Poses are poses of the tool's tip in the scene's frame, as in a replayed motion. ``tool_r*_rad`` is
-a rotation vector that replaces a quaternion. Forces and torques act on the tool, in the scene's
-frame, torques about the tip. ``load_time_s`` holds the times of forces and torques if they differ
-from the times of the poses.
+a rotation vector that replaces a quaternion. Forces and torques act on the tool and are given in
+the scene's frame. Torques are about the tip. ``load_time_s`` holds the times of forces and torques
+if they differ from the times of the poses.
 """
 TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zeit")
 """Names of a column of times in lower-case letters, without unit."""
 EPOCH_S = 1e8
-"""Time above which times count from 1970 [s]. No log lasts three years."""
+"""Time above which times are counted from 1970 [s], because no log lasts three years."""
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
 """Words that precede the axis in the header of a force."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
-"""Words in the headers of quantities with an axis that are not positions."""
+"""Words in the headers of vector components (with an axis) that are not positions."""
 
 
 def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> dict[str, str]:
@@ -132,7 +132,7 @@ def quantity(
 
 
 def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, str]:
-    """Return the column that a text names, its sign and its unit, which may be empty."""
+    """Return the column that a text names, the sign of the column, and its unit (may be empty)."""
     for sign, text in ((1.0, asked), (-1.0, asked.removeprefix("-"))):
         column, unit = (text, "") if text in known else _split(text)
         if column in known:
@@ -182,7 +182,7 @@ def _clock(column: str, times: Array) -> tuple[float, str]:
 
 
 def _constant(name: str, asked: str, found: LogColumns) -> float | None:
-    """Return the constant in SI that a flag gives a quantity in place of a column, or None.
+    """Return the constant in SI that a flag gives instead of a column; None if it names a column.
 
     For times, the flag gives the rate of the samples, such as 500:Hz.
     """
@@ -217,7 +217,7 @@ def from_first(values: dict[str, Array], notes: list[str]) -> None:
 
 
 def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
-    """Return suggested flags for missing quantities whose columns the headers show."""
+    """Return flags that assign columns to missing quantities, guessed from the headers."""
     found = {name: [each for each in names if _is_like(name, each)] for name in missing}
     depths = [each for each in names if unit_of(each, "length")]
     if set(TIPS) <= set(missing) and len(depths) == 1 and not found[TIPS[0]]:

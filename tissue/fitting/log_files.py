@@ -1,6 +1,7 @@
 """Readers of measured logs as columns.
 
-They read CSV, Parquet, HDF5, MATLAB and NumPy files, and recordings of volumetric_drilling.
+The readers accept CSV, Parquet, HDF5, MATLAB and NumPy files, and recordings of
+volumetric_drilling.
 """
 
 import re
@@ -85,7 +86,7 @@ def _text(path: Path) -> LogColumns:
 
 
 def _rate_Hz(names: tuple[str, ...], numbers: Callable[[str], NDArray[Any]]) -> float | None:
-    """Return the rate in a column with the name of a rate and a single value [Hz], or None."""
+    """Return the rate [Hz] from a column that is named like a rate and has one value, or None."""
     named = [name for name in names if _RATE_NAME.fullmatch(name)]
     if len(named) != 1:
         return None
@@ -126,7 +127,7 @@ def read_columns(path: Path) -> LogColumns:
 
 
 def _held(columns: Mapping[str, Any]) -> LogColumns:
-    """Return the columns of a file. Arrays that are not one-dimensional hold no numbers."""
+    """Return the columns of a file. Only one-dimensional arrays count as numbers."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
 
     def numbers(name: str) -> Array:

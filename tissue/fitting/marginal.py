@@ -1,8 +1,9 @@
 """Marginal distribution of one number of a fit, with Laplace's approximation of all other numbers.
 
-A normal distribution about the maximum is not accurate enough in the three cases below. The density
-of a number is therefore evaluated on a grid. At each grid value, the other numbers are set to their
-most probable values, and are integrated by Laplace's approximation (Tierney and Kadane 1986):
+A normal distribution about the most probable value is not accurate enough in the three cases below.
+The density of a number is therefore evaluated on a grid. At each grid value, the other numbers are
+set to their most probable values, and are integrated by Laplace's approximation (Tierney and Kadane
+1986):
 
 - A constant whose range spans decades, such as a value of 0.01 with a range from 0 to 0.1. The
   information of a log about the value is symmetric, but the information about its standard normal
@@ -12,14 +13,15 @@ most probable values, and are integrated by Laplace's approximation (Tierney and
   jump between these samples explain the log equally well. In 100 simulated logs, the interval of
   the normal distribution contained the true offset in 78 %, and the interval of the grid in 83 %
   (``tests/bench/bench_fit_cutting.py block``).
-- Constants whose cited value is an end of their range, such as the size exponent 0 of bone. A draw
-  from a half-normal prior is always positive. None of its intervals contains the cited value, and
-  other constants that the log cannot separate from this constant are shifted. The prior used here
-  is a normal distribution that is cut off at the cited value. The part beyond the end counts as the
-  end. Half of the probability is the cited value itself, which is therefore the median. The other
-  half has the far end of the range as its 95 % quantile. The maximum is found with the whole normal
-  distribution (`Prior.mirrored`). With ``z`` measured away from the end, the ratio of the prior to
-  the normal distribution is::
+- Constants whose cited value is an end of their range, such as the size exponent 0 of bone. A
+  half-normal prior is not suitable, because a draw from it is always positive. None of its
+  intervals would contain the cited value, and other constants that the log cannot separate from
+  this constant would be shifted. The prior used here is a normal distribution that is cut off at
+  the cited value. The probability of values beyond this end is assigned to the end itself. The
+  cited value therefore has half of the probability, and is the median. The other half is spread
+  towards the far end of the range, which is the 95 % quantile. The maximum is found with the whole
+  normal distribution (`Prior.mirrored`). With ``z`` measured away from the end, the ratio of the
+  prior to the normal distribution is::
 
       0.5 delta(z) / phi(0) + (1 where z > 0)
 """
@@ -44,16 +46,16 @@ __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
 
 
 STEPS = np.cumsum(0.4 * 1.25 ** np.arange(16))
-"""Places of the grid on each side of the maximum.
+"""Grid points on each side of the maximum.
 
-The unit is the standard deviation of the normal approximation. The last place is 55 standard
-deviations away, because the flat side of a constant can be many standard deviations wide.
+The unit is the standard deviation of the normal approximation. The last grid point is 55 standard
+deviations away, because the density of a constant can be flat over many standard deviations.
 """
 WITHIN = np.linspace(0.05, 3.0, 60)
 ABOUT = np.linspace(0.25, 4.0, 16)
-"""Places of the grid of the offset, in standard deviations of the normal approximation.
+"""Grid points for the clock offset, in standard deviations of the normal approximation.
 
-`WITHIN` holds further places in samples of the log.
+`WITHIN` contains further grid points, in sampling intervals of the log.
 """
 NEGLIGIBLE = 10.0
 """Decrease of the log density from its maximum at which the grid ends."""
@@ -64,32 +66,33 @@ HALVINGS = 4
 `STEEP` is the decrease of the log density above which an interval is halved.
 """
 FINE = 20
-"""Number of quadrature points between two places of the grid."""
+"""Number of quadrature points between two grid points."""
 SHARES = np.array([0.05, 0.5, 0.95])
 PRIOR_SPREAD = float(np.sqrt(0.5 - 0.5 / np.pi))
 """Standard deviation of a standard normal variable whose negative values are set to 0."""
 END = float(0.5 * np.sqrt(2.0 * np.pi))
 """Probability of the end under the cut-off prior, divided by the normal density at the end."""
 POINTS = 256
-"""Number of points of the quasi-random integral.
+"""Number of points of the quasi-Monte Carlo integral in `log_factor`.
 
 The error of the integral is below 1 % for three correlated constants.
 """
 MOST_STEPS = 60
 NEAR = 0.01
-"""Limit of twice the increase of the log density at which a search for other numbers ends.
+"""Limit of twice the predicted increase of the log density, below which a search ends.
 
-`MOST_STEPS` limits the number of least-squares steps of this search. Many steps are needed if a log
-determines only combinations of constants, because these constants then lie on a curve.
+The search finds the most probable values of the other numbers. `MOST_STEPS` limits the number of
+its least-squares steps. Many steps are needed if a log determines only combinations of constants,
+because these constants then lie on a curve.
 """
 DAMPING = 0.1
 HARDER = 8.0
 EASIER = 0.2
-"""Factor on the damping after a good step.
+"""Factor on the damping after a step that increased the log density.
 
-The damping is used if a step would lower the density. It is relative to the information of the
-priors (Levenberg 1944). `DAMPING` is its first value. `HARDER` is the factor on the damping after
-a further step that would lower the density.
+The damping is used if a step would lower the density (Levenberg 1944). The damping is relative to
+the information of the priors, and begins with the value `DAMPING`. `HARDER` is the factor on the
+damping after each further step that would lower the density.
 """
 
 
@@ -102,7 +105,7 @@ class Marginal:
     quantiles
         Quantiles at 5, 50 and 95 %, shape (3,).
     spread
-        Standard deviation divided by the standard deviation of the prior.
+        Standard deviation of the number, divided by the standard deviation of its prior.
     """
 
     quantiles: Array
@@ -158,16 +161,17 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
 
 
 def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
-    """Compute the log density of one number and the best values of all others.
+    """Compute the marginal log density of one number, and the best values of the others.
 
-    Constants, offset and biases other than the number are integrated.
+    The other constants, the offset and the biases are integrated out by Laplace's approximation.
 
     Parameters
     ----------
     target
         Log density.
     u
-        Start of the search. It holds the number and the noise, shape (size,).
+        Start of the search, shape (size,). The number with index `at` and the noise keep their
+        values.
     at
         Index of the number.
     """
@@ -199,11 +203,12 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the logarithm of the evidence with a one-sided prior over that with a normal prior.
+    """Compute the log ratio of the evidence with one-sided priors to that with normal priors.
 
-    The posterior is normal. The evidence with a one-sided prior is an integral over the one-sided
-    numbers. It is computed for one number at a time (Geweke, Hajivassiliou and Keane). For each
-    conditional distribution, the probabilities at zero and above zero have a closed form.
+    With normal priors, the posterior is normal. The evidence with one-sided priors is an integral
+    over the one-sided numbers. The integral is computed for one number at a time (Geweke,
+    Hajivassiliou and Keane). For each conditional distribution, the probabilities at zero and above
+    zero have a closed form.
 
     Parameters
     ----------
@@ -232,10 +237,10 @@ def log_factor(mean: Array, covariance: Array) -> float:
 
 
 def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[float, Array, Array]:
-    """Return the log density at a place, and gradient and normal matrix for some numbers.
+    """Return the log density at `u`, and its gradient and normal matrix for the numbers `others`.
 
-    The normal matrix is the matrix of reweighted least squares. Fisher's scoring uses expected
-    weights, and needs hundreds of steps if residuals lie far in the tails.
+    The normal matrix is the matrix of reweighted least squares. Fisher's scoring with expected
+    weights would need hundreds of steps if residuals lie far in the tails.
     """
     noise = target.unpacked(u)
     known = np.isfinite(target.log.values)
@@ -267,10 +272,11 @@ def _walked(
     places: Array,
     patience: float,
 ) -> dict[float, tuple[float, Array]]:
-    """Return log densities at places away from a first place, with the best other numbers.
+    """Return log densities at growing distances from a first value, with the best other numbers.
 
-    The search ends when the density has been negligible over a range longer than `patience`. The
-    density of the offset may rise again within a sample of the log.
+    The search ends when the density has been negligible over a range longer than `patience`. For
+    the offset this range is needed, because the density may rise again within a sampling interval
+    of the log.
     """
     found: dict[float, tuple[float, Array]] = {}
     highest, u = first
@@ -291,7 +297,7 @@ def _walked(
 
 
 def _refine(target: Target, at: int, found: dict[float, tuple[float, Array]]) -> None:
-    """Add the middle between two places of the grid where the log density falls steeply."""
+    """Add grid points in the middle of intervals over which the log density changes steeply."""
     highest = max(log_density for log_density, _ in found.values())
     for _ in range(HALVINGS):
         for low, high in pairwise(sorted(found)):
@@ -303,9 +309,9 @@ def _refine(target: Target, at: int, found: dict[float, tuple[float, Array]]) ->
 
 
 def _law(found: Mapping[float, float], side: float) -> Marginal:
-    """Return the distribution of a number from its log density at some places.
+    """Return the distribution of a number from its log density at grid points.
 
-    For a one-sided number, the end at 0 has a probability.
+    For a one-sided number, the end at 0 has a probability of its own.
     """
     # a one-sided number is handled as a positive one
     sign = side or 1.0

@@ -32,16 +32,17 @@ __all__ = ["OrganForward", "Settled", "organ_problem", "settled"]
 class OrganForward:
     """Function for the loads near the constants of a run.
 
-    If every stiffness of an organ is free, its force on a given path is proportional to all moduli
-    together, for constant Poisson's ratio, friction, relaxation and ratios of moduli. Runs
-    therefore use the cited value of the first modulus, and scale the other moduli in proportion.
+    If all moduli of an organ are free and change by one factor, the force on a given path changes
+    by this factor. Poisson's ratio, friction and relaxation do not change. Runs therefore use the
+    cited value of the first modulus, and scale the other moduli in proportion.
 
     Attributes
     ----------
     parameters, channels, times_s
         See `tissue.fitting.problem.Forward`.
     moduli
-        Indices of the moduli that scale the loads together. Empty if another stiffness is fixed.
+        Indices of the moduli that scale the loads together. Empty if the loads are not proportional
+        to them, see `tissue.fitting.organ_runs.organ_parameters`.
     at
         Constants of the run, shape (p,).
     base
@@ -66,7 +67,7 @@ class OrganForward:
     mixed: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """Return the scale of the loads, and the constants that a run uses for x, shape (p,)."""
+        """Return ratio of loads at `x` to a run's loads, and the run's constants, shape (p,)."""
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
         if not self.moduli:
@@ -103,7 +104,8 @@ class OrganForward:
     def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
         """Return a model with the loads of another run as its base, and with corrected slopes.
 
-        The corrected slopes reproduce these loads from the last run (Broyden 1965).
+        With the corrected slopes, the model of the last run predicts the loads of the other run
+        (Broyden 1965).
 
         Parameters
         ----------
@@ -111,7 +113,8 @@ class OrganForward:
             Constants of the other run, and its loads.
         learnt
             Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected. Slopes should not represent single nodes that come into contact.
+            corrected. Over a shorter step, slopes would represent single nodes that come into
+            contact.
         """
         distance = self.distance(at)
         middle = np.array([each.prior.value for each in self.parameters])
@@ -146,15 +149,15 @@ class OrganForward:
 
 
 EVERY = 2
-"""Number of ticks between two kept loads of a run. A log is averaged over more ticks."""
+"""Ticks between two loads that a run keeps. A log is averaged over more ticks than this."""
 STEPS = (0.1, 1.0)
-"""Smallest and largest step for load differences, in standard deviations of a prior.
+"""Smallest and largest change of a constant for slopes, in standard deviations of its prior.
 
-The step is as wide as the uncertainty of the constant. Smaller steps would show single nodes that
-come into contact or leave it.
+Between these limits, the change equals the uncertainty of the constant. The load difference after a
+smaller change would show single nodes that enter or leave the contact.
 """
 FIRST_STEP = 0.5
-"""One-sided step before a constant has been estimated, in standard deviations of its prior."""
+"""One-sided change of a constant for its first slope, in standard deviations of its prior."""
 SETTLED = 0.3
 """Distance below which the fitted constants agree with the constants of the last run.
 
@@ -176,19 +179,20 @@ UNSETTLED = (
     "fewer constants"
 )
 FINER = 1.4
-"""Ratio of the edges of the mesh of a fit to the edges of the finer mesh that shows its error."""
+"""Edge length of the mesh of a fit, divided by that of the finer mesh that shows its error."""
 PARTS = 4
-"""Number of parts of a log. The loads of the finer mesh are tried in one part at a time.
+"""Number of parts of a log. One fit per part uses the loads of the finer mesh only there.
 
 The four parts are approximately press, hold, retreat and rest.
 """
 WIDE = 0.2
-"""Standard deviation relative to the prior above which a constant is stepped in pairs.
+"""Standard deviation relative to the prior above which a constant is also changed in pairs.
 
-Such a constant is stepped together with each other constant of this kind.
+Every two constants above this limit are changed together in one run, which gives the coefficient of
+the product of their changes.
 """
 FARTHEST = 3.0
-"""Largest distance of a constant of a run from its prior median [standard deviations].
+"""Largest distance of a run's constant from the median of its prior [standard deviations].
 
 The ends of a cited range are 1.6 standard deviations from its median.
 """
@@ -205,7 +209,8 @@ class Settled:
     posterior
         Posterior of the constants given the log.
     away
-        Distance of the constants from the constants of the last run, in standard deviations.
+        Distance of the most probable constants from the constants of the last run, in standard
+        deviations.
     """
 
     forward: OrganForward
@@ -216,10 +221,11 @@ class Settled:
 def organ_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the problem of a probe that presses an organ, see `tissue.fitting.fit.fit_scene`.
+    """Return the data of the fit of a probe that presses an organ, see `fit_scene`.
 
     The organ is run along the poses of the log with the initial constants, and with each constant
-    changed. Further runs use the fitted constants, until the runs and the result agree.
+    changed. Further runs use the fitted constants, until these agree with the constants of the last
+    run.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -292,10 +298,10 @@ def settled(
 ) -> Settled:
     """Return the loads from runs near the most probable constants of a log.
 
-    Slopes are computed from differences between runs about one point. Further runs use the fitted
-    constants and correct the slopes, until the fitted constants agree with the constants of the
-    last run. The slopes are then computed again at this point, with steps as wide as the
-    uncertainty of the constants.
+    Slopes are computed from the load differences between runs with nearby constants. Further runs
+    use the fitted constants and correct the slopes, until the fitted constants agree with the
+    constants of the last run. The slopes are then computed again at these constants, with changes
+    as wide as the uncertainty of the constants.
     """
     at = np.array([each.prior.x(0.0) for each in parameters])
     spread = None
@@ -344,11 +350,11 @@ def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[A
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """Return the model with slopes from runs near the same constants.
+    """Return the model with new slopes, which are computed from runs near its constants.
 
-    The steps are one-sided if no constant has been estimated yet, and two-sided otherwise. Two
-    constants along a ridge of the posterior, both less well known than `WIDE`, are also stepped
-    together.
+    The constants are changed to one side if no constant has been estimated yet, and to both sides
+    otherwise. Two constants whose standard deviations exceed `WIDE` are also changed together,
+    because the posterior may have a ridge along both.
     """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
     reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)

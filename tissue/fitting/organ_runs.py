@@ -52,18 +52,19 @@ MODULUS = (1.0 / 3.0, 3.0)
 The range is the scatter of the modulus of liver in tissue/materials/soft.toml.
 """
 SHAPE = (0.4, 2.5)
-"""Relative range of the shape constants of a hyperelastic law.
+"""5 and 95 % quantiles of shape constants of a hyperelastic law, relative to the scene's values.
 
 The range is assumed, because no source gives a range for an organ.
 """
 SHAPES = tuple(chain.from_iterable(LAW_SHAPES.values()))
-"""Keys of the organ for the shape constants of the hyperelastic laws."""
+"""Keys in the table `organ` of a scene for the shape constants of hyperelastic laws."""
 SHARE = "second_share"
 NEAREST = 0.1
-"""Smallest distance from 1 of the 95 % quantile of a share's prior.
+"""Smallest distance between 1 and the 95 % quantile of the prior of `second_share`.
 
-The distance is relative to the distance of the scene's value from 1. The factor is assumed. The
-limits of the other shape constants are input limits and not physical bounds.
+The distance is divided by the distance between 1 and the scene's value. The ratio is assumed. A
+share cannot exceed 1. The limits of the other shape constants restrict the input and are not
+physical bounds.
 """
 
 
@@ -78,7 +79,7 @@ def organ_parameters(
     Raises
     ------
     InputError
-        If `free` contains any other name.
+        If `free` contains a name that selects no free parameter.
     """
     cited, stiffnesses = _cited(scene)
     stated = _stated(scene)
@@ -112,8 +113,8 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 def _stated(scene: Scene) -> list[Parameter]:
     """Return moduli, friction and shape constants of a law that are keys of the scene.
 
-    A stiffer or softer ball in the organ has a modulus too. A value of 0 or below and a share of 1
-    have no range, so they stay fixed.
+    The modulus of a nodule (a stiffer or softer ball in the organ) is included. A constant with a
+    value of 0 or below, or a share of 1, has no range and stays fixed.
     """
     organ = scene.organ
     anatomy = scene.anatomy
@@ -196,9 +197,9 @@ class OrganRuns:
     poses
         Poses of the tool.
     channels
-        Kept loads, such as ``force_x_N``.
+        Names of the loads that are kept, such as ``force_x_N``.
     every
-        Ticks between two kept loads.
+        Ticks between two loads that are kept.
     cores
         Largest number of processes for the runs.
 

@@ -1,8 +1,9 @@
 """Posterior of constants given a log: maximum, and normal approximation about it (Laplace).
 
-The covariance is the inverse of the expected information. Differences of gradients are not used:
-small jumps of a load would dominate them. A jump occurs, for example, if the tool leaves an
-element of the mesh one sample earlier, or a shaft begins to slide one sample earlier.
+The covariance is the inverse of the expected information. It is not computed from differences of
+gradients, because small jumps of a load would dominate these differences. A jump occurs, for
+example, if the tool leaves an element of the mesh one sample earlier, or a shaft begins to slide
+one sample earlier.
 """
 
 from collections.abc import Sequence
@@ -36,12 +37,12 @@ OFFSETS_S = OFFSET_S * np.concatenate(
 """Clock offsets from which the search begins [s].
 
 A force may rise at several times, so there may be several maxima. Offsets beyond three standard
-deviations of the prior find clocks that contradict the prior.
+deviations of the prior are included to detect clocks that contradict the prior.
 """
 STARTS = 2
-"""Number of best starts from which a search begins.
+"""Number of first guesses, the best of all clock offsets, from which a search begins.
 
-On a milled block, 1, 2 and 5 starts lead to the same maximum.
+For a milled block, 1, 2 and 5 first guesses lead to the same maximum.
 """
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
@@ -65,7 +66,7 @@ wide.
 SCORING_STEPS = 20
 """Largest number of steps of Fisher's scoring.
 
-The scoring begins at the maximum of a search, so one step is usual.
+The scoring begins at the maximum that a search has found, so one step is usually enough.
 """
 SHORTER = 0.5 ** np.arange(10)
 """Fractions of a scoring step that are tried until the log density increases."""
@@ -83,7 +84,8 @@ class Posterior:
     Attributes
     ----------
     target
-        Density of constants and nuisances.
+        Log density of the constants and of the nuisance parameters (clock offset, biases and
+        noise).
     maximum
         Most probable numbers, shape (size,): constants, offset, biases and noise.
     covariance
@@ -118,7 +120,7 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance of the standard normal numbers with free nuisances, shape (p, p)."""
+        """Covariance of the constants' normal numbers with free nuisances, shape (p, p)."""
         p = self.target.constants
         found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
@@ -185,7 +187,7 @@ class Posterior:
 
     @property
     def simulated(self) -> Array:
-        """Loads at the maximum, offset and bias included, shape (m, channels)."""
+        """Simulated loads at the maximum, with offset and bias, shape (m, channels)."""
         return self.target.simulated(self.maximum)
 
     @property
@@ -195,7 +197,7 @@ class Posterior:
 
     @property
     def innovations(self) -> Array:
-        """Innovation of the noise in each sample divided by its scale, shape (m, channels)."""
+        """Innovations of the noise, divided by the scale of the noise, shape (m, channels)."""
         each = self.nuisances
         return innovations(self.residuals, each.correlation) / each.scale
 
@@ -230,9 +232,9 @@ def maximum_of(target: Target) -> Posterior:
 
 
 def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
-    """Return the largest log density near a start, and its place.
+    """Return the largest log density near a start, and the numbers at which it occurs.
 
-    The search uses coordinates whose information matrix is the identity.
+    The search uses coordinates in which the information matrix at the start is the identity.
     """
     root = np.linalg.inv(np.linalg.cholesky(target.information(start)))
 
@@ -256,10 +258,10 @@ def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
 
 
 def _shifted(target: Target, u: Array) -> list[Array]:
-    """Return copies of a place with nearby offsets.
+    """Return copies of the numbers `u` with nearby clock offsets.
 
-    A load that jumps is an outlier at all offsets except the true offset. The density has no slope
-    at these other offsets.
+    If a load jumps, the samples at the jump are outliers for all offsets except the true offset.
+    The density then has no slope towards the true offset, so nearby offsets are tried one by one.
     """
     places = []
     for offset_s in NEARBY * np.median(np.diff(target.log.times_s)):
@@ -270,7 +272,7 @@ def _shifted(target: Target, u: Array) -> list[Array]:
 
 
 def starts(target: Target) -> list[tuple[float, Array]]:
-    """Return log densities and places of first guesses at several offsets, the best first."""
+    """Return log densities and numbers of first guesses at several clock offsets, best first."""
     graded = []
     for offset_s in OFFSETS_S:
         u = target.start(float(offset_s))
@@ -279,7 +281,7 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 
 
 def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """Return the maximum near a place, the information at the maximum, and a convergence flag.
+    """Return the maximum near `u`, the information at the maximum, and a convergence flag.
 
     The maximum is found by Fisher's scoring.
     """
@@ -307,11 +309,11 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
 # would treat it as a bias with noise and return wrong constants without a message. Each channel,
 # all forces, all torques and all loads are therefore fitted with their signs reversed as well.
 GAIN = 10.0
-"""Smallest increase of the log density for reversed signs. It corresponds to odds of 2e4."""
+"""Increase of the log density above which signs count as reversed: odds of 2e4."""
 SCREENED = 50.0
-"""Largest deficit of the log density with which a search for reversed signs continues.
+"""Largest deficit in log density of a first guess for which reversed signs are searched.
 
-The search changes the noise too, so the first guess alone is not enough.
+The search also changes the noise, so the first guess alone does not decide.
 """
 EXPLAINED = 0.5
 """Share of a channel's variance that the loads must explain after its sign is reversed.

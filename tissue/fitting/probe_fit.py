@@ -3,9 +3,9 @@
 The median of the presses at each depth is fitted by least squares. The free constants are Young's
 modulus, the shape constants of the law and the bias of the force sensor, which is the same at all
 depths. The presses differ by far more than the noise of the sensor, so the intervals follow from
-the scatter of the presses: the presses are resampled with replacement and fitted again (bootstrap,
-Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the intervals. This error is the
-shift of the constants in a fit on a mesh with two thirds of the edge lengths.
+the scatter of the presses. For this purpose, the presses are resampled with replacement and fitted
+again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the intervals. This
+error is the shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,9 +43,10 @@ RESAMPLES = 1000
 The ends of a 90 % interval then have a standard error of 2 % of its width.
 """
 FINER = 1.5
-"""Ratio of the edges of the two meshes whose difference is the error of the mesh.
+"""Ratio of the edge lengths of two meshes; their results differ by the error of the mesh.
 
-The force converges with second order, so the difference is more than half of the remaining error.
+The force converges with second order, so the difference is more than half of the error of the
+coarser mesh.
 """
 DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
@@ -61,11 +62,11 @@ class FittedCurve:
     modulus_Pa
         Young's modulus, shape (n,).
     shape
-        Shape constants, shape (n, k).
+        Values of the k shape constants of the law, shape (n, k).
     bias_N
         Bias of the force sensor [N], shape (n,).
     force_N
-        Fitted curves with the bias, shape (n, d).
+        Forces of the fitted curves at d depths, including the bias [N], shape (n, d).
     """
 
     modulus_Pa: Array
@@ -75,18 +76,18 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,); with draws, one row for each draw."""
+    """Return the median of presses at each depth, shape (d,), or one row for each of `draws`."""
     chosen = forces_N if draws is None else forces_N[draws]
     return np.median(chosen, axis=-2)
 
 
 def fit_curves(curves: ProbeCurves, forces_N: Array) -> FittedCurve:
-    """Fit curves of forces by least squares, over all shapes that were computed.
+    """Fit force curves by least squares, over all computed values of the shape constants.
 
     Parameters
     ----------
     curves
-        Forces for each modulus, by shape.
+        Force per modulus for each set of shape constants.
     forces_N
         Curves to fit, shape (n, d).
     """
@@ -122,7 +123,8 @@ class ProbeFit(Fitted):
     constants
         Modulus and shape constants, with 90 % intervals.
     force_N, bias_N
-        Fitted force at the table's depths with the bias, shape (d,), and the bias [N].
+        Fitted force at the depths of the table, including the bias [N], shape (d,), and the bias
+        [N].
     misfit
         Difference between the fitted curve and the median curve, divided by the median curve (L2
         norms).
@@ -156,7 +158,7 @@ class ProbeFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Size of the measurement, for programs."""
+        """Entry of the results file: the number of measured presses."""
         return {"presses": len(self.table.forces_N)}
 
     @property
@@ -223,14 +225,14 @@ def fit_probes(
         The presses.
     free
         Names of the constants to find; the modulus is always free. By default the shape constants
-        of the law are free too, as far as they are above zero.
+        of the law that are above zero are free too.
     progress
         Called with a description of the current step.
 
     Raises
     ------
     InputError
-        If the scene is not such a slab, or `free` names another constant.
+        If the scene has no such slab or ball, or `free` names a constant that cannot be fitted.
     """
     layer = layer_scene(scene)
     keys = _free_keys(scene, layer, free)
@@ -304,7 +306,7 @@ def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> Layer
 
 
 def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, Prior, float]]:
-    """Return name, prior and unit [SI] of the modulus and of the shape constants."""
+    """Return name, prior and factor to SI units of the modulus and of the shape constants."""
     parameters, _ = organ_parameters(scene, ())
     by_name = {each.name: each.prior for each in parameters}
     modulus = next(name for name in by_name if name.endswith(("modulus_kPa", "young_kPa")))
@@ -321,9 +323,9 @@ def _constant(
 ) -> ConstantFit:
     """Return a constant with its interval.
 
-    Resampled sets of a few presses scatter too little. The logarithms of their results are
-    therefore stretched by the ratio of Student's quantile to the normal quantile, and by sqrt(n /
-    (n - 1)).
+    If there are only a few presses, the results of resampled sets scatter too little. The
+    logarithms of these results are therefore stretched by the ratio of Student's quantile to the
+    normal quantile, and by sqrt(n / (n - 1)) for n presses.
     """
     best, drawn, shifted = (np.log(np.maximum(each, 1e-12) / unit) for each in values)
     stretch = t.ppf(0.95, count - 1) / norm.ppf(0.95) * np.sqrt(count / (count - 1.0))

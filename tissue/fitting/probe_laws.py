@@ -38,13 +38,13 @@ SHAPES = {
 The ends are the limits of the key, or factors of ten around the values of published fits.
 """
 NODES = {1: 9, 2: 7}
-"""Number of solutions along each shape constant, by the number of shape constants.
+"""Number of solved values of each shape constant, by the number of shape constants.
 
 With one constant and 9 nodes, interpolated forces have an error below 0.3 %
 (`tests/tissue/fitting/test_probes.py`).
 """
 DENSE = {1: 400, 2: 60}
-"""Number of values of each shape constant that a fit compares.
+"""Number of values of each shape constant that a fit compares, by the number of constants.
 
 Two neighbouring values of a rate differ by 1.6 % with one shape constant, and by 12 % with two
 shape constants.
@@ -57,12 +57,12 @@ Between these depths, force / depth^1.5 is interpolated.
 UNIT_PA = 1e3
 """Modulus of the solutions [Pa]."""
 DEEPEST = 0.8
-"""Largest depth divided by the ball's radius for which the solver is verified."""
+"""Largest depth for which the solver is verified, divided by the ball's radius."""
 
 
 @dataclass(frozen=True)
 class LayerScene:
-    """Geometry and law of a scene with which a table of presses can be fitted."""
+    """Geometry and elastic law of a scene that can be fitted to a table of presses."""
 
     organ: Organ
     radius_m: float
@@ -72,14 +72,15 @@ class LayerScene:
 
 @dataclass(frozen=True, eq=False)
 class ProbeCurves:
-    """Force for each modulus [N/Pa] at the depths of a table, by the shape of the law.
+    """Force per modulus [N/Pa] at d depths, for s sets of shape constants of an elastic law.
 
     Attributes
     ----------
     keys
-        Keys of the organ for the shape constants, k of them.
+        Keys of the k shape constants in the table `organ` of a scene.
     shapes
-        Values of the constants, shape (s, k); one row without values for a law without a shape.
+        Values of the shape constants, shape (s, k). A law without shape constants has one empty
+        row.
     unit_N_Pa
         Force for a Young's modulus of 1 Pa, shape (s, d).
     """
@@ -90,7 +91,7 @@ class ProbeCurves:
 
 
 def layer_scene(scene: Scene) -> LayerScene:
-    """Return the layer, the ball and the law of a scene.
+    """Return the radius of the ball, the thickness of the layer and its elastic law in a scene.
 
     Raises
     ------
@@ -148,7 +149,8 @@ def probe_curves(
     Parameters
     ----------
     layer
-        Layer and law; its other shape constants keep their values.
+        Geometry and elastic law of the scene. Shape constants of the law that are not in `keys`
+        keep their values.
     depths_m
         Depths [m], not all of them zero, shape (d,).
     keys
@@ -194,7 +196,7 @@ def probe_curves(
 
 
 def _curve(mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_m: float) -> Array:
-    """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN without a solution."""
+    """Return the force per modulus [N/Pa] at the depths `SHARES`; NaN without a solution."""
     table = lame(np.array([UNIT_PA]), layer.poisson_ratio)
     found = law_of(layer.organ.model_copy(update=shape), table)
     first, shear = table[0].tolist()
@@ -233,7 +235,10 @@ def _axis(key: str, count: int) -> Array:
 
 
 def _scale(key: str, values: Array) -> Array:
-    """Return the coordinate for interpolation: a share, or the logarithm of another constant."""
+    """Return the coordinate of a constant for the interpolation.
+
+    The coordinate is the logarithm of the constant, or the value itself for `second_share`.
+    """
     return values if key == "second_share" else np.log(values)
 
 
@@ -242,7 +247,7 @@ def _unscaled(key: str, places: Array) -> Array:
 
 
 def _between(curve: Array, deepest_m: float, depths_m: Array) -> Array:
-    """Interpolate a curve over the depth, by force / depth^1.5, which changes slowly."""
+    """Interpolate a force curve over depth through force / depth^1.5, which changes slowly."""
     solved = SHARES * deepest_m
     ratio = curve / solved**1.5
     # Towards a vanishing depth the force is Hertz's, so the ratio is constant.

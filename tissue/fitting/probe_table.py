@@ -20,7 +20,7 @@ DEPTH = "depth_mm"
 FORCE = "force_N"
 PROBE = "probe"
 MEASURES = {DEPTH: "length", FORCE: "force", PROBE: "number"}
-"""Key of `meshes.base.units.UNITS` of each column."""
+"""Kind of quantity in each column, as a key of `meshes.base.units.UNITS`."""
 USUAL = {DEPTH: ("indentation", "displacement", "penetration"), FORCE: ("load", "fn"), PROBE: ()}
 """Usual names of a column in lower-case letters. They are used only if the header has a unit."""
 FEWEST_PROBES = 3
@@ -28,7 +28,7 @@ FEWEST_PROBES = 3
 FEWEST_STEPS = 4
 """Smallest number of depths of a press: one more than modulus, shape and bias."""
 SHORT = 0.9
-"""Share of the median of the largest depths that a press must reach to be used."""
+"""Limit of a press's largest depth, relative to the median; shallower presses are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
 def _at_common_depths(
     path: Path, presses: list[tuple[Array, Array]], notes: tuple[str, ...]
 ) -> ProbeTable:
-    """Return the forces of presses at the medians of their depths."""
+    """Return the table of all presses, with forces at the median depths of the presses."""
     if not presses:
         raise refusal(path, "hold presses", "none", "add rows")
     largest = np.array([depth[-1] if len(depth) else 0.0 for depth, _ in presses])

@@ -36,12 +36,13 @@ class Parameter:
         ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor on the density map of a
         layer.
     prior
-        Prior of the constant before the log.
+        Prior of the constant that the fit uses, before the measured log is known.
     cited
-        Prior of a constant whose cited value is an end of its range, such as a size exponent of 0.
-        The linear algebra of the fit uses the `mirrored` prior. Values beyond the end count as the
-        end itself, see `tissue.fitting.marginal`. None for a constant whose cited value lies inside
-        its range.
+        Original prior of a constant whose cited value is an end of its range, such as a size
+        exponent of 0. For such a constant, `prior` is the original prior mirrored at this end
+        (`Prior.mirrored`), because the linear algebra of the fit needs values on both sides. Values
+        beyond the end count as the end itself, see `tissue.fitting.marginal`. None for a constant
+        whose cited value lies inside its range.
     """
 
     name: str
@@ -76,7 +77,8 @@ def chosen(
 ) -> list[Parameter]:
     """Return the parameters that patterns select; return all parameters without a pattern.
 
-    A pattern begins with the table. Parts of the name, words of the name, or a tag follow.
+    A pattern consists of words separated by dots. The first word is the table of the constant. The
+    others are parts of its name, words of these parts, or its tag.
 
     Parameters
     ----------
@@ -85,7 +87,7 @@ def chosen(
     possible
         Parameters to choose from.
     tags
-        Further word that selects a parameter, by the name of the parameter.
+        Additional word that selects a parameter, keyed by the name of the parameter.
 
     Raises
     ------
@@ -156,13 +158,13 @@ class MeasuredLoads:
     Attributes
     ----------
     times_s
-        Shape (m,), increasing at one rate, on the clock of the force sensor.
+        Times of the samples [s], at a constant rate, on the clock of the force sensor, shape (m,).
     values
-        Shape (m, channels), NaN where missing.
+        Loads [N, N m], shape (m, channels), NaN where missing.
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times relative to the time of a sample, shape (k,) [s]. A sample is the mean of the loads
+        Times [s] relative to the time of a sample, shape (k,). A sample is the mean of the loads
         read at these times.
     """
 
@@ -176,8 +178,8 @@ class MeasuredLoads:
 
         Outliers have little influence.
 
-        All channels of one unit get the largest value of these channels, because a channel without
-        load holds only noise.
+        All channels with the same unit (N or N m) get the largest of their values. The root mean
+        square of a channel without load would be the size of its noise.
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
@@ -210,8 +212,9 @@ class Problem:
     fixed
         Fixed constants that the free constants depend on, by their names.
     finer
-        Functions from the constants to the loads with a finer mesh. The first uses the finer mesh
-        in the whole log, each of the others in one part of the log. None if the loads have no mesh.
+        Functions from the constants to the loads with a finer mesh. The first function uses the
+        finer mesh in the whole log. Each further function uses it in one part of the log. None if
+        the loads have no mesh.
     mesh_factor
         Ratio of the error of `forward` to the difference between the loads of `forward` and the
         loads with the finer mesh.
@@ -241,13 +244,13 @@ error of 2.4e-7 s.
 LEAST_BLOCK = 5
 """Smallest number of ticks in a block.
 
-The mean over a block removes tooth passing and sensor noise above 100 Hz, which do not determine
-constants.
+The mean over a block removes the force variation from tooth to tooth, and sensor noise above 100
+Hz. Neither contains information about constants.
 """
 
 
 def block_ticks(duration_s: float, period_s: float) -> int:
-    """Return the ticks over which a log is averaged.
+    """Return the number of ticks in a block, over which a log is averaged.
 
     A block of a log slower than 200 Hz holds one sample.
 
@@ -326,9 +329,10 @@ def shift_operators(
     Parameters
     ----------
     times_s
-        Shape (n,), increasing.
+        Known times [s], increasing, shape (n,).
     wanted_s
-        Shape (m,), on a clock that is ahead by the offset.
+        Wanted times [s], shape (m,), on a clock that is ahead of the clock of `times_s` by the
+        offset.
     offset_s
         The offset [s].
     within_s
@@ -337,7 +341,8 @@ def shift_operators(
     Returns
     -------
     tuple
-        Values, and their derivative by `offset_s` [1/s]: matrices of shape (m, n).
+        Matrix that yields the interpolated values, and matrix that yields their derivatives by
+        `offset_s` [1/s], both of shape (m, n).
     """
     last = len(times_s) - 1
     asked = (np.asarray(wanted_s)[:, None] + np.asarray(within_s)).ravel() - offset_s

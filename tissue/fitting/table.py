@@ -33,14 +33,14 @@ LOADS = {
     "torque_Nm": ("torque_z_Nm", 1.0),
     "torque_Nmm": ("torque_z_Nm", 1e-3),
 }
-"""Loads that a table may hold: channel of the engine, and factor to SI."""
+"""Channel of the simulation and factor to SI units, for each column of loads in a table."""
 SCATTERS = {name: name.replace("_", "_pm_") for name in LOADS}
 """Columns of the scatter of each load: one standard deviation."""
 COLUMNS = (*FEEDS, SPIN, *LOADS, *SCATTERS.values())
 FEWEST_ROWS = 2
 DRILL = "twist-drill"
 LAYER = "bone"
-"""Layer of a block."""
+"""Name of the only layer of a block of bone."""
 NORMAL = 1e6
 """Degrees of freedom for which Student's distribution is practically normal."""
 
@@ -60,7 +60,7 @@ class SteadyTable:
     scatter
         Standard deviation of each load, shape (n, channels). None if the table has no scatter.
     names, channels
-        Names of the loads in the table, and of the channels of the engine.
+        Names of the loads in the table, and names of the corresponding channels of the simulation.
     notes
         Findings and assumptions, in sentences.
     """
@@ -178,7 +178,7 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
 
 
 def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) -> CuttingForward:
-    """Return the function for the loads of a table's rows, each divided by its unit.
+    """Return the function for the loads of a table's rows, divided by `SteadyTable.units`.
 
     Each row is handled like a recorded tick.
 
@@ -251,8 +251,8 @@ class TableTarget(Target):
     """Log density of constants given a table: independent normal errors of its rows.
 
     The standard deviation is the scatter. Without a scatter, it is a free number for each load. The
-    offset, the biases, and the correlation and tails of the noise have no effect, so they stay at
-    their priors.
+    clock offset, the biases, and the correlation and tails of the noise have no effect, so they
+    stay at the medians of their priors.
     """
 
     def __init__(self, forward: CuttingForward, table: SteadyTable) -> None:

@@ -1,7 +1,7 @@
 """Log density that a fit maximises.
 
-The density is the product of the density of a log and of the priors of constants, offset, biases
-and noise.
+The density is a product of the density of the log, given all numbers of the fit, and of the priors
+of these numbers: constants, clock offset, biases and noise.
 """
 
 from dataclasses import dataclass
@@ -37,11 +37,11 @@ class NoiseTerms:
     by_residuals
         Derivative by each residual, shape (m, channels). It is 0 where there is no residual.
     by_log_scale, by_correlation, by_freedom
-        Derivatives by ln scale, the correlation and the degrees of freedom of each channel, shape
-        (channels,).
+        Derivatives by the logarithm of the scale, the correlation and the degrees of freedom of
+        each channel, shape (channels,).
     weights
-        Weight of each squared innovation in a sum of squares that has the same gradient, shape (m,
-        channels) [1/unit²].
+        Weight of each squared innovation in reweighted least squares [1/unit²], shape (m,
+        channels).
     """
 
     log_density: float
@@ -55,9 +55,9 @@ class NoiseTerms:
 def innovations(residuals: Array, correlation: Array) -> Array:
     """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
 
-    The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t, because the chain starts
-    stationary. Innovations are NaN at gaps. They are linear in the residuals, so the residuals may
-    have a third axis of derivatives: shape (m, channels, any).
+    The factor phi is `correlation`. The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t,
+    because the chain starts stationary. Innovations are NaN at gaps. Innovations are linear in the
+    residuals, so `residuals` may also be derivatives of residuals, shape (m, channels, k).
     """
     previous, starts = _previous(residuals)
     phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
@@ -120,7 +120,9 @@ def place_information(freedom: Array) -> Array:
 
 
 def freedom_information(freedom: Array) -> tuple[Array, Array]:
-    """Return the Fisher information of the degrees of freedom, and its cross term with ln scale.
+    """Return the Fisher information of the degrees of freedom, and a cross term.
+
+    The cross term is the information of the degrees of freedom and of the logarithm of the scale.
 
     The formulas are from Lange, Little and Taylor (1989). Both results have the shape of
     `freedom`.
@@ -131,7 +133,7 @@ def freedom_information(freedom: Array) -> tuple[Array, Array]:
 
 
 def _previous(residuals: Array) -> tuple[Array, Array]:
-    """Return the residual before each residual, or zero, and flags for the starts of chains."""
+    """Return the previous residual of each residual (0 without one), and a mask of chain starts."""
     previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
     starts = np.isfinite(residuals) & np.isnan(previous)
     return np.where(np.isfinite(previous), previous, 0.0), starts
@@ -147,7 +149,7 @@ BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias relative to the size of the log's loads."""
 NOISE_SHARE = 0.05
 NOISE_SPREAD = 1.5
-"""Spread of the prior of the noise. `NOISE_SHARE` is its median relative to the log's loads.
+"""Spread of the prior of the noise, whose median is `NOISE_SHARE` relative to the log's loads.
 
 The spread is the standard deviation of the logarithm of the noise. 90 % of the values lie within a
 factor of 12 of the median.
@@ -171,9 +173,9 @@ FREEDOM_SPREAD = 1.0
 """Spread of the logarithm of the noise's degrees of freedom above their minimum.
 
 `LEAST_FREEDOM` is the minimum, at which the variance becomes finite. `FREEDOM` is the median above
-this minimum. 90 % of the values lie between 3 and 23. This range covers heavy tails, and is close
-enough to a normal distribution: for normal noise, 90 % intervals that assume 4 degrees of freedom
-would contain 87 %.
+this minimum. 90 % of the values lie between 3 and 23. This range covers noise with heavy tails, and
+comes close enough to normal noise. If 4 degrees of freedom were assumed for normal noise, 90 %
+intervals would contain the true value in only 87 % of cases.
 """
 
 
@@ -202,7 +204,7 @@ class Unpacked:
 
 
 class Target:
-    """Log density of constants and nuisances.
+    """Log density of constants and nuisance parameters (clock offset, biases and noise).
 
     All numbers are scaled so that their priors are standard normal.
 
@@ -229,7 +231,7 @@ class Target:
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
-        """Return the numbers of a fit from its vector, shape (size,)."""
+        """Split the vector `u` of a fit, shape (size,), into numbers in their own units."""
         p = self.constants
         c = len(self.log.channels)
         # in the order of `size`
@@ -266,9 +268,9 @@ class Target:
         return values @ self.forward.loads(x)[:, self._places]
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
-        """Return `simulated` and its derivatives, shape (m, channels, p + 1 + c).
+        """Return the loads `simulated(u)` and their derivatives, shape (m, channels, p + 1 + c).
 
-        The derivatives are by z, the scaled offset and the scaled biases.
+        The derivatives are by z, the scaled offset and the scaled biases of the c channels.
         """
         each = self.unpacked(u)
         c = len(self.log.channels)
@@ -295,9 +297,9 @@ class Target:
         return values @ loads, np.concatenate([by_z, by_offset[:, :, None]], axis=2)
 
     def whitened(self, moved: Array, noise: Unpacked) -> Array:
-        """Return derivatives (m, channels, k) as whitened rows, shape (m * channels, k).
+        """Return derivatives, shape (m, channels, k), as whitened rows, shape (m * channels, k).
 
-        The products of the rows are the expected information.
+        The transposed matrix of rows times the matrix of rows is the expected information.
         """
         known = np.isfinite(self.log.values)[:, :, None]
         each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
@@ -307,8 +309,8 @@ class Target:
     def information(self, u: Array) -> Array:
         """Return the expected information of the log and the priors about all numbers.
 
-        Its shape is (size, size), and it is positive definite. The information about constants,
-        offset and biases follows from the sensitivities. Its cross terms with the noise are zero.
+        The result has shape (size, size) and is positive definite. The information about constants,
+        offset and biases follows from the sensitivities. The cross terms with the noise are zero.
         The information about the noise of a channel follows from Student's law (Lange, Little and
         Taylor 1989) and a stationary chain.
         """
@@ -335,7 +337,7 @@ class Target:
         return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
-        """Return the interpolation at an offset.
+        """Return the interpolation matrices for a clock offset, see `shift_operators`.
 
         The last result is kept, because a search needs loads and slopes at the same offset.
         """
@@ -379,7 +381,10 @@ class Target:
     def noise_gradient(
         self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
     ) -> Array:
-        """Convert derivatives by ln scale, correlation and freedom to derivatives by u.
+        """Convert derivatives by noise parameters to derivatives by the numbers `u` of the fit.
+
+        The noise parameters are the logarithm of the scale, the correlation and the degrees of
+        freedom.
 
         The result has shape (3 * channels,).
         """
@@ -394,11 +399,11 @@ class Target:
         )
 
     def _by_noise(self, each: Unpacked) -> Array:
-        """Return the derivative of ln scale of each channel by u, shape (channels,)."""
+        """Return the derivative of the log of each channel's scale by u, shape (channels,)."""
         return NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale)
 
     def start(self, offset_s: float) -> Array:
-        """Return the start of an optimiser.
+        """Return the numbers at which an optimiser starts.
 
         The constants follow from linear least squares, starting from the middle of their priors.
         """
@@ -445,14 +450,15 @@ CORRELATED = 0.5
 
 
 class Restricted:
-    """`Target` with the restricted likelihood of its noise and fixed sensitivities.
+    """Log density of `Target` with the restricted likelihood of the noise.
 
     Parameters
     ----------
     target
         Log density of constants and nuisances.
     u
-        Numbers at which the sensitivities are evaluated, shape (size,).
+        Numbers at which the sensitivities are evaluated, shape (size,). The sensitivities are then
+        fixed.
     """
 
     def __init__(self, target: Target, u: Array) -> None:
@@ -499,8 +505,8 @@ class Restricted:
 
 
 def _products(left: Array, right: Array) -> Array:
-    """Return products of sensitivities (m, channels, k), summed over times for each channel.
+    """Return products of sensitivities, shape (m, channels, k), summed over times.
 
-    The result has shape (channels, k, k).
+    The result has one matrix for each channel, shape (channels, k, k).
     """
     return np.einsum("tci,tcj->cij", left, right, optimize=True)

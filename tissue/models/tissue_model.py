@@ -62,8 +62,8 @@ class ToolMotion:
     tangent_m_s
         Speed at which the tissue linearises its force [m/s]; None means `speed_m_s`.
     pressed
-        Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
-        (about to cut).
+        Fraction of the edge force that acts on a tool at rest against the bone, from 0 (no
+        pressure) to 1 (about to cut).
     balanced
         Force [N] and torque about the tip [N m] that the bone applies to a tool at its force
         balance, shape (6,). None for a tool whose motion does not depend on forces.
@@ -215,7 +215,7 @@ class HasState(Protocol):
 
 @runtime_checkable
 class HasSummary(Protocol):
-    """Tissue that adds its own figures to the summary of a run."""
+    """Tissue that adds its own values to the summary of a run."""
 
     def summary(self) -> dict[str, object]:
         """Return the entries of the summary by name."""
@@ -228,7 +228,7 @@ class HasFields(Protocol):
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Frames so far; None if the scene requests no frames."""
+        """Fields at the times computed so far; None if the scene requests no fields."""
 
 
 @runtime_checkable
@@ -237,7 +237,7 @@ class HasHeat(Protocol):
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting [J], and the parts into which it is divided, by name.
+        """Energy of cutting and the energies into which it is divided [J], keyed by name.
 
         The value is None if the scene does not compute heat.
         """
@@ -248,7 +248,10 @@ class HasVoxels(Protocol):
     """Tissue of voxels that a tool removes."""
 
     def remaining(self) -> Bytes:
-        """Return the remaining tissue in every voxel, 255 = full, shape of the voxel volume."""
+        """Return the amount of tissue left in every voxel, from 0 to 255 (full voxel).
+
+        The array has the same shape as the voxel volume.
+        """
 
 
 @runtime_checkable

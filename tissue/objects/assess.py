@@ -50,11 +50,10 @@ def assess(
     trainee, reference
         Runs, or folders of runs.
     force_limit_N
-        Force on the tool that should not be exceeded [N]; default 1.25 times the peak force of the
-        reference run.
+        Limit of the force on the tool [N]; default 1.25 times the peak force of the reference run.
     deviation_limit_mm
-        Distance from the path of the reference run that should not be exceeded [mm]. The limit
-        applies where the run or the reference run touches the tissue.
+        Limit of the distance from the path of the reference run [mm]. The limit applies where the
+        trainee's run or the reference run touches the tissue.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run [mm].
 
@@ -62,7 +61,8 @@ def assess(
     ------
     InputError
         If the runs belong to different tasks (their anatomy, tool or material differs), or a run
-        has no trace or no contact where the other run has contact.
+        has no trace of at least ten ticks. It is also raised if the reference run has no contact,
+        or the trainee's run has no contact where the reference run has contact.
     """
     found = engine.assess(
         assessed_run(trainee),
@@ -76,7 +76,7 @@ def assess(
 
 @suggests_arguments
 class Ranking(ranking.Ranking):
-    """Trainees in the order of breaches and mean score; ``print`` shows a readable list."""
+    """Trainees in the order of rank: by breaches, then by mean score; ``print`` shows a list."""
 
     def __str__(self) -> str:
         return "\n".join(ranking.ranking_lines(self))
@@ -97,19 +97,20 @@ def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
     """Order trainees by breaches and by the mean score of their runs of one scene.
 
     Trainees with a smaller share of runs that breached a structure of ``[keep_clear]`` come first.
-    Equal shares are in the order of the mean score. The score measures how steady a hand is; see
-    `Assessment.steadiness`. A trainee with three or more attempts also has a learning curve. Runs
-    of another task, runs without a score, and runs without contact where the reference has
-    contact, are left out (`Ranking.left_out`). `Ranking.notes` names differences of scenes and
-    couplings.
+    Trainees with equal shares are ordered by their mean score. The score measures how steady a hand
+    is; see `Assessment.steadiness`. A trainee with three or more attempts also has a learning
+    curve. Three kinds of runs are left out (`Ranking.left_out`): runs of another task, runs without
+    a score, and runs that do not touch the tissue where the reference run does. `Ranking.notes`
+    names differences of scenes and couplings.
 
     Parameters
     ----------
     folder
-        Folder that contains one folder for each trainee. A trainee's folder is a run, or contains
-        the runs of all attempts. The names of these runs give the order of the attempts.
+        Folder that contains one folder for each trainee. A trainee's folder is the folder of a run,
+        or contains the folders of all attempts. The names of these folders give the order of the
+        attempts.
     reference
-        Run, or folder of a run, with which all runs are compared.
+        Reference run, or its folder, with which the runs of all trainees are compared.
 
     Raises
     ------

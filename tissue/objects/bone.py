@@ -251,7 +251,7 @@ class Bone:
         spacing_mm
             Edge of a voxel [mm].
         origin_mm
-            Corner of the first voxel with the lowest x, y and z [mm].
+            Position [mm] of that corner of voxel (0, 0, 0) which has the lowest x, y and z.
         layer
             Index of the layer of each voxel, in an array of the same shape; default 0 everywhere.
         layer_names
@@ -364,10 +364,10 @@ class Bone:
         """Move a rotating tool through poses, remove the swept bone and compute the forces.
 
         The bone keeps the cut. A second call with the same tool continues the cut if the first pose
-        of this call is the last pose of the previous call. Between two poses the tool moves along a
-        straight line. Its velocity at a pose is computed from the difference to the previous pose.
-        Force and torque at the first pose are therefore 0. Bone that lies inside the tool at the
-        first pose is removed.
+        of the second call is the last pose of the first call. Between two poses the tool moves
+        along a straight line. The velocity of the tool at a pose is computed from the difference to
+        the previous pose. At the first pose, which has no previous pose, force and torque are
+        therefore 0. Bone that lies inside the tool at the first pose is removed.
 
         A warning is issued if the feed per tooth exceeds 0.1 mm, or if a smooth part of the tool,
         such as a peg, is pushed into bone. The warning is also in `Cut.notes` and `Cut.events`.
@@ -377,10 +377,10 @@ class Bone:
         tool
             Cutter from `tissue.cutters`.
         poses, times_s
-            Poses and their increasing times [s], shape (n,). The poses are tips [mm], shape (n, 3);
-            tips and quaternions (x, y, z, w), shape (n, 7); or matrices from the frame of the tool
-            to the frame of the bone [mm], shape (n, 4, 4). The z axis of the tool runs from tip to
-            shank.
+            Poses, and their increasing times [s], shape (n,). Three forms of poses are accepted:
+            tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices
+            from tool frame to bone frame [mm], shape (n, 4, 4). The z axis of the tool runs from
+            tip to shank.
         axis
             Direction from tip to shank if the poses are tips only; default z.
         depth_mm, tolerance
@@ -485,11 +485,12 @@ class Bone:
 
 
 def constants_of(bone: Bone) -> tuple[object, ...]:
-    """Return the constants of a bone: coefficients, lattice, shape, and voxels before any cut.
+    """Return the constants of a bone: coefficients, voxel grid, shape, and voxels before any cut.
 
-    The voxels are their materials and filled fractions. They are None for a bone whose voxels are
-    made where a tool comes near. The shape is empty for other bones. Both are needed: a snapshot
-    holds only the voxels that the tool has reached.
+    The last entry holds the materials and filled fractions of the voxels. For a bone whose voxels
+    are made only where a tool comes near, this entry is None and the shape describes the voxels.
+    For other bones, the shape is empty. A snapshot itself holds only the voxels that the tool has
+    reached.
     """
     made = bone.voxel_bone
     store = made.store

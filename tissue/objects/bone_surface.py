@@ -24,16 +24,17 @@ SEAM = 3.0
 """Largest distances between points that are merged, and between loops that are joined [voxels].
 
 The points and loops belong to two different parts of a surface. The first distance allows for
-rounding. The second distance allows for the space that clipping and half-full voxels leave between
-the two parts; this value is chosen.
+rounding. The second distance allows for the gap that clipping and half-full voxels leave between
+the two parts. Its value is not measured but chosen.
 """
 NEAR = 0.5
 AGREE = 0.8
 """Limits for the use of normals from the file: largest distance [voxels] and smallest cosine.
 
-A cut bone is shaded with a normal of its file if the distance and the angle between this normal and
-the normal of the voxel surface are within these limits. The voxel surface is within half a voxel of
-the surface in the file. Across an edge, the normals differ by more than 37 degrees.
+A point of a cut bone is shaded with the normal of the nearest point of the file's surface. Both
+limits must hold: for the distance of this point, and for the cosine of the angle between this
+normal and the normal of the voxel surface. The voxel surface is within half a voxel of the surface
+in the file. Across an edge, the normals differ by more than 37 degrees.
 """
 
 

@@ -120,7 +120,7 @@ def run(
 
 @suggests_arguments
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Estimate the Weber fractions of observers from a session of comparisons, shape (n,)."""
+    """Estimate the Weber fractions of n observers, shape (n,), from a session of comparisons."""
     rng = np.random.default_rng(seed)
     found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
@@ -138,7 +138,7 @@ def share_right(
     seed: int,
     calibrated_by: int | None = None,
 ) -> Array:
-    """Compute the share of correct answers of each observer in 100 comparisons, shape (n,).
+    """Compute each observer's share of correct answers, shape (n,), in 100 comparisons.
 
     An answer is correct if it names the larger of the two forces.
 
@@ -151,9 +151,9 @@ def share_right(
     seed
         Seed of the noise, and of the magnitudes in a calibration.
     calibrated_by
-        Number of magnitudes that each observer reports in a calibration. The force is scaled for
-        the observer from this calibration. With 0 the force is scaled with the true exponent. With
-        None the force is not scaled.
+        Number of magnitudes that each observer reports in a calibration. The forces are scaled for
+        the observer by the result of this calibration. With 0 the forces are scaled by the
+        observer's true exponent and factor. With None the forces are not scaled.
     """
     commands = None
     if calibrated_by is not None:
@@ -166,9 +166,9 @@ def share_right(
 
 @suggests_arguments
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
-    """Compute the change of the mean [%] between paired shares, each of shape (n,).
+    """Compute the change [%] of the mean from the shares `before` to the paired shares `after`.
 
-    The attribute ``value`` of the result is the estimate; ``low`` and ``high`` are its 95 %
-    interval.
+    Both arrays have shape (n,). The attribute ``value`` of the result is the estimate; ``low`` and
+    ``high`` are the ends of its 95 % interval.
     """
     return gain_of(before, after, np.random.default_rng(seed))

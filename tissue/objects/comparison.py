@@ -1,4 +1,4 @@
-"""Comparison of several runs: differences of their scenes and figures, plots, and all traces."""
+"""Comparison of several runs: differences of scenes and figures, plots, and all traces."""
 
 import csv
 import tomllib
@@ -47,16 +47,16 @@ PLOTTED = (
     *(f"compare.{kind}" for kind in PICTURE_FORMATS),
     *(f"traces.{kind}" for kind in FORMATS),
 )
-"""Files of the figure and of all traces, by format."""
+"""Files of the plot and of all traces, for each format."""
 FILES = ("compare.csv", *PLOTTED)
 KIND = "comparison"
-"""Kind of output in the marker of the folder."""
+"""Kind of output that is written to the marker file of the output folder."""
 LONGEST_VALUE = 60
 """Largest number of characters that a line uses for the value of a scene key."""
 LONGEST_LABEL = 40
 """Largest number of characters of a legend entry that shows how a run differs."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
-"""Entries of a summary, other than the scene, that affect a run or its ticks."""
+"""Entries of a summary, other than the scene, that affect a run or the duration of its ticks."""
 Legend = Literal["values", "names", "both"]
 """Texts in a legend: values that differ between the runs, names of the runs, or both."""
 
@@ -77,12 +77,13 @@ class Comparison:
     runs
         The runs by name.
     figures
-        Figures of each run: peak and mean force, removed volume and so on, with the unit in each
-        name.
+        Figures (numbers that summarise a run) of each run: peak and mean force, removed volume and
+        so on, with the unit in each name.
     scene_differences
         Keys of the scenes that differ, with the value of each run; None for a missing value.
     notes
-        Other obstacles to the comparison, a sentence each.
+        Sentences on other facts that limit the comparison, such as a run that did not reach its
+        end.
     """
 
     def __init__(self, runs: Mapping[str, Run], *, legend: Legend = "values") -> None:
@@ -95,10 +96,11 @@ class Comparison:
         self._legend = legend
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
-        """Return titles, and for each figure the values of all runs.
+        """Return column titles, and for each figure its name and the values of all runs.
 
-        The first run's value comes first. Each other run adds its value, the difference from the
-        first, and the ratio of the difference to the first.
+        The first run's value comes first. Each other run adds three numbers: its value, the
+        difference from the first run's value, and the ratio of this difference to the first run's
+        value.
         """
         first, *others = self.runs
         titles = [first]
@@ -117,9 +119,10 @@ class Comparison:
         return titles, found
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Return titles and rows of a readable table of the figures that differ.
+        """Return column titles and rows of a readable table of the figures that differ.
 
-        Values of other runs are followed by their relative difference from the first run.
+        The value of each further run is followed by its relative difference from the value of the
+        first run.
         """
         _, rows = self.rows()
         found = []
@@ -134,7 +137,7 @@ class Comparison:
     def to_pandas(self) -> "pandas.DataFrame":
         """Return the table of `rows` as a DataFrame, with one row per figure.
 
-        The differences of the scenes are in its ``attrs``.
+        The differences of the scenes are in the attribute ``attrs`` of the DataFrame.
 
         Raises
         ------
@@ -160,8 +163,9 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``, or ``depth`` of the tool's tip from its first contact, in the first descent;
-            default depth if all tools mainly advance along their axis.
+            ``time``; or ``depth`` of the tool's tip below the point of first contact, until the tip
+            first rises by 0.2 mm. The default is depth if all tools mainly advance along their
+            axis.
 
         Returns
         -------
@@ -187,7 +191,7 @@ class Comparison:
         return overlay(curves, over=over, about_axis=cuts)
 
     def _labels(self) -> list[str]:
-        """Return texts for a legend.
+        """Return one text for each run, for the legend of the plot.
 
         The texts are the values of the keys that differ, or the names of the runs if the values are
         long.
@@ -209,10 +213,10 @@ class Comparison:
         return labels if are_usable else list(self.runs)
 
     def traces(self) -> "dict[str, NDArray[Any]]":
-        """Return the traces of all runs as one table, one row a tick.
+        """Return the traces of all runs as one table, one row per tick.
 
-        The first columns are the name of the run and the keys that differ, with ``_`` for each
-        dot. A column that a run does not have holds NaN, or ``none`` for the layer.
+        The first columns are the name of the run and the keys that differ, with ``_`` in place of
+        each dot. If a run does not have a column, its rows contain NaN, or ``none`` for the layer.
         """
         import numpy as np
 
@@ -239,7 +243,7 @@ class Comparison:
         formats: Iterable[str] = (),
         overwrite: bool = False,
     ) -> list[Path]:
-        """Write ``compare.csv``, the figure and the traces of all runs into a folder.
+        """Write ``compare.csv``, the plot and the traces of all runs into a folder.
 
         The method returns the paths of the written files.
 
@@ -250,10 +254,10 @@ class Comparison:
         over
             As for `plot`.
         formats
-            Formats of the figure, png, svg or pdf (default png), and of the traces, parquet, npz,
-            mat or h5 (default none).
+            Formats of the plot, png, svg or pdf (default png), and of the traces, parquet, npz, mat
+            or h5 (default: traces are not written).
         overwrite
-            Replace the comparison that the folder holds.
+            True to replace a comparison that the folder already contains.
 
         Raises
         ------
@@ -273,7 +277,7 @@ class Comparison:
     def write_plotted(
         self, out: Path, *, over: "Over | None" = None, formats: Iterable[str] = ()
     ) -> list[Path]:
-        """Write the figure and the traces of all runs; see `save`."""
+        """Write the plot and the traces of all runs; see `save`."""
         from matplotlib import pyplot
 
         from tissue.show.figures.figure import save
@@ -291,7 +295,7 @@ class Comparison:
         return written
 
     def lines(self) -> list[str]:
-        """Return the differences other than figures, a line each."""
+        """Return lines on differing scene keys, on equal figures, and on other differences."""
         found = [
             f"{key}: {_each(self.runs, values)}" for key, values in self.scene_differences.items()
         ]
@@ -347,7 +351,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
 
 
 def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the formats of figures (default png) and the formats of tables.
+    """Split formats into the formats of plots (default png) and the formats of tables.
 
     Raises
     ------
@@ -402,7 +406,7 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
 
 
 def _figures(run: Run) -> dict[str, float]:
-    """Return the figures of a run; for a run that did not reach its end, those of its trace."""
+    """Return the figures of a run, or of its trace if the run did not reach its end."""
     if run.status == "complete":
         return figures_of(run.summary)
     try:

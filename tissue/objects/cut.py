@@ -117,7 +117,7 @@ class Cut:
         return np.asarray(self.trace["removed_mm3"])
 
     def distance_mm(self, name: str) -> Array:
-        """Return the distance of the tool from a structure to keep clear of [mm], shape (n,).
+        """Return the distance [mm], shape (n,), of the tool from a structure to keep clear of.
 
         The distance is negative where tool and structure overlap.
 
@@ -138,8 +138,9 @@ class Cut:
 
     @property
     def layer(self) -> NDArray[np.str_]:
-        """Name of the layer in which the largest area of the tool is engaged, shape (n,); "none"
-        without contact.
+        """Name of the layer in which the largest area of the tool is engaged at each pose.
+
+        The names have shape (n,). The name is "none" without contact.
         """
         return np.asarray(self.trace["layer"])
 

@@ -233,7 +233,7 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return finite numbers as an array of rows."""
+    """Return values as an array of finite numbers; refuse rows that do not have the given shape."""
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -262,7 +262,7 @@ def clearance_of(
     box_m: Array | None = None,
     times_s: Array | None = None,
 ) -> KeepClear | None:
-    """Return the measurement of a tool's distance from structures; None if there are no structures.
+    """Return an object that measures a tool's distance from structures; None without structures.
 
     Parameters
     ----------

@@ -53,8 +53,7 @@ class Fit:
         """Return a table with a row per constant.
 
         For each constant, the table has the range before the fit (from the source of the constant),
-        the 5, 50 and 95 % quantiles after the fit, and a state. The state shows, for example,
-        whether the data determine the constant.
+        the 5, 50 and 95 % quantiles after the fit, and a state such as ``determined``.
         """
         import pandas
 
@@ -114,8 +113,8 @@ def fit(
     Parameters
     ----------
     scene
-        Scene with the tissue and the tool of the log. The log's poses, in the scene's frame,
-        replace its motion.
+        Scene with the tissue and the tool of the log. The poses of the log, in the scene's frame,
+        replace the motion of the scene.
     measured
         CSV, Parquet, HDF5, .mat or .npz file. The trace of a run needs no `columns`. A table of
         steady loads has the feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or
@@ -166,7 +165,7 @@ def fit(
 
 
 def _require_own_names(maps: Sequence[str]) -> None:
-    """Refuse other column names for a table of steady loads."""
+    """Refuse `columns` for a table of steady loads, whose columns must have the standard names."""
     if maps:
         raise InputError(
             "column",

@@ -43,7 +43,7 @@ def table_html(
 
 
 def curve(values: Sequence[float], *, title: str) -> str:
-    """Return a small curve without axes, whose scale starts at zero."""
+    """Return the HTML of a small curve without axes; its vertical scale starts at zero."""
     top = max(*values, 0.0) or 1.0
     step = 320.0 / max(len(values) - 1, 1)
     # One pixel is left above and below for the width of the line.
@@ -96,14 +96,15 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Keys of loads in a summary and in its uncertainty band (load and figure), by name of the figure.
+"""Keys (load, figure) in a summary and in its uncertainty band, by the name of the figure.
 """
 
 
 def figures_of_trace(trace: Table) -> dict[str, float]:
     """Return the figures of a run that did not reach its end, keyed by names with units.
 
-    The figures are the time and the loads of its trace, which may have no rows.
+    The figures (numbers that summarise a run) are the time and the loads of the trace. The trace
+    may have no rows.
     """
     if not len(trace.rows):
         return {}
@@ -115,7 +116,7 @@ def figures_of_trace(trace: Table) -> dict[str, float]:
 
 
 def figures_of(summary: Summary) -> dict[str, float]:
-    """Return the figures of a complete run, keyed by names with units."""
+    """Return the figures (summary numbers) of a complete run, keyed by names with units."""
     if summary["status"] != "complete":
         return {}
     tick = summary["tick_us"]
@@ -143,7 +144,7 @@ def figures_of(summary: Summary) -> dict[str, float]:
 
 
 def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
-    """Return the 90 % intervals of figures, keyed by names with units.
+    """Return the 90 % intervals of figures (summary numbers), keyed by names with units.
 
     The result is empty for a run without an uncertainty band.
     """

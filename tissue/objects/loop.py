@@ -69,15 +69,16 @@ class Loop:
     """Loop of a tool and a tissue in ticks of 1 ms.
 
     Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves the tool to a pose
-    and returns the force and torque on it. The tool follows the given poses exactly. `snapshot`
-    copies the state of the loop; `restore` and `reset` return the loop to an earlier state. After
-    `restore`, the loop computes the same forces to the last bit.
+    and returns the force and torque on the tool. The tool follows the given poses exactly.
+    `snapshot` copies the state of the loop; `restore` and `reset` return the loop to an earlier
+    state. After `restore`, the loop computes the same forces, to the last bit, as it computed after
+    the snapshot.
 
     With a device, use ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In each
     tick the loop reads the device, the tool follows the device through a spring, and the tissue
     responds. The force passes the predictor, the low-pass and the device's limits before it is
     commanded. The stability of the coupling is checked before the first tick. The last command to
-    the device is zero, even if an error ends the block or the run.
+    the device is a force of zero, even if an error ends the ``with`` block or the run.
 
     Attributes
     ----------
@@ -124,10 +125,11 @@ class Loop:
             to those of the tissue.
         reach_mm
             For bone: distance around the tool within which bone is prepared [mm]; default 5. More
-            bone is prepared after the tool has moved by half of this distance; that tick takes
-            longer. For an organ: distance from the start within which the organ may be touched;
-            default 5. For a scene: distance to the sides of its path; default 2. For an organ or a
-            scene, no further tissue is prepared later.
+            bone is prepared when the tool has moved by half of this distance; the tick in which
+            this happens takes longer. For an organ: distance from the start within which the organ
+            may be touched; default 5. For a scene: distance around the path of the scene within
+            which tissue is prepared; default 2. For an organ or a scene, no further tissue is
+            prepared later.
         longest_s, keep_clear
             Time for which rows of the trace are allocated [s]; and structures that a cutter must
             not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
@@ -161,8 +163,8 @@ class Loop:
             For bone it is chosen so that the device can play the force in a slot whose depth is a
             quarter of the cutter's diameter.
         delay_ms, low_pass_ms
-            Additional latency before the device, in whole ticks, and time constant of the low-pass
-            before the device [ms]; default 0 and 1.
+            Additional latency before the device [ms], in whole ticks; and time constant of the
+            low-pass before the device [ms]. The defaults are 0 and 1.
         allow_unstable
             Whether to run a coupling for which the check predicts instability.
 
@@ -238,7 +240,7 @@ class Loop:
         reach_m: float,
         keep_clear: Structures | None,
     ) -> Parts:
-        """Return the tissue under the tool; the caller sets the motion of the tool."""
+        """Build the objects of a run; the tissue is prepared at the start position of the tool."""
         motion = StaysAt(start_m, along)
         if isinstance(tissue, Bone):
             assert isinstance(tool, Cutter)
@@ -283,15 +285,15 @@ class Loop:
     def step(
         self, pose: ArrayLike | None = None, velocity: ArrayLike | None = None
     ) -> TickRow | Array:
-        """Run one step to a pose; with a device, run one tick.
+        """Move the tool to a pose in one step; with a device, run one tick instead.
 
         Parameters
         ----------
         pose
-            Pose of the tool at the end of the step, in the frame of the tissue. The pose is a tip
-            [mm], shape (3,), which keeps the orientation; a tip and a quaternion (x, y, z, w),
-            shape (7,); or a matrix, shape (4, 4), with z from tip to shank. Leave out the pose if
-            there is a device.
+            Pose of the tool at the end of the step, in the frame of the tissue. Three forms are
+            accepted: a tip [mm], shape (3,), with unchanged orientation; a tip and a quaternion (x,
+            y, z, w), shape (7,); or a matrix, shape (4, 4). The z axis of the tool points from tip
+            to shank. Leave out the pose if there is a device.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
@@ -307,8 +309,8 @@ class Loop:
         Raises
         ------
         InputError
-            If the pose cannot be used, the loop with a device is not used in a ``with`` block, or
-            all rows are full. If the device fails, the error is a `DeviceError`.
+            If the pose is invalid, if a loop with a device is used outside a ``with`` block, or if
+            all rows of the trace are used. If the device fails, the error is a `DeviceError`.
         """
         if self._session is not None:
             if pose is None:
@@ -374,7 +376,8 @@ class Loop:
         Raises
         ------
         InputError
-            If a device moves the tool, or a tissue of your own has no copy of its state.
+            If a device moves the tool, or a user-defined tissue does not support copies of its
+            state.
         """
         return self._posed("snapshot").snapshot()
 
@@ -393,7 +396,7 @@ class Loop:
         self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]
 
     def _posed(self, method: str) -> PosedSession:
-        """Return the session, which only a loop without a device has."""
+        """Return the session that moves the tool to given poses; refuse a loop with a device."""
         if self._session is None:
             raise InputError(method, "be used without a device", "a device", "leave device out")
         return self._session

@@ -66,12 +66,12 @@ One hour of a trace with 60 columns takes 1.7 GB.
 """
 REACH_MM = 5.0
 SCENE_REACH_MM = 2.0
-"""Default reach [mm] around a tool, and around the path of a scene.
+"""Default distance [mm] around a tool or a scene's path within which tissue is prepared.
 
-Tissue along the path of a scene is always prepared.
+For a scene, tissue along its whole path is prepared.
 """
 MOST_TICKS = 1000
-"""Largest number of ticks in a step, which is a rate of 1 Hz."""
+"""Largest number of ticks in a step. A step of 1000 ticks takes 1 s."""
 
 
 class LoopOptions(TypedDict, total=False):
@@ -93,7 +93,7 @@ class LoopOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class JudgedDevice:
-    """Motion of a tool that is coupled to a device, after the stability check.
+    """Result of a passed stability check: motion of a tool that is coupled to a device.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ def judged_device(
 def _settings_of(
     device: Device, options: LoopOptions, constants: Materials, *, cuts: bool
 ) -> LoopSettings:
-    """Return the settings between a device and a tool, from a caller's options."""
+    """Return the settings of the coupling of device and tool from the options of a caller."""
     given = options.get("limits", "touch")
     limits = sampled(_limits(given, constants))
     require_stated_rate(device, limits, remedy="give this rate_Hz in limits")
@@ -346,7 +346,7 @@ def fitted(
 def made_from_of(
     tissue: Bone | Organ, tool: Cutter | PressingTool, keep_clear: Structures | None
 ) -> tuple[object, ...]:
-    """Return the constants of a bone or an organ and its tool, on which the forces depend."""
+    """Return the constants of a tissue, a tool and structures on which the forces depend."""
     if isinstance(tissue, Bone):
         return (*constants_of(tissue), tool, tuple(keep_clear or ()))
     assert isinstance(tool, PressingTool)

@@ -83,7 +83,8 @@ class Organ:
         modulus_kPa, poisson_ratio
             Young's modulus [kPa] and Poisson's ratio.
         parts
-            Young's moduli of parts with another modulus [kPa], keyed by name or number.
+            Young's moduli [kPa] of parts whose modulus differs from `modulus_kPa`, keyed by name or
+            number.
         part_names
             Names of parts that have numbers in the mesh.
         scale_mm
@@ -105,8 +106,8 @@ class Organ:
             Density [kg/m3]. If it is given, gravity along -z deforms the organ before the first
             contact.
         relaxation
-            Pairs of a share of the modulus that relaxes and the relaxation time [s] of this share;
-            `modulus_kPa` is the instantaneous modulus.
+            Pairs of two numbers: a share of the modulus that relaxes, and the relaxation time [s]
+            of this share. `modulus_kPa` is then the instantaneous modulus.
         law
             Hyperelastic law, with the names and keys of `organ.law` in scenes: ``"neo-hookean"`` or
             ``{"name": "yeoh", "square_ratio": 0.5}``. A hyperelastic law cannot be combined with a
@@ -207,7 +208,7 @@ class Organ:
         modulus_kPa, poisson_ratio, options
             As for `from_tetrahedra`.
         parts
-            Young's moduli of additional labels [kPa], keyed by name or number. Each of these labels
+            Young's moduli [kPa] of additional labels, keyed by name or number. Each of these labels
             becomes a part.
         names
             Names of the labels for a file without names: ``totalsegmentator``, ``verse``, or a TOML
@@ -258,8 +259,8 @@ class Organ:
         modulus_kPa, poisson_ratio, options
             As for `from_tetrahedra`.
         edge_mm
-            Edge length of the tetrahedra at the top face [mm], which increases downwards; default
-            1/14 of the longest side.
+            Edge length of the tetrahedra at the top face [mm]; default 1/14 of the longest side.
+            The edge length increases downwards.
         """
         from meshes.organs.liver import slab
         from meshes.tets.tetrahedralise import FILL_EDGES
@@ -347,7 +348,7 @@ class Organ:
 
     @property
     def soft(self) -> SoftOrgan:
-        """Organ with assembled equations, ready to be solved."""
+        """Finite-element model of the organ, with assembled equations."""
         return self._made.soft
 
     def press(

@@ -1,4 +1,4 @@
-"""Figure of several runs: thrust, force across the tool and torque, over depth or time."""
+"""Plot of several runs: thrust, force across the tool and torque, over depth or time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,9 +31,9 @@ LONG = 28
 SMALL = 0.05
 """Share of the largest force below which a component across the tool has no panel."""
 MAINLY = 0.5
-"""Share of the path in contact that a first descent must cover for a figure over depth."""
+"""Share of the path in contact that the first descent must cover for a plot over depth."""
 WIDTHS = 2.2, 1.0
-"""Widths of the first and the last curve [points], so that equal curves show below each other."""
+"""Widths of the first and the last curve [points]; a covered equal curve stays visible."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
 LOW = 0
@@ -43,7 +43,7 @@ HIGH = -1
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One run of the figure.
+    """One run of the plot.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """Loads on the tool in its own frame.
+    """Loads on the tool in the tool's frame, over time or depth.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Loads:
     low, high
         Ends of the 90 % uncertainty band at the first n rows, shape (n, 4); None without a band.
     force
-        Force in the world [N], shape (rows, 3).
+        Force on the tool in the world frame [N], shape (rows, 3).
     """
 
     place: Array
@@ -98,7 +98,7 @@ def chosen_over(curves: Sequence[Curve]) -> Over:
 
 
 def _mainly_descends(trace: "Table") -> bool:
-    """Return whether the first descent covers most of the tip's path in contact."""
+    """Return whether the `first_descent` covers most of the tip's path in contact."""
     contact, height = _heights(trace)
     steps = np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1)
     descent = height[first_descent(height, contact)]
@@ -106,7 +106,7 @@ def _mainly_descends(trace: "Table") -> bool:
 
 
 def _heights(trace: "Table") -> tuple[Flags, Array]:
-    """Return the rows in contact, and the tip's coordinate on the axis out of the tissue [mm]."""
+    """Return a mask of rows in contact, and the tip's height along the outward axis [mm]."""
     axis, outward = facing(trace)
     height = outward * trace.vectors("tool", "mm")[:, axis]
     return trace["contact_mm2"] > 0.0, height
@@ -126,8 +126,8 @@ def overlay(
     curves
         Runs in the order of the legend.
     over
-        ``time``, or ``depth`` from the first contact in the first descent; see `chosen_over` for
-        the default.
+        ``time``; or ``depth`` below the point of first contact, until the tip first rises by 0.2
+        mm. See `chosen_over` for the default.
     about_axis
         Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
         vector is drawn.

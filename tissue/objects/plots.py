@@ -1,4 +1,4 @@
-"""Plots of a trace, and of figures over a swept value."""
+"""Plots of a trace, and of figures (numbers that summarise a run) over a swept value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle

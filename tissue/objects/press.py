@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
 
 SLOPE_SHARE = 0.1
-"""Share of the depth, at its end, over which the stiffness is computed: the last 10 of 100 steps.
+"""Share of the depth over which the stiffness is computed: the last 10 of 100 steps.
 """
 FAR = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
@@ -47,7 +47,7 @@ NEAR_M = 1e-4
 TOOL_EDGES = 4.0
 """Number of mesh edges across the diameter of the tool in scenes."""
 FALLS = 0.05
-"""Share by which the force may decrease with depth, because nodes enter the contact in steps."""
+"""Accepted relative decrease of the force with depth, because nodes enter the contact in steps."""
 LONG = 1.25
 """Ratio of edge length to recommended length above which a note reports the long edges.
 
@@ -55,11 +55,12 @@ The force error of a press is 4 % if the edges are twice as long as recommended,
 have the recommended length.
 """
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
-"""Names of the caller's arguments, keyed by the names that the press uses."""
+"""Names of the user's arguments, keyed by the names of these arguments in `press`."""
 ACROSS = 7
-"""Number of points along each side of the reach at which a loop searches for contact; chosen.
+"""Number of points along each side of the reachable area at which a loop searches for contact.
 
-Triangles are searched with a margin around each point, so the points need not be close together.
+The number is chosen. Triangles are searched with a margin around each point, so the points need not
+be close together.
 """
 LAW_INTERVAL_S = 0.025
 """Time between two solutions of a hyperelastic law in a loop [s], the default of
@@ -113,22 +114,22 @@ class Press:
 
     @property
     def depth_mm(self) -> Array:
-        """Depth of the tool from its first contact at every step [mm], shape (n,)."""
+        """Depth of the tool below its first contact [mm] at every step, shape (n,)."""
         return 1e3 * self._curve.depth_m
 
     @property
     def time_s(self) -> Array:
-        """Time since the first contact at every step [s], shape (n,)."""
+        """Time since the first contact [s] at every step, shape (n,)."""
         return self._curve.time_s
 
     @property
     def forces_N(self) -> Array:
-        """Force on the tool at every step [N], shape (n, 3)."""
+        """Force on the tool [N] at every step, shape (n, 3)."""
         return self._curve.force_N
 
     @property
     def areas_mm2(self) -> Array:
-        """Area of the contact at every step [mm2], shape (n,)."""
+        """Area of the contact [mm2] at every step, shape (n,)."""
         return 1e6 * self._curve.area_m2
 
     @property
@@ -153,7 +154,7 @@ class Press:
 
     @property
     def stiffness_N_mm(self) -> float:
-        """Slope of the force along the press over depth, in the last tenth of the depth [N/mm]."""
+        """Slope [N/mm] of the force along the press over depth, in the last tenth of the depth."""
         depth = self.depth_mm
         force = -self.forces_N @ self.along
         last = int(np.argmax(depth >= depth[-1]))
@@ -315,7 +316,7 @@ def press_at(
     Parameters
     ----------
     mesh, organ, tool
-        Mesh of the organ, the organ ready to be solved, and the tool.
+        Mesh of the organ, finite-element model of the organ, and the tool.
     at_m
         The given point [m], shape (3,).
     along
@@ -428,7 +429,10 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
 
 
 def _across(along: Any) -> Any:
-    """Return the direction perpendicular to a press that is closest to -y."""
+    """Return a direction perpendicular to a press.
+
+    The direction is as close to -y as possible, or to x if the press is nearly parallel to y.
+    """
     # A press nearly parallel to y leaves no usable perpendicular component of y.
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
@@ -446,7 +450,7 @@ def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
 
 
 def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter with a white background, and remove its options from the given mapping."""
+    """Return a plotter with a white background, and remove its options from `options`."""
     import pyvista
 
     mine = {
@@ -462,8 +466,10 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
 ) -> LiverModel:
-    """Return an organ that a tool can press within `reach_m` around and below the start of the
-    tool.
+    """Return the model of an organ that a tool can press near the tool's start position.
+
+    The tip of the tool may move from `start_m` by up to `reach_m` [m] in each direction
+    perpendicular to `axis`, and by up to `reach_m` opposite to `axis`, into the organ.
     """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath

@@ -73,7 +73,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``tool.kind``.
+            Name that selects the tool in a scene: a value of the key ``tool.kind``.
         profile
             Function that returns a `tissue.cutters.profile.Profile`. Its arguments are
             ``diameter_m`` and the sizes of `keys`, in metres and radians: ``length_m`` for the key
@@ -113,7 +113,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``motion.kind``.
+            Name that selects the motion in a scene: a value of the key ``motion.kind``.
         parameters
             Parameters of the motion in a scene: a subclass of `tissue.scene.anatomy.Part` whose
             ``kind`` is the name.
@@ -141,12 +141,13 @@ class register:
     ) -> Any:
         """Register a tissue.
 
-        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
+        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the objects of a run,
+        such as the motion and the tissue model.
 
         Parameters
         ----------
         name
-            Value of ``anatomy.kind``.
+            Name that selects the tissue in a scene: a value of the key ``anatomy.kind``.
         parameters
             Parameters of the tissue in a scene: a subclass of `tissue.scene.anatomy.Part` whose
             ``kind`` is the name.
@@ -177,7 +178,7 @@ class register:
         Parameters
         ----------
         name
-            Value of ``device``.
+            Name that selects the device in a scene: a value of the key ``device.kind``.
         numbers
             Values of `tissue.haptics.device.device.DeviceParameters` in SI units for the stability
             check; ``mass_kg`` and ``damping_N_s_m`` are required.
@@ -222,11 +223,10 @@ class register:
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """Register a rendering law, which has methods `render` and `pause`; ``make(loop)`` takes a
-        `WallLoop`.
+        """Register a rendering law, which ``make(loop)`` returns for a `WallLoop`.
 
-        The stability check assumes the stiffness ``loop.stiffness_N_m``. It does not detect a law
-        that renders a higher stiffness.
+        The law has the methods `render` and `pause`. The stability check assumes the stiffness
+        ``loop.stiffness_N_m``. It does not detect a law that renders a higher stiffness.
         """
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
@@ -246,11 +246,11 @@ class register:
         Parameters
         ----------
         name
-            Value of ``prediction``.
+            Name that selects the predictor in a scene: a value of the key ``device.prediction``.
         make
-            Class or function that makes the predictor. It is called without arguments; if `trained`
-            is set, with the `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the
-            scene.
+            Class or function that makes the predictor. If `trained` is set, it is called with the
+            `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the scene. Otherwise
+            it is called without arguments.
         trained
             Whether `make` takes a `Trained`.
         """

@@ -66,7 +66,7 @@ class Run(engine.Run):
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``.
+        """Figures (numbers that summarise the run), as in ``summary.json``.
 
         The figures include the volume removed from each layer, forces, the time of the ticks, and
         the uncertainty band if there is one.
@@ -253,8 +253,8 @@ class Run(engine.Run):
             Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run
             the samples instead of processes on this machine.
         each_run
-            Whether to run every sample even if it would suffice to reweight the loads of one run.
-            Temperature and stress then have bands too.
+            Whether to run every sample, even if the loads of all samples can be computed from those
+            of one run. Temperature and stress then have bands too.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures

@@ -72,7 +72,7 @@ def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
 
 @dataclass(frozen=True)
 class Knock(WallRun):
-    """Motion of a hand on the wall z = 0, tick by tick.
+    """Simulated motion of a hand that holds a device on the wall z = 0, tick by tick.
 
     Attributes
     ----------
@@ -90,8 +90,9 @@ def knock(
 ) -> Knock:
     """Simulate a hand that holds a device on a virtual wall and is pulled off the wall.
 
-    The hand holds the device 5 mm deep. After 0.8 s a force of 2 N pulls it off the wall for 20 ms.
-    The hand has neither noise nor tremor, so any motion after the pull comes from the loop.
+    The hand holds the device 5 mm deep. After 0.8 s a force of 2 N pulls the device off the wall
+    for 20 ms. The hand has neither noise nor tremor, so any motion after the pull comes from the
+    loop.
 
     Parameters
     ----------

@@ -45,9 +45,10 @@ __all__ = ["Sweep", "SweptRun", "planned", "sweep"]
 FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 """Files of a sweep in addition to its runs."""
 RECORD = "scenes.json"
-"""File with the swept scenes that require a fidelity, by run.
+"""File with the swept scenes that require a fidelity, keyed by run.
 
-`simulate` replaces such a scene by a scene with chosen settings, and saves only the second scene.
+`simulate` replaces such a scene by a scene with chosen settings, and saves only the scene with
+these settings.
 """
 LONGEST_NAME = 24
 """Largest number of letters of a value in a folder name; a number replaces longer values."""
@@ -89,7 +90,7 @@ class SweptRun:
 
     @cached_property
     def figures(self) -> dict[str, float]:
-        """Figures of the run by names with units; empty for a run with a problem."""
+        """Figures (summary numbers), keyed by names with units; empty for a run with a problem."""
         return {} if self.problem else figures_of(read_summary(self.path))
 
     @cached_property
@@ -158,7 +159,7 @@ class Sweep:
         return [*self.keys, *names, "problem", "run", "note"], rows
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Return titles and rows of a short table: the values and the first figures."""
+        """Return column titles and rows of a short table: the swept values and `FIRST_FIGURES`."""
         names = [name for name in FIRST_FIGURES if name in self.figure_names]
         rows = []
         for each in self.runs:
@@ -228,7 +229,7 @@ class Sweep:
         return differing
 
     def write(self, out: Path, formats: Sequence[str] = ()) -> None:
-        """Write ``sweep.csv`` and, for several finished runs, their figures and traces.
+        """Write ``sweep.csv`` and, if several runs are finished, plots and traces of these runs.
 
         The formats are those of `tissue.objects.comparison.Comparison.save`.
         """
@@ -275,8 +276,8 @@ def sweep(
     """Run a scene at all combinations of values, each run in its own folder.
 
     Finished runs in the folder are kept. The same call therefore continues a sweep that was
-    stopped, and a call with more values adds their runs. A combination that cannot be run is listed
-    and does not stop the other runs.
+    stopped, and a call with more values adds the runs of the new values. A combination that cannot
+    be run is listed and does not stop the other runs.
 
     Parameters
     ----------
@@ -311,7 +312,7 @@ def sweep(
     Raises
     ------
     InputError
-        If all combinations with a value are invalid scenes, a file is missing, the folder holds
+        If a value makes an invalid scene in every combination, a file is missing, the folder holds
         runs of other scenes under the same names, or a format or the number of samples is invalid.
         It is also raised if the scene uses a registered part that other processes do not have.
     """
@@ -401,7 +402,8 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:
     """Return parts of folder names for the values of a key.
 
-    A part consists of the last word of the key, if this word is unique, and the value.
+    A part consists of a key and a value. Only the last word of the key is used if this word is
+    unique among the swept keys.
     """
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key

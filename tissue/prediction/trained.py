@@ -50,7 +50,7 @@ SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 
 
 @dataclass(frozen=True)
 class Trained:
-    """Predictors trained on a scene.
+    """Predictors trained on runs of a scene.
 
     Attributes
     ----------

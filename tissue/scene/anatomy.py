@@ -43,7 +43,7 @@ class CutAnatomy(Part):
 
     @property
     def from_file(self) -> str | None:
-        """File of the whole shape; None without such a file.
+        """File that contains the whole shape; None if there is no such file.
 
         A procedural anatomy and a tooth with one file per layer have no such file.
         """
@@ -70,11 +70,11 @@ class Drilled(CutAnatomy):
     guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(
         0.0, ge=0, le=100
     )
-    """Depth of the guide hole below the working face."""
+    """Depth of the guide hole below the working face, along the tool's axis."""
 
 
 class Placed(Drilled):
-    """Bone from a file, moved and rotated to its working face."""
+    """Bone from a file, moved and rotated so that the centre of its working face is the origin."""
 
     file: FileName = Field(examples=["scapula.stl"])
     """Surface file (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
@@ -184,7 +184,7 @@ class BlockAnatomy(Block, Drilled):
 
 
 class BlockSurface(Block, SurfaceAnatomy):
-    """Bone from a surface, with uniform density in its shell.
+    """Bone from a surface, with a cortical shell of uniform density.
 
     The scene states the site on the surface.
     """
@@ -199,11 +199,15 @@ class BlockImage(Block, ImageAnatomy):
 
     @property
     def is_whole(self) -> bool:
-        """True if the bone is the whole block of the image, without a site to rotate or move it."""
+        """True if the whole image is used unchanged, because the scene gives no site."""
         return self.centre_mm is None
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys without effect. An unchanged image has no site."""
+        """Return the keys without effect.
+
+        An image without `centre_mm` is used unchanged. The keys for a site, a cortical shell and a
+        guide hole then have no effect.
+        """
         whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
         placing = (
             "along",
@@ -217,8 +221,8 @@ class BlockImage(Block, ImageAnatomy):
 class Bone(Part):
     """Bone from a file, at a site on its surface.
 
-    The interior of the bone follows from an image of its density, from a surface around its
-    trabecular core, or from a shell of uniform thickness.
+    The layers inside the bone follow from one of three inputs: an image of the density, a surface
+    around the trabecular core, or the uniform thickness of the cortical shell.
     """
 
     kind: Literal["bone"] = "bone"
@@ -276,15 +280,16 @@ class Tooth(CutAnatomy):
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface files, keyed by layer."""
+        """Names of the surface files, keyed by layer."""
         return {}
 
 
 class MolarAnatomy(Tooth, Drilled):
     """A molar in its socket.
 
-    The origin is at the bottom of the central fossa, with +z out of the tooth. Real teeth come from
-    one surface per layer (`enamel_file` ...), or from a label volume (`file` with `spacing_mm`).
+    The origin is at the bottom of the central fossa, with +z out of the tooth. The shape of a real
+    tooth is read from one surface file per layer (`enamel_file` ...), or from a label volume
+    (`file` with `spacing_mm`).
     """
 
     crown_width_mm: float = Field(11.0, ge=9, le=13)
@@ -304,7 +309,7 @@ class MolarAnatomy(Tooth, Drilled):
 
 
 class ToothSite(Tooth):
-    """Tooth from files, at the tool's entry site."""
+    """Tooth from files, with the choice of the site at which the tool enters."""
 
     site: Literal["enamel", "caries"] = "enamel"
     """Entry site of the tool on a tooth from files. With `enamel` the tool enters along the axis of
@@ -335,7 +340,7 @@ class MolarSurfaces(ToothSite, Drilled):
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface files, keyed by layer."""
+        """Names of the surface files, keyed by layer."""
         files = {name: getattr(self, f"{name}_file") for name in LAYERS}
         return {name: file for name, file in files.items() if file is not None}
 
@@ -356,7 +361,7 @@ class VertebraAnatomy(Drilled):
     """A lumbar vertebra.
 
     The origin is behind the left pedicle, with +z outward along the pedicle's axis and +y up. The
-    spinal canal lies at +x. It is the structure `canal` for `keep_clear.names`.
+    spinal canal lies at +x. In `keep_clear.names`, the spinal canal has the name `canal`.
     """
 
     kind: Literal["vertebra"] = "vertebra"

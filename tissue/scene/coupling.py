@@ -102,7 +102,7 @@ class Coupling(Part):
 class Device(Part):
     """A haptic device. A hand moves the tool through the device.
 
-    Without this table, the motion moves the tool.
+    Without this table, the scripted motion moves the tool.
     """
 
     kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
@@ -124,7 +124,7 @@ class Device(Part):
     """Address and axes of a real device, and limits of the force that protect the user."""
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys that the device and the prediction do not use."""
+        """Yield the rules for keys that have no effect with the chosen device or prediction."""
         entry = DEVICES[self.kind]
         has_torque = entry.numbers.get("torque_limit_Nm", 0.0) > 0.0
         # koopman-online starts from a file where there is one.

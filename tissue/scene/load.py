@@ -68,11 +68,11 @@ REMOVED = {
 
 
 class OldSceneWarning(UserWarning):
-    """Warning about a scene file in the form of version 0.2."""
+    """Warning about a scene file in the format of version 0.2."""
 
 
 def full_key(key: str, value: object = None) -> str:
-    """Return the full dotted key: ``hand`` becomes ``device.hand``.
+    """Return the full dotted key for a short key: ``hand`` becomes ``device.hand``.
 
     ``device`` becomes ``device.kind`` if the value is the name of a device.
     """
@@ -82,8 +82,9 @@ def full_key(key: str, value: object = None) -> str:
 
 
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
-    """Convert the table of a scene file to the current form; also return whether a run wrote the
-    file.
+    """Convert the table of a scene file to the current format.
+
+    The second value that is returned is True if a run wrote the file.
 
     Raises
     ------
@@ -196,15 +197,15 @@ def load_scene(
         Name of a scene, see `scene_names`, or path of a TOML file.
     overrides
         Values, keyed by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. Keys of the table
-        ``device`` may be given without the name of the table: ``hand``, ``coupling.delay_ms``. Keys
-        of the scene that lose their effect through an override are removed.
+        ``device`` may be given without the name of the table: ``hand``, ``coupling.delay_ms``. If a
+        key of the scene has no effect any more because of an override, the key is removed.
     live
         True if a mouse moves the tool of a scene that names no device.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid. The
+        If the scene is unknown, unreadable or invalid, or if one of its keys has no effect. The
         message explains the necessary change.
     """
     path = Path(source)
@@ -258,8 +259,9 @@ def saved_text(scene: Scene) -> str:
 
 
 def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
-    """Return a scene in which the values of dotted keys are replaced; None resets a key to its
-    default.
+    """Return a scene in which the values of dotted keys are replaced.
+
+    The value None resets a key to its default.
 
     Raises
     ------

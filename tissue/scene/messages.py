@@ -26,7 +26,7 @@ Key = tuple[str, ...]
 
 
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
-    """Return the error message for a fault that pydantic found in the table of a model."""
+    """Return the error, with a message for users, for a fault that pydantic found in a table."""
     path = _without_tags(fault["loc"], table, model)
     numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
     names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
@@ -256,7 +256,7 @@ def _source(part: type[BaseModel]) -> str:
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys that a fault refuses because the keys have no effect in the scene."""
+    """Return the dotted keys that a pydantic fault reports as keys without effect in the scene."""
     names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
     if fault["type"] == "idle_keys":
         return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
@@ -296,7 +296,7 @@ def _shown(value: object) -> str:
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """Return the names that a field accepts; empty for a field without names."""
+    """Return the names that a field accepts as value; empty for a field of another type."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]

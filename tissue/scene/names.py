@@ -48,9 +48,10 @@ class AnatomyEntry:
     tool
         Class of the tools for this tissue.
     build, force_N, pictures, faces
-        Functions of a registered tissue, see `tissue.register`. `build` makes the parts of a run.
-        `force_N` estimates the largest force on the scripted motion [N]. `pictures` maps file names
-        to functions that draw pictures of a run. `faces` returns the faces that a window shows.
+        Functions of a registered tissue, see `tissue.register`. `build` makes the objects that a
+        run needs. `force_N` estimates the largest force on the scripted motion [N]. `pictures` maps
+        file names to functions that draw pictures of a run. `faces` returns the faces of the tissue
+        that a window shows.
     """
 
     parameters: tuple[type[Part], ...]
@@ -69,7 +70,7 @@ class CutterEntry:
     ----------
     profile
         Function that returns the half section of a registered cutter. Its arguments are
-        ``diameter_m`` and the sizes of `keys`: ``length_m`` for the key ``length_mm``,
+        ``diameter_m`` and the values of `keys` in SI units: ``length_m`` for the key ``length_mm``,
         ``point_angle_rad`` for the key ``point_angle_deg``.
     keys
         Keys of the tool table that define the shape in addition to the diameter.
@@ -133,7 +134,7 @@ class DeviceEntry:
 
     @property
     def is_real(self) -> bool:
-        """True if a real device can be opened."""
+        """True if a physical device of this kind can be opened, not only a simulated one."""
         return self.make is not None or self.has_adapter
 
 

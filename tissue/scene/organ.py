@@ -240,19 +240,19 @@ value for a pressed liver.
 
 
 class Organ(Part):
-    """Material of a soft organ, and the method of its solution."""
+    """Material of a soft organ, and the method by which the deformation is computed."""
 
     material: Annotated[str, OneOf(ORGAN_MATERIALS)] = "liver"
     """Tissue whose built-in constants replace the keys that are left out."""
     young_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[5.4])
     """Young's modulus. Default: the value of `organ.material`."""
     young_end_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
-    """Young's modulus at the largest x. Between the smallest x, where the modulus is `young_kPa`,
-    and the largest x, the modulus is graded.
+    """Young's modulus at the largest x of the organ. Along x, the modulus changes from `young_kPa`
+    at the smallest x to this value.
     """
     grading_exponent: Annotated[float, Needs("organ.young_end_kPa")] = Field(1.0, ge=0.2, le=5)
-    """Exponent of the grading as a function of the distance from the smallest x. With 1 the grading
-    is linear.
+    """Exponent of the change of the modulus with the distance from the smallest x. With 1 the
+    change is linear.
     """
     parts: Moduli_kPa | None = Field(None, examples=[{"nodule": 80.0}])
     """Young's modulus of each part [kPa], by the name or number of the part in the file. The stiff
@@ -314,8 +314,8 @@ class Organ(Part):
     """
     path: Literal["condensed", "lazy", "reduced"] = "condensed"
     """Method used to evaluate the compliance of the surface in the 1 kHz loop. `condensed` computes
-    the whole compliance matrix before the run. `lazy` computes the columns for the nodes near the
-    tool. `reduced` uses a reduced basis.
+    the whole compliance matrix before the run. `lazy` computes only the columns of this matrix for
+    the nodes near the tool. `reduced` approximates the matrix with a reduced basis.
     """
     basis_size: Annotated[int, Needs("organ.path", "reduced")] = Field(300, ge=10, le=3000)
     """Number of vectors of a reduced basis."""
@@ -325,7 +325,7 @@ class Organ(Part):
     """
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rule that refuses a material whose constants are not used."""
+        """Yield the rule for a material whose constants the organ does not use."""
         is_stated = self.young_kPa is not None and self.poisson_ratio is not None
         takes_rate = self.law == "exponential" and self.exponential_rate is None
         is_cited = self.capsule or self.gravity or self.viscous or takes_rate

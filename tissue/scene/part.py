@@ -1,4 +1,4 @@
-"""Base class of scene tables, marks of keys, and registries of names.
+"""Base class of scene tables, annotations of scene keys, and registries of names.
 
 `Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` mark
 keys whose choices come from a registry.
@@ -62,7 +62,7 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Registry of the named parts of one kind, in the order of listing.
+    """Registry of the parts of one kind, such as all devices, keyed by name.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Registry(Generic[T]):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names of the parts known so far; the entry points of packages are not read."""
+        """Names of the parts that are known so far, without reading entry points of packages."""
         return tuple(self._parts)
 
     def _why_not(self, name: str, *others: str) -> InputError:
@@ -121,14 +121,15 @@ class Registry(Generic[T]):
         return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
-        """Return the name of the part that a text selects, and the argument in the text.
+        """Return the name of the part that a text selects, and the argument after the colon.
 
         For ``observer:a.json``, the result is ``observer:FILE`` and ``a.json``.
 
         Raises
         ------
         InputError
-            If the text matches no part. The message lists `others` and the names of the registry.
+            If the text matches no part. The message lists the names in the registry, and `others`,
+            further names that the key accepts.
         """
         if (found := self._split(text)) is not None:
             return found
@@ -148,7 +149,7 @@ class Registry(Generic[T]):
         return None
 
     def with_file_at(self, text: str, folder: Path) -> str:
-        """Return a text such as ``observer:a.json`` with an absolute file path.
+        """Return a text such as ``observer:a.json`` with the path of its file made absolute.
 
         A relative path is relative to ``folder``.
         """
@@ -181,7 +182,7 @@ class Registry(Generic[T]):
         self._changed()
 
     def remove(self, name: str) -> None:
-        """Remove a part that was added; its name can be used again."""
+        """Remove a part that was added; its name may then be used for another part."""
         self[name]
         del self._parts[name]
         self._changed()
@@ -193,7 +194,7 @@ class Registry(Generic[T]):
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Mark of a text key whose value is a name in a registry, or one of a few other names.
+    """Annotation of a text key that allows the names in a registry, and a few other names.
 
     The value is checked when the scene is validated.
     """
@@ -208,7 +209,7 @@ class OneOf(Generic[T]):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names known so far; the entry points of packages are not read."""
+        """Names that are known so far, without reading entry points of packages."""
         return (*self.others, *self.table.known)
 
     def _check(self, name: str) -> str:
@@ -236,7 +237,7 @@ class OneOf(Generic[T]):
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """Return the known kinds that a part class describes."""
+    """Return the values of `kind` that a part class accepts, as far as they are known."""
     field = part.model_fields["kind"]
     return next(
         (each.known for each in field.metadata if isinstance(each, OneOf)),
@@ -257,7 +258,7 @@ The first source that the kind supports is used.
 
 
 def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the possible sources of a shape, from the files in its table."""
+    """Return the possible sources of a shape, which depend on the files in its table."""
     file = table.get("file")
     if not isinstance(file, str) or not file:
         has_layers = any(f"{layer}_file" in table for layer in LAYERS)
@@ -267,7 +268,7 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Mark of a union of tables, from which the key ``kind`` chooses one.
+    """Annotation of a key that may hold one of several tables; ``kind`` selects the table.
 
     If a kind has several tables, the table is chosen by the source of the shape.
 
@@ -346,11 +347,11 @@ Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 Rule = tuple[str, bool, str, str]
-"""Keys separated by blanks, True if the keys have no effect, the condition, and the remedy."""
+"""Keys (separated by blanks), True if they have no effect, reason, and remedy."""
 
 
 class Idle(NamedTuple):
-    """Condition under which a key has no effect, such as ``without a nodule``, and remedy."""
+    """Reason why a key has no effect, such as ``without a nodule``, and the remedy."""
 
     where: str
     remedy: str
@@ -359,7 +360,8 @@ class Idle(NamedTuple):
 def is_given(part: "Part", name: str) -> bool:
     """Return whether an entry was set to a value other than its default.
 
-    A build calls this function for a key that turns out to have no effect.
+    The functions that build a run check keys with this function, if the effect of the keys is known
+    only then.
     """
     return (
         name in part.model_fields_set
@@ -374,9 +376,10 @@ def is_file_key(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Needs:
-    """Mark of a scene key that has an effect only together with another key of its table.
+    """Annotation of a scene key that has an effect only together with another key.
 
-    The other key must differ from its default, or have a given value.
+    The other key is in the same table. It must differ from its default, have a given value, or be
+    absent.
 
     Attributes
     ----------
@@ -416,7 +419,7 @@ class Needs:
 
 @suggests_arguments
 class Part(BaseModel):
-    """Frozen table of a scene; keys that are unknown or have no effect are refused."""
+    """Immutable table of a scene; keys that are unknown or have no effect are refused."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -428,13 +431,14 @@ class Part(BaseModel):
     )
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules on keys without effect that a mark cannot express."""
+        """Yield the rules for keys without effect that the annotation `Needs` cannot express."""
         yield from ()
 
     def idle(self) -> dict[str, Idle]:
         """Return the keys that have no effect, with the reason for each key.
 
-        The result may contain dotted keys of inner tables, and names of whole inner tables.
+        The result may also contain dotted keys of inner tables, and names of inner tables of which
+        no key has an effect.
         """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():
@@ -447,7 +451,7 @@ class Part(BaseModel):
         return found
 
     def changed_entries(self, prefix: str = "") -> dict[str, object]:
-        """Return the dotted keys whose values differ from the defaults, with these values.
+        """Return the present values of all keys that differ from their defaults, by dotted key.
 
         The keys ``kind`` are left out.
         """
@@ -480,7 +484,7 @@ class Part(BaseModel):
         return {name: value for name, value in table.items() if value != {}}
 
     def require_valid(self) -> None:
-        """Raise an InputError for values that do not fit each other."""
+        """Check values that depend on each other; raise an InputError if they do not fit."""
 
     @model_validator(mode="after")
     def _fits(self, info: ValidationInfo) -> "Part":

@@ -45,7 +45,7 @@ def ask_packages(group: str) -> None:
     """Register the parts that installed packages offer in a group of entry points.
 
     Each group is read once. A part that cannot be used is left out with a `PluginWarning`; see
-    `refusal`. If another part has the same name, this other part stays registered.
+    `refusal`. If the name of an offered part is already used, the registered part is kept.
     """
     if not group or group in _asked:
         return
@@ -76,8 +76,9 @@ def refusal(group: str, name: str) -> str | None:
 
 
 def offered_names() -> dict[str, list[str]]:
-    """Return the names of the parts of installed packages, keyed by kind, without importing the
-    parts.
+    """Return the names of the parts that installed packages offer, keyed by kind of part.
+
+    The parts are not imported.
     """
     return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
 

@@ -54,7 +54,10 @@ ENTERED: dict[type[Part], str] = {
     Needle: "needle.liver.linear_N_mm",
     Blade: "soft.skin.toughness_J_m2",
 }
-"""Constant of a tissue that a tool enters, as an example in messages, by the class of the tool."""
+"""Constant of a tissue that a tool enters, keyed by the class of the tool.
+
+Messages use this constant as an example.
+"""
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
@@ -187,7 +190,7 @@ def _without_stress(value: object) -> object:
 
 
 OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
-"""Mark of a table that the text ``none`` leaves out, as in ``--set stress=none``."""
+"""Annotation of a table that the text ``none`` removes, as in ``--set stress=none``."""
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
@@ -253,7 +256,7 @@ class Scene(Part):
     heat: bool = False
     """Computation of the temperature of bone, or of a tooth with its pulp."""
     organ: Organ = Organ()
-    """Material of a soft organ, and the method of its solution."""
+    """Material of a soft organ, and the method by which the deformation is computed."""
     materials: FileName = Field("", examples=["fitted.toml"])
     """TOML file with constants, for example written by `tissue fit`. These constants replace the
     built-in constants. If the text is empty, the built-in constants are used.
@@ -266,13 +269,13 @@ class Scene(Part):
 
     @property
     def bone(self) -> CutAnatomy:
-        """Anatomy of the scene, if a tool cuts it."""
+        """Anatomy of a scene whose tool cuts bone or a tooth; other scenes have no such anatomy."""
         assert isinstance(self.anatomy, CutAnatomy), self.anatomy.kind
         return self.anatomy
 
     @property
     def held(self) -> Device:
-        """Device of a scene with a device."""
+        """Device of the scene; the scene must have a device."""
         assert self.device is not None, "the scene has no device"
         return self.device
 
@@ -288,15 +291,19 @@ class Scene(Part):
 
     @property
     def constants(self) -> Materials:
-        """Constants of the scene. They are the built-in constants, unless the scene's file of
-        constants replaces them.
+        """Constants of the scene.
 
-        Raises ------ InputError If the file cannot be used.
+        They are the built-in constants, with the changes in the scene's file of constants.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used.
         """
         return Materials.read(self.materials) if self.materials else Materials.cited
 
     def require_valid(self) -> None:
-        """Check that tool, anatomy and stress fit each other."""
+        """Check that anatomy, tool, voxel size and stress cells can be used together."""
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
@@ -358,11 +365,11 @@ class Scene(Part):
 
     @classmethod
     def read_back(cls, text: str) -> "Scene":
-        """Read a scene from JSON that this program wrote; keys without effect are accepted."""
+        """Read a scene from JSON text that this program wrote; keys without effect are accepted."""
         return cls.model_validate_json(text, context=READ_BACK)
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules on keys that have no effect because of another table."""
+        """Yield the rules for keys that have no effect because of the content of another table."""
         yield from self._anatomy_rules()
         yield from self._tool_rules()
         yield from self._device_rules()

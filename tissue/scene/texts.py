@@ -66,9 +66,9 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
-    """Return kind and name of the parts that scenes use and that no installed package offers.
+    """Return kind and name of the parts of scenes that only the code of this process registered.
 
-    Built-in parts are left out as well.
+    Built-in parts and parts of installed packages are left out.
     """
     offered = {name for names in offered_names().values() for name in names}
     named = {text.partition(":")[0] for scene in scenes for text in _texts_of(scene)}
@@ -83,7 +83,11 @@ def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
 
 
 def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return the parts that this process does not know."""
+    """Return those of the given parts (kind, name) that are unknown on this machine.
+
+    A part is known if it is built in, registered by this process or offered by an installed
+    package.
+    """
     return [
         (kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])
     ]
@@ -115,7 +119,7 @@ def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) 
     Raises
     ------
     InputError
-        If the site cannot be written without a change of other content of the file.
+        If the site cannot be written without changing other content of the file.
     """
     with scene.open(encoding="utf-8", newline="") as file:
         text = file.read()
@@ -132,7 +136,7 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     Raises
     ------
     InputError
-        If the text has no line ``[anatomy]``, or something else would change.
+        If the text has no line ``[anatomy]``, or if other content would change.
     """
     values = {
         # A micrometre, and a millionth of a unit vector. Adding 0.0 turns -0.0 into 0.0.
@@ -202,8 +206,8 @@ STATED = {
 def schema_text() -> str:
     """Return the JSON schema of a scene's file.
 
-    It contains all keys with their descriptions, ranges and choices. The name of a key contains the
-    unit.
+    The schema contains all keys with their descriptions, ranges and choices. The name of each key
+    contains its unit.
     """
     for group in OFFERED:
         ask_packages(group)
@@ -215,9 +219,10 @@ def schema_text() -> str:
 def scene_for_editors(name: str) -> str:
     """Return the TOML of a built-in scene with the schema named in its first line.
 
-    The schema is written to the cache, and the first line holds its ``file:`` URL. Taplo and
-    editors that use Taplo resolve this URL from any folder and without a network. If the cache
-    cannot be written, the scene is returned without this line.
+    The JSON schema is written to the cache folder, and the first line contains the ``file:`` URL of
+    the schema. Taplo, a TOML toolkit that editors use, resolves this URL from any folder and
+    without a network. If the cache folder cannot be written, the scene is returned without the
+    line.
 
     Raises
     ------

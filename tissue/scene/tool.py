@@ -133,7 +133,7 @@ class Tool(Shaped):
         return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
 
     def without_peg(self) -> "Tool":
-        """Return the cutter without its peg, with the default spacing of cutting elements."""
+        """Return a copy of the cutter without peg, with the default `shell_spacing_mm`."""
         pegs: dict[str, Any] = {
             name: 0.0
             for name in ("peg_diameter_mm", "peg_length_mm")
@@ -142,7 +142,7 @@ class Tool(Shaped):
         return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
     def require_valid(self) -> None:
-        """Check the spin, the web and the peg against the diameter."""
+        """Check the spin, and check that the web and the peg are thin enough for the diameter."""
         # At such a low spin, chips would be thicker than the tool at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
@@ -186,7 +186,7 @@ class Probe(Shaped):
 
     @property
     def size_mm(self) -> float:
-        """Diameter of a round probe, or of a fingertip for any other probe [mm]."""
+        """Diameter of a round probe [mm]; 20 mm (a fingertip) for any other probe."""
         return float(getattr(self, "diameter_mm", USUAL_PROBE_MM))
 
 
@@ -211,14 +211,14 @@ def tool_parts() -> "tuple[type[Part], ...]":
 
 
 def probe_part(**entries: Any) -> Probe:
-    """Return a probe from its entries and kind."""
+    """Return the probe with the given keys, which include `kind`."""
     made = tool_of(entries)
     assert isinstance(made, Probe)
     return made
 
 
 def tool_of(entries: dict[str, Any]) -> Shaped:
-    """Return a cutter or probe from its entries and kind."""
+    """Return the cutter or probe with the given keys, which include `kind`."""
     kind = entries["kind"]
     if kind in CUTTERS:
         return _shaped(Tool, kind, CUTTERS[kind].keys)(**entries)
@@ -283,7 +283,7 @@ class Motion(Part):
 class PathMotion(Motion):
     """Motion of the tip along straight lines at a given feed.
 
-    The tip then stays at the end of the path.
+    After the last line, the tip stays at the end of the path.
     """
 
     drive: ClassVar[str] = "feed_mm_s"

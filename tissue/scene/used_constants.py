@@ -23,7 +23,7 @@ class Used:
     Attributes
     ----------
     of
-        Table and material.
+        Table and material of the constant, as text.
     name
         Name of the constant, with its unit.
     cited
@@ -44,10 +44,11 @@ class Used:
 
 
 def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False) -> list[Used]:
-    """Return the constants of a scene's tissue, device and hand, in the order of the tables.
+    """Return the constants of the tissue, the device and the hand of a scene, by table.
 
-    If all constants are `varied` together, the density exponent is included even for bone of the
-    reference density.
+    For bone of the reference density, the density exponent has no effect and is left out. If all
+    constants are `varied` together, the exponent is included, because the reference density varies
+    too.
     """
     return _used(
         scene.constants,
@@ -64,9 +65,11 @@ def used_of_cutting(
     stated: Mapping[str, float],
     has_reference_density: bool,
 ) -> list[Used]:
-    """Return the constants of layers that are cut.
+    """Return the cutting constants that a cut through some layers uses.
 
-    `bone` is the material of bone, and `stated` contains values that the caller sets instead.
+    `bone` is the material whose constants are used for bone. `stated` contains values that the
+    caller uses instead of constants, keyed by name. If all layers have the reference density, the
+    density exponent has no effect and is left out.
     """
     parts = _cutting(given, layers, bone, has_reference_density=has_reference_density)
     return _used(given, parts, lambda table, material: stated)

@@ -119,7 +119,9 @@ class _Widened(Motion):
 
 
 def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:
-    """Build the parts of a scene, and the prepared region, for a tool whose pose a caller gives.
+    """Build the objects that simulate a scene, for a tool whose poses the caller gives.
+
+    Return these objects, and the region in which the tissue is prepared.
 
     The anatomy is prepared within `reach_m` [m] around the path of the scene. Frames, stress and
     heat are left out, because they do not change the force.
@@ -147,7 +149,7 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
 
 
 def scene_arguments(scene: Scene) -> tuple[object, ...]:
-    """Return the parts of a scene on which the state and the forces in a session depend.
+    """Return the values of a scene on which the state and the forces in a session depend.
 
     The motion chooses the tissue that is prepared. The output and the times of frames have no
     effect on the forces.

@@ -341,7 +341,7 @@ def build(
     report: Progress = silent,
     allow_unstable: bool = False,
 ) -> Parts:
-    """Build the parts of a scene.
+    """Build the objects that simulate a scene, such as the motion and the tissue model.
 
     Raises
     ------
@@ -373,7 +373,7 @@ def build(
 
 
 def builder_of(kind: str) -> TissueBuilder:
-    """Return the function that builds the parts of a run with a given kind of anatomy."""
+    """Return the function that builds the objects of a run with a given kind of anatomy."""
     from tissue.simulation.builders import cutting, organ_scene
 
     outside: TissueBuilder | None = ANATOMIES[kind].build

@@ -271,7 +271,7 @@ def executor(
     ------
     InputError
         If the scheduler's address is not valid, Dask is not installed, certificates are missing, or
-        the workers have another version.
+        a worker runs another version of this package than this process.
     ConnectionError
         If no scheduler answers.
     """

@@ -1,4 +1,4 @@
-"""Pages on bone and teeth: feed steps of a cutting tool, cut cells, and contrast of moduli."""
+"""Pages on bone and teeth: time steps of a cutting tool's feed, cut cells, contrast of moduli."""
 
 from functools import cache
 
@@ -43,11 +43,12 @@ from tissue.scene.load import load_scene
 __all__ = ["Contrast", "CutCells", "ExplicitCutting"]
 
 THRUST_N = 20.0
-"""Thrust beyond the edge force [N]. The equation is linear in the thrust, so no result depends on
-its value.
+"""Thrust in excess of the edge force [N].
+
+The equation of motion is linear in this thrust, so no result depends on its value.
 """
 STEPS = 400
-"""Number of steps. A mode that grows by 2 % per step grows more than a thousandfold."""
+"""Number of time steps. An error that grows by 2 % per step grows more than a thousandfold."""
 MASS_KG = 0.05
 """Mass of the tool in the sweep of the time step [kg]."""
 
@@ -62,9 +63,9 @@ def bone_model(size_mm: tuple[float, float, float], profile: Profile, flutes: in
 
 @cache
 def drag_N_s_m() -> float:
-    """Measure the resistance of a blunt burr that plunges 1 mm deep into cortical bone [N s/m].
+    """Compute the increase of a burr's force with its speed, 1 mm deep in cortical bone [N s/m].
 
-    The force is computed by the bone model.
+    The burr plunges along its axis. The value is the resistance that the bone model returns.
     """
     # a block that is wider than the burr and 1 mm deeper than the plunge
     model = bone_model((7, 7, 2), ball_burr(diameter_m=6e-3), 2)
@@ -80,7 +81,7 @@ def drag_N_s_m() -> float:
 
 
 def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
-    """Compute the relative difference of the speed from the steady speed after 400 steps."""
+    """Integrate the feed over 400 time steps; return the relative error of the final speed."""
     drag = drag_N_s_m()
     settled = THRUST_N / drag
     speed = 0.0
@@ -96,9 +97,10 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
 
 
 def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
-    """Push a drill into bone for 0.5 s; return the mean late axial force and the largest speed.
+    """Push a drill into bone for 0.5 s; return its mean axial force and its largest speed.
 
-    The force is in N and the speed in m/s.
+    The mean force [N] is taken over the last 0.2 s. The largest speed [m/s] is taken over the whole
+    run.
     """
     # a drill of 4 mm in a block that is wide enough for it and 1 mm deeper than its path
     model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
@@ -129,7 +131,7 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
 
 
 class ExplicitCutting(Page):
-    """Explicit feed steps diverge because the cutting force acts as a strong damper."""
+    """Explicit time steps of the feed diverge because the cutting force acts as a strong damper."""
 
     name = "explicit_cutting"
     title = "Explicit step of a cutting tool"
@@ -143,7 +145,7 @@ class ExplicitCutting(Page):
     )
 
     def measure(self) -> Data:
-        """Find the longest stable step for several masses, and vary the step at one mass."""
+        """Find the longest stable time step for several masses; vary the time step at one mass."""
         # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
@@ -170,9 +172,11 @@ class ExplicitCutting(Page):
         return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the longest explicit step with 2 m / c, and the implicit rule with a steady feed.
+        """Compare the longest explicit step with theory, and the implicit rule with a steady feed.
 
-        The implicit rule is used with steps longer than the limit of the explicit rule.
+        By theory, the longest stable explicit step is 2 m / c, where m is the mass of the tool and
+        c the damping by the cutting force. The implicit rule is tested with steps that are longer
+        than this limit.
         """
         step = data["step"]
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
@@ -191,7 +195,7 @@ class ExplicitCutting(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Push a tool that is too light for an explicit step, and give a scene a NaN thrust."""
+        """Push a tool too light for explicit steps of 1 ms, and load a scene with a NaN thrust."""
         # at 1 ms, an explicit step of 10 g would be 380 times too long
         force, speed = plunge(0.01, 40.0)
         scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
@@ -208,7 +212,7 @@ class ExplicitCutting(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the longest step against mass."""
+        """Draw the longest stable time step against the mass."""
         mass = data["mass"]
         panel(
             chart.subplots(),
@@ -229,7 +233,7 @@ SINGULAR = 1e14
 
 
 def body_of(particles: ParticleSet, edge_m: float, strength: float) -> ParticleBody:
-    """Return a body of particles in cubic cells of edge `edge_m`, held at its base."""
+    """Return a body of particles in cubic cells of edge `edge_m` [m], held at its base."""
     grid = HexGrid.around(particles.position_m, edge_m=edge_m, origin_m=np.zeros(3))
     supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     return ParticleBody(particles, grid, supports, inner_strength=strength)
@@ -238,7 +242,8 @@ def body_of(particles: ParticleSet, edge_m: float, strength: float) -> ParticleB
 def cut_block(fill: float, strength: float) -> ParticleBody:
     """Return a block of full cells with 8 particles each, under a layer of cut cells.
 
-    A cut cell holds one particle, which fills the share ``fill`` of the cell.
+    A cut cell holds one particle. ``fill`` is the volume of this particle divided by the volume of
+    the cell.
     """
     # two particles along each edge, at the middles of the eight parts of a cell
     places = 0.25 + 0.5 * np.argwhere(np.ones((2, 2, 2)))
@@ -256,9 +261,10 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 
 
 def conditions(body: ParticleBody) -> tuple[float, float]:
-    """Compute the condition number of the stiffness matrix, unscaled and scaled by its diagonal.
+    """Compute two condition numbers of the stiffness matrix: unscaled and scaled by its diagonal.
 
-    Each of the two numbers is limited to 1e17.
+    The first number is that of the stiffness matrix itself. The second number is that of the matrix
+    scaled to a unit diagonal. Each number is limited to 1e17.
     """
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)
@@ -273,7 +279,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
-    """Compute the compliance for a force on the top [m/N]."""
+    """Compute the compliance [m/N] for a force on the top of the block."""
     # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
@@ -282,9 +288,9 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 
 
 def at_fill(fill: float) -> dict[str, float]:
-    """Measure condition numbers and compliance, with and without inner stiffness.
+    """Measure the condition numbers with and without inner stiffness, and the effect on compliance.
 
-    The inner stiffness stabilises cut cells.
+    The inner stiffness stabilises cut cells. ``fill`` is the filled fraction of each cut cell.
     """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
@@ -301,7 +307,7 @@ def at_fill(fill: float) -> dict[str, float]:
 
 
 class CutCells(Page):
-    """Singular stiffness of a cell with few particles, and inner stiffness as a remedy."""
+    """Singular stiffness matrix of a cell with few particles, and inner stiffness as a remedy."""
 
     name = "cut_cells"
     title = "Cut cells: how little may a cell hold?"
@@ -316,12 +322,12 @@ class CutCells(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep the fill of the cut cells."""
+        """Vary the filled fraction of the cut cells."""
         # from a full cell to a fifth of `LEAST_FILL`, below which cells are dropped
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the condition number with and without inner stiffness, and report its cost."""
+        """Compare condition numbers with and without inner stiffness; report lost compliance."""
         table = data["fill"]
         carried = table["carried"] > 0.0
         worst = table["scaled"].max()
@@ -339,7 +345,7 @@ class CutCells(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Load a singular body, and build cells of debris."""
+        """Load a body with a singular matrix, and build cells too empty to carry a load."""
         random = np.random.default_rng(0)
         # a tenth filled, without inner stiffness: singular as at every fill, see `judge`
         body = cut_block(0.1, 0.0)
@@ -362,7 +368,7 @@ class CutCells(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the condition number against the fill."""
+        """Draw the condition number against the filled fraction of the cut cells."""
         table = data["fill"]
         fill = table["fill"]
         carried = np.where(table["carried"] > 0.0, 1.0, np.nan)
@@ -392,13 +398,13 @@ REAL = 42e3
 """Ratio of the modulus of enamel (84 GPa) to the modulus of pulp (2 MPa)."""
 CONTRASTS = np.array([1.0, 10.0, 1e2, 1e3, 4200.0, REAL, 1e6])
 MOST = 5000
-"""Largest number of iterations of a solve without a multigrid."""
+"""Largest number of iterations of a solve without multigrid."""
 
 
 def soft_middle(cells: int, contrast: float) -> ParticleBody:
     """Return a block of 84 GPa, held at its base, with a soft ball and a soft bottom layer.
 
-    The modulus of both is the modulus of the block divided by the contrast.
+    The modulus of the ball and of the layer is 84 GPa divided by the contrast.
     """
     position = (np.argwhere(np.ones((2 * cells,) * 3)) + 0.5) * 0.5 * EDGE_M / cells
     # a ball of half the block's width as pulp, and a layer of an eighth of its height as ligament
@@ -416,15 +422,16 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
 
 
 def pushed(body: ParticleBody) -> Array:
-    """Return the load of an oblique force on the top."""
+    """Return the nodal loads of an oblique force on the top of the block."""
     # off the middle and oblique, so that no symmetry of the block makes the solve easier
     return body.spread(np.array([0.5, 0.4, 1.0]) * EDGE_M, np.array([0.3, 0.0, -1.0]))
 
 
 def plain_iterations(body: ParticleBody) -> float:
-    """Count iterations of SciPy's conjugate gradients to 1e-6 of the initial error in energy.
+    """Count SciPy's conjugate-gradient iterations until the error is 1e-6 of the initial error.
 
-    The count is in steps of five.
+    The error is measured in the energy norm, in every fifth iteration. The result is therefore a
+    multiple of five.
     """
     matrix = csr_array(body.matrix())
     kept = np.flatnonzero(matrix.diagonal() > 0.0)
@@ -453,7 +460,7 @@ def plain_iterations(body: ParticleBody) -> float:
 
 
 class Contrast(Page):
-    """Effect of the contrast of moduli on conjugate gradients with and without a multigrid."""
+    """Effect of the contrast of moduli on conjugate gradients with and without multigrid."""
 
     name = "contrast"
     title = "Modulus contrast: do iterations follow it?"
@@ -467,7 +474,11 @@ class Contrast(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep the contrast, with the multigrid on two grids."""
+        """Vary the contrast.
+
+        With multigrid, a coarse grid and a finer grid are used; without multigrid, only the coarse
+        grid.
+        """
         table = {"contrast": CONTRASTS}
         # two grids, to show whether iterations grow with the number of cells
         for cells in (8, 12):
@@ -484,9 +495,10 @@ class Contrast(Page):
         return {"contrast": table}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the numbers of iterations.
+        """Compare the numbers of iterations with and without multigrid.
 
-        They grow with the contrast without a multigrid, and stay in a small range with a multigrid.
+        Without multigrid, the number of iterations grows with the contrast. With multigrid, it
+        stays in a small range.
         """
         table = data["contrast"]
         plain = table["plain"]

@@ -1,9 +1,9 @@
 """Conditioning of a tool on a device: change of the tool path after a small change of the device
 path.
 
-The device path of a closed loop is recorded once. It is then replayed without feedback, once
-unchanged and once changed. The functions of this module read the trace and the true poses of the
-device. The mass is the only property of the tool that these functions use.
+The device path of a closed loop is recorded once. The recorded path is then replayed without
+feedback, once unchanged and once shifted. The functions of this module read the trace and the true
+poses of the device. The mass is the only property of the tool that these functions use.
 """
 
 from dataclasses import dataclass
@@ -69,7 +69,7 @@ class DevicePath:
     quaternions: Array
 
     def shifted(self, shift_m: Array) -> "DevicePath":
-        """Return the path shifted by a constant [m], shape (3,)."""
+        """Return the path shifted by a constant vector [m], shape (3,)."""
         return DevicePath(self.positions_m + shift_m, self.quaternions)
 
 
@@ -111,7 +111,7 @@ class Course:
 
 
 class _PoseObserver(RunObserver):
-    """Observer that records the true poses of a simulated device, and scales the tool's mass."""
+    """Run observer that records true poses of a simulated device, and scales the tool's mass."""
 
     def __init__(self, mass_share: float = 1.0) -> None:
         self.positions_m: list[Triple] = []
@@ -121,7 +121,7 @@ class _PoseObserver(RunObserver):
         self._device: SimulatedDevice | None = None
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Find the device, and scale the mass before the first tick."""
+        """Find the device, and scale the mass of the tool before the first tick."""
         motion = parts.motion
         assert isinstance(motion, HandMotion)
         device = motion.held.device
@@ -133,7 +133,7 @@ class _PoseObserver(RunObserver):
             self.mass_kg = tool.mass_kg
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Record the pose."""
+        """Record the true pose of the device."""
         if self._device is not None:
             self.positions_m.append(self._device.true_position_m)
             self.quaternions.append(self._device.orientation)
@@ -141,7 +141,7 @@ class _PoseObserver(RunObserver):
 
 
 def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
-    """Return the scene on a device in an expert's hand.
+    """Return the scene with its tool on a device that an expert's hand holds.
 
     Parts of the scene without influence on the force are left out.
     """
@@ -163,10 +163,10 @@ def recorded_path(scene: Scene) -> DevicePath:
 
 
 def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Course:
-    """Run a scene with a given device path, on which forces have no effect.
+    """Run a scene along a given device path; forces do not change this path.
 
-    The velocity of a sample is its difference from the previous sample divided by the tick, as on a
-    simulated device. The mass of a tool with inertia is multiplied by ``mass_share``.
+    As on a simulated device, the velocity is the difference of two successive positions divided by
+    the duration of a tick. The mass of a tool with inertia is multiplied by ``mass_share``.
     """
     times_s = TICK_S * np.arange(len(path.positions_m), dtype=np.float64)
     device = RecordedDevice(times_s, path.positions_m, path.quaternions)
@@ -177,10 +177,11 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
 
 
 def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
-    """Return the distance between two tool paths divided by the shift of the tool [m].
+    """Return the distance between two tool paths divided by the shift between their device paths.
 
-    The first value is taken one second after the first contact, or at the end of a shorter run. The
-    second value is the largest of the run. A free tool has the value 1.
+    Two values are returned: the ratio one second after the first contact (or at the end of a
+    shorter run), and the largest ratio of the run. ``shift_m`` is the shift between the device
+    paths [m]. For a tool without contact, the ratio is 1.
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
     later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
@@ -190,7 +191,7 @@ def amplification(course: Course, reference: Course, shift_m: float) -> tuple[fl
 def force_error(course: Course, reference: Course) -> float:
     """Return the RMS difference of the forces divided by the RMS force of the reference.
 
-    Ticks with contact in at least one of the runs are counted.
+    Only ticks with contact in at least one of the two runs are used.
     """
     touching = course.touches | reference.touches
     difference = (course.forces_N - reference.forces_N)[touching]

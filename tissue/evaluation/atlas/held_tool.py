@@ -1,4 +1,4 @@
-"""Page on cutting tools held by hand: change of the tool path by a shift of the device path."""
+"""Page on hand-held cutting tools: change of the tool path caused by a shift of the device path."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -35,10 +35,10 @@ from tissue.scene.scene import Scene
 __all__ = ["HeldTool"]
 
 LIGHT = 1e-4
-"""Factor on the mass of the tool in the runs of the massless quasi-static limit.
+"""Factor on the mass of the tool in runs that approximate a massless, quasi-static tool.
 
-The value was chosen. The damping is proportional to the square root of the mass, so this factor
-reduces the damping to a hundredth.
+The value is a choice. The damping between tool and device is proportional to the square root of the
+mass, so this factor reduces the damping to a hundredth.
 """
 SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries": 1.6}
 """Duration of the run of each cutting scene [s]. The run includes one second of contact."""
@@ -47,16 +47,16 @@ SEED = 1
 MOST = 10.0
 """Amplification above which a tool counts as ill-conditioned.
 
-The value was chosen. At commit c4a1af96, the amplification is at most 2.6 with the tool of the
-engine. In the massless limit, the amplification is 23 for a shift of 1 nm in ``molar``, and at
-most 3.7 in the other scenes.
+The value is a choice. At commit c4a1af96, the amplification is at most 2.6 with the mass that the
+engine uses. With an almost massless tool, the amplification is 23 for a shift of 1 nm in ``molar``,
+and at most 3.7 in the other scenes.
 """
 STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), ("v-", "#CC79A7"))
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
 
 
 def _columns(scene: Scene, path: DevicePath, rule: str, *, mass_share: float) -> Table:
-    """Measure amplification and force error for each shift."""
+    """Measure amplification and force error for each shift of the device path."""
     reference = replayed(scene, path, mass_share=mass_share)
     rows = []
     for shift_m in SHIFTS_M.tolist():
@@ -68,7 +68,7 @@ def _columns(scene: Scene, path: DevicePath, rule: str, *, mass_share: float) ->
 
 @cache
 def _measured() -> Data:
-    """Replay the path of one hand in every scene, with the mass and in the massless limit."""
+    """Replay the path of one hand in every scene, with the tool's mass and almost without mass."""
     data: Data = {}
     for name, seconds in SECONDS.items():
         scene = in_a_hand(load_scene(name), seed=SEED, seconds=seconds)
@@ -80,7 +80,10 @@ def _measured() -> Data:
 
 
 class HeldTool(Page):
-    """Amplification of a shift by the cutting tool, and by its massless quasi-static limit."""
+    """Amplification of a shift of the device path by a cutting tool.
+
+    The tool has either the mass that the engine uses, or almost no mass.
+    """
 
     name = "held_tool"
     title = "Cutting tool in a hand: amplification of a small shift"
@@ -95,11 +98,11 @@ class HeldTool(Page):
     )
 
     def measure(self) -> Data:
-        """Replay the shifted paths. A second call returns the same tables."""
+        """Replay the shifted paths. The tables are cached for further calls."""
         return dict(_measured())
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest amplifications with the bound, also in the massless limit."""
+        """Check the largest amplifications, with and almost without mass, against the bound."""
         largest = {
             rule: {name: table[rule].max() for name, table in data.items()} for rule in RULES
         }
@@ -120,11 +123,11 @@ class HeldTool(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Tabulate the amplifications, and replay an unchanged path and a path on a wall."""
+        """List the amplifications; replay an unchanged path, and a shifted path on a wall."""
         return [*_rows(_measured()), *_replays()]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the amplification against the shift, one panel for each rule."""
+        """Draw the amplification against the shift, with and almost without mass of the tool."""
         holds = self.judge(data).holds
         panels = chart.subplots(1, 2, sharey=True)
         for axes, (rule, title) in zip(panels, RULES.items(), strict=True):

@@ -45,24 +45,24 @@ __all__ = ["BadTetrahedra", "LargeRotation", "Locking"]
 
 LENGTH = 10.0
 YOUNG = 1000.0
-"""Young's modulus of the bar [Pa].
+"""Young's modulus of the cantilever bar [Pa].
 
-The bar of 10 m x 1 m x 1 m has a force of 1 N at its end, like the published cantilever. The
-result does not depend on the scale.
+The bar has the size 10 m x 1 m x 1 m and carries a force of 1 N at its end, like the published
+cantilever. The relative error of the deflection does not depend on these values.
 """
 MESHES = {
     "quadratic": (2, (16, 2, 2), ENGINE),
     "linear_fine": (1, (30, 4, 4), ("^", ORANGE)),
     "linear_coarse": (1, (20, 2, 2), FAILING),
 }
-"""Order of the tetrahedra, number of blocks in each direction, and plot style of each mesh.
+"""Order of the tetrahedra, numbers of blocks along x, y and z, and plot style of each mesh.
 
-A block is divided into six tetrahedra. The first number counts the blocks along the bar.
+A block is divided into six tetrahedra. The bar extends along x.
 """
 
 
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
-    """Compute the tip deflection of the clamped bar [m], and a flag for a valid result.
+    """Compute the tip deflection of the clamped bar [m], and a flag for convergence.
 
     The flag is 1 if the solver has converged and 0 otherwise.
     """
@@ -78,7 +78,7 @@ def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[f
 
 
 class Locking(Page):
-    """Locking of linear but not of quadratic tetrahedra as Poisson's ratio approaches 0.5."""
+    """Locking as Poisson's ratio approaches 0.5: linear tetrahedra lock, quadratic ones do not."""
 
     name = "locking"
     title = "ν → 0.5: do linear tetrahedra lock?"
@@ -105,7 +105,7 @@ class Locking(Page):
         return {"bar": bar}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare linear and quadratic tetrahedra with Timoshenko's beam."""
+        """Compare the deflections of linear and quadratic tetrahedra with Timoshenko's beam."""
         bar = data["bar"]
         ratio = bar["poisson_ratio"]
         linear = bar["linear_coarse_m"] / bar["timoshenko_m"]
@@ -126,7 +126,7 @@ class Locking(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Request a solve with a Poisson's ratio of 0.5, and an organ of tetrahedra that lock."""
+        """Request a Poisson's ratio of 0.5, and an organ of linear tetrahedra at 0.49."""
         _, note = elasticity_of(
             # the mesh does not matter: the note depends only on order and Poisson's ratio
             box((0.02, 0.02, 0.02), (1, 1, 1)),
@@ -144,7 +144,7 @@ class Locking(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the ratio of the deflection to the beam's deflection against 1 - 2 nu."""
+        """Draw the deflection relative to Timoshenko's beam against 1 - 2 nu."""
         bar = data["bar"]
         gap = 1.0 - 2.0 * bar["poisson_ratio"]
         limit = gap[bar["quadratic_trusted"] > 0.0].min()
@@ -174,7 +174,7 @@ LAW_LOOKS = {Law.LINEAR: FAILING, Law.COROTATIONAL: ("^", GREEN), Law.NEO_HOOKEA
 
 
 def bar_solver(law: Law, poisson_ratio: float) -> NewtonSolver:
-    """Return the solver of a bar with all components held at both ends."""
+    """Return the solver of a bar whose end faces have prescribed displacements."""
     # the strain of a rotated bar is uniform, so that a coarse mesh is exact
     space = Space(box((LENGTH_M, WIDTH_M, WIDTH_M), (6, 2, 2)))
     # both end faces, to rounding
@@ -184,16 +184,16 @@ def bar_solver(law: Law, poisson_ratio: float) -> NewtonSolver:
 
 
 def turned(nodes_m: Array, degrees: float) -> Array:
-    """Return the displacements of a rotation about z [m]."""
+    """Return the displacements [m] of nodes by a rotation about z, same shape as `nodes_m`."""
     turn = Rotation.from_euler("z", degrees, degrees=True)
     return turn.apply(nodes_m) - nodes_m
 
 
 def false_stress_Pa(law: Law) -> Array:
-    """Compute the stress on an end of a bar that is only rotated [Pa].
+    """Compute the stress on an end of a bar that is rotated without strain [Pa].
 
-    The bar is turned at both ends by each angle of the sweep. The stress is the force on one end
-    divided by the area of the end.
+    Both ends of the bar are rotated by each angle in `ANGLES`. The stress is the force on one end
+    divided by the area of this end.
 
     The result is NaN where a solve does not converge.
     """
@@ -215,7 +215,7 @@ def false_stress_Pa(law: Law) -> Array:
 
 
 class LargeRotation(Page):
-    """False stress of the linear law in a bar that is only rotated."""
+    """False stress of the linear law in a bar that is rotated without strain."""
 
     name = "large_rotation"
     title = "Large rotation: linear against corotational"
@@ -226,13 +226,13 @@ class LargeRotation(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the angle for all laws."""
+        """Vary the angle of rotation for all elastic laws."""
         stresses = {f"{law.name.lower()}_pa": false_stress_Pa(law) for law in Law}
         theory = YOUNG_PA * (1.0 - np.cos(np.deg2rad(ANGLES)))
         return {"turn": {"angle_deg": ANGLES, **stresses, "theory_pa": theory}}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the linear law with E (1 - cos θ) and the other laws with zero."""
+        """Compare the stress of the linear law with E (1 - cos θ), of the other laws with zero."""
         turn = data["turn"]
         off = error_of(turn["linear_pa"], turn["theory_pa"])
         worst = np.max([turn["corotational_pa"], turn["neo_hookean_pa"]])
@@ -247,7 +247,7 @@ class LargeRotation(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Rotate too far in one step, and press a linear organ deep in a scene."""
+        """Rotate a bar too far in one step, and press a ball deep into a linear organ."""
         # nearly incompressible, as soft tissue
         solver = bar_solver(Law.NEO_HOOKEAN, 0.45)
         nodes = solver.body.nodes_m
@@ -283,7 +283,7 @@ class LargeRotation(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the false stress as a function of the angle."""
+        """Draw the false stress against the angle of rotation."""
         turn = data["turn"]
         # zeros on a logarithmic axis: below the rounding of a solve, 1e-12 of the modulus
         least = 1e-13
@@ -311,14 +311,15 @@ SIZE_M = 0.1
 
 
 def middle_node(nodes_m: Array) -> int:
-    """Return the node in the middle of the cube."""
+    """Return the index of the node in the middle of the cube."""
     return int(np.argmin(np.linalg.norm(nodes_m - 0.5 * SIZE_M, axis=1)))
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return a cube of tetrahedra in which one cell has a fraction of its height.
+    """Return nodes [m] and cells of a cube of tetrahedra, one of which is flattened.
 
-    The middle node of the cube is moved toward the opposite face of this cell.
+    The node in the middle of the cube is moved towards the opposite face of this cell, until the
+    cell has the fraction `height` of its original height.
     """
     # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
@@ -331,7 +332,7 @@ def squashed(height: float) -> tuple[Array, Ints]:
 
 
 def condition(nodes_m: Array, cells: Ints) -> float:
-    """Compute the condition number of the stiffness with the base held."""
+    """Compute the condition number of the stiffness matrix of a mesh whose base is fixed."""
     space = Space(TetMesh(nodes_m, cells))
     # condition numbers do not depend on the modulus, here 5 kPa of soft tissue
     free = np.repeat(nodes_m[:, 2] > 1e-9, 3)
@@ -340,9 +341,9 @@ def condition(nodes_m: Array, cells: Ints) -> float:
 
 
 def at_height(height: float) -> dict[str, float]:
-    """Measure mesh quality and condition number before and after repair.
+    """Measure mesh quality and condition number before and after a repair of the mesh.
 
-    One cell of the mesh has the given fraction of its height.
+    One cell of the mesh is flattened to the fraction `height` of its original height.
     """
     nodes, cells = squashed(height)
     mesh, _ = repair_tets(nodes, cells)
@@ -355,7 +356,7 @@ def at_height(height: float) -> dict[str, float]:
 
 
 class BadTetrahedra(Page):
-    """Inverted and sliver tetrahedra: condition number of the stiffness matrix, and repair."""
+    """Inverted and sliver tetrahedra: condition number of the stiffness matrix, and mesh repair."""
 
     name = "bad_tetrahedra"
     title = "Inverted and sliver tetrahedra"
@@ -366,12 +367,12 @@ class BadTetrahedra(Page):
     source = "Mean ratio of Liu and Joe (1994); rules of the repair in meshes.tets.quality"
 
     def measure(self) -> Data:
-        """Vary the remaining height of the cell."""
+        """Vary the remaining height of the flattened cell."""
         # two heights in a decade, from a good cell to a flat one
         return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the growth of the condition number with 1 / height, before and after repair."""
+        """Compare the condition number before repair with 1 / height, and check it after repair."""
         table = data["sliver"]
         # where the flat cell alone determines the largest eigenvalue
         flat = table["height"] < 0.03
@@ -391,7 +392,7 @@ class BadTetrahedra(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Give the engine meshes with inverted, folded and flat cells."""
+        """Repair meshes with inverted cells, with folded cells and with a flat cell."""
         nodes, cells = squashed(1.0)
         turned_cells = cells.copy()
         # three arbitrary cells of the 384
@@ -418,7 +419,7 @@ class BadTetrahedra(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the condition number as a function of the height."""
+        """Draw the condition number against the height of the flattened cell."""
         table = data["sliver"]
         height = table["height"]
         bad = height[table["quality"] < SLIVER].max()

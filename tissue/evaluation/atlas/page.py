@@ -1,5 +1,7 @@
-"""Pages of the atlas: sweep of a parameter, verdict, answers of the engine, panels, and files of
-all pages.
+"""Pages of the stability atlas, and the files of all pages.
+
+A page has a sweep of a parameter, a verdict, a figure with panels, and answers of the engine to
+requests.
 """
 
 import platform
@@ -58,9 +60,9 @@ __all__ = [
 ]
 
 Table = dict[str, Array]
-"""Columns of equal length by name, with the unit in the name."""
+"""Columns of equal length by name. The name of a column ends with its unit."""
 Data = dict[str, Table]
-"""Tables of a sweep by name."""
+"""Results of the sweeps of a page: tables by name."""
 # The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
 ORANGE = "#E69F00"
 GREEN = "#009E73"
@@ -68,19 +70,23 @@ GREY = "0.35"
 THEORY = ("-", GREY)
 FAILING = ("s", "#D55E00")
 ENGINE = ("o", "#0072B2")
-"""Format and colour of the engine's curve.
+"""Matplotlib format and colour of the curve of the engine's method.
 
-`THEORY` and `FAILING` are the formats and colours of theory and of the failing method.
+`THEORY` holds those of the theoretical curve, and `FAILING` those of the method that fails.
 """
 Place = Literal["best", "upper left", "lower right", "center right", ""]
 Curve = tuple[str, ArrayLike, tuple[str, str]]
-"""Label, values over the sweep (or one value for the whole sweep), and matplotlib's format and
-colour.
+"""Label, values, and matplotlib format and colour of a curve.
+
+The values are one for each value of the sweep, or a single constant.
 """
 
 
 class Conduct(Enum):
-    """Behaviour of the engine where a method fails. The value is the text on the page."""
+    """Behaviour of the engine where a method fails.
+
+    The value of a member is its text on the page.
+    """
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
@@ -89,7 +95,7 @@ class Conduct(Enum):
 
 
 TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
-"""Background of a region by the behaviour of the engine."""
+"""Background colour of a region of a chart, by the behaviour of the engine there."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +105,11 @@ class Answer:
     Attributes
     ----------
     asked
-        Request, in words.
+        Request to the engine, in words.
     conduct
         Behaviour of the engine.
     result
-        Report of the engine, or figures of its result.
+        Message of the engine, or numbers of its result, in words.
     """
 
     asked: str
@@ -120,9 +126,9 @@ class Verdict:
     fails
         True if the tested method failed in the sweep where theory predicts the failure.
     holds
-        True if the method of the engine held in the whole sweep.
+        True if the method of the engine worked as intended in the whole sweep.
     sentence
-        Both results in words, with the figures of the sweep.
+        Both results in words, with numbers of the sweep.
     """
 
     fails: bool | np.bool_
@@ -136,9 +142,9 @@ class Page(ABC):
     Attributes
     ----------
     name
-        Short name. The files of the page begin with it.
+        Short name. The names of the files of the page begin with this name.
     title, question
-        Title and question for the reader.
+        Title of the page, and question that the page answers.
     source
         Source of the theory, and parameters of the sweep.
     """
@@ -150,15 +156,15 @@ class Page(ABC):
 
     @abstractmethod
     def measure(self) -> Data:
-        """Run the sweep."""
+        """Run the sweep of a parameter."""
 
     @abstractmethod
     def judge(self, data: Data) -> Verdict:
-        """Return the verdict. It follows only from the data."""
+        """Return the verdict on the data of the sweep."""
 
     @abstractmethod
     def ask(self) -> list[Answer]:
-        """Put requests to the engine and return its answers."""
+        """Send requests to the engine and return its answers."""
 
     @abstractmethod
     def draw(self, data: Data, chart: Figure) -> None:
@@ -166,9 +172,10 @@ class Page(ABC):
 
 
 def refused(asked: str, call: Callable[[], object]) -> Answer:
-    """Make a call that should be refused.
+    """Make a call that the engine should refuse with an InputError.
 
-    If the call is accepted, the answer counts as silently wrong.
+    If the engine accepts the call, its answer counts as silently wrong. `asked` is the request in
+    words.
     """
     try:
         call()
@@ -180,15 +187,16 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
 def shown(
     asked: str, right: bool | np.bool_, result: str, conduct: Conduct = Conduct.HOLDS
 ) -> Answer:
-    """Return an answer whose figures the caller has checked.
+    """Return the answer to a request, given the caller's check of the result.
 
-    The answer counts as silently wrong if the figures are not right.
+    If `right` is false, the answer counts as silently wrong. `asked` and `result` are the request
+    and its result in words.
     """
     return Answer(asked, conduct if right else Conduct.SILENT, result)
 
 
 def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
-    """Run a function at every value; return the values with a column for each result."""
+    """Run a function at every value; return a table of the values and of the function's results."""
     rows = [run(value) for value in values.tolist()]
     return {name: values} | {
         column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]
@@ -196,9 +204,9 @@ def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]])
 
 
 def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
-    """Find the value between two positive values above which runs fail.
+    """Find the value between `low` and `high` above which `fails` returns true.
 
-    The search bisects the logarithm.
+    Both ends are positive. The search bisects the logarithm of the value.
     """
     for _ in range(steps):
         middle = sqrt(low * high)
@@ -210,17 +218,17 @@ def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: 
 
 
 def log_slope(x: Array, y: Array) -> float:
-    """Return the exponent p of y ~ x^p, by a fit to the logarithms."""
+    """Return the exponent p of y ~ x^p, fitted to the logarithms of x and y."""
     return np.polyfit(np.log(x), np.log(y), 1)[0]
 
 
 def error_of(found: Array, expected: Array) -> float:
-    """Return the largest error relative to the expected values."""
+    """Return the largest relative error of values against expected values."""
     return np.abs(found / expected - 1.0).max()
 
 
 def picture(page: Page, data: Data) -> bytes:
-    """Return the figure of a page as PNG, drawn without a window."""
+    """Draw the figure of a page without opening a window, and return its PNG file."""
     # 11 points become 14 pixels in the page, nearly as large as its own letters
     with matplotlib.rc_context({"font.size": 11.0, "legend.fontsize": 9.5, "lines.linewidth": 2.0}):
         # inches and dots per inch: 1352 pixels, as wide as the page
@@ -253,7 +261,7 @@ def panel(
     Parameters
     ----------
     axes
-        Axes to draw into. Curves that they already hold are in the legend too.
+        Axes to draw into. The legend also lists curves that these axes already contain.
     x
         Values of the sweep, shape (n,).
     labels
@@ -261,13 +269,15 @@ def panel(
     curves
         Curves over the sweep.
     conduct
-        Behaviour of the engine and its range of x. Default: it holds in the whole sweep.
+        Behaviours of the engine, each with the ends of its range of x. Default: `Conduct.HOLDS` in
+        the whole sweep.
     log
-        Names of the logarithmic axes.
+        Axes with a logarithmic scale: "x", "y", "xy", or "" for none.
     legend
-        Place of the legend. No legend is drawn if empty.
+        Place of the legend. If it is empty, no legend is drawn.
     settings
-        Settings of `Axes.set`. The default limits of x are the limits of the sweep.
+        Properties for `Axes.set`. By default, the limits of the x axis are the smallest and the
+        largest value of the sweep.
     """
     axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
     for behaviour, low, high in [(Conduct.HOLDS, x[0], x[-1])] if conduct is None else conduct:
@@ -291,8 +301,10 @@ INDEX = "index.html"
 
 @dataclass(frozen=True)
 class Entry:
-    """A page with its results: verdict, answers, picture as PNG, names of data files, duration
-    [s].
+    """Page of the atlas with its results.
+
+    The results are the verdict, the answers, the picture as PNG, the names of the written files,
+    and the duration [s].
     """
 
     page: Page
@@ -304,16 +316,16 @@ class Entry:
 
     @property
     def shown(self) -> bool:
-        """True if the tested method failed, the engine held, and no answer was silently wrong.
+        """True if the method failed, the engine held, and no answer was silently wrong.
 
-        A silently wrong answer is a wrong answer without a message.
+        A silently wrong answer is a wrong result that the engine returns without a message.
         """
         silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
         return bool(self.verdict.fails and self.verdict.holds and not silent)
 
 
 def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> list[Page]:
-    """Return the pages of these names, or all pages if there are no names.
+    """Return the pages whose names are in `only`, or all pages if `only` is empty.
 
     Raises
     ------
@@ -351,7 +363,7 @@ def write_atlas(
 
 
 def _written(page: Page, folder: Path) -> Entry:
-    """Run a page and write its picture and data."""
+    """Run a page, and write its picture and its data into a folder."""
     started = perf_counter()
     data = page.measure()
     verdict = page.judge(data)
@@ -398,9 +410,9 @@ def _document(entries: Sequence[Entry]) -> str:
 
 
 def _mark(entry: Entry) -> str:
-    """Return the behaviour of the engine on a page, or the text for an open page.
+    """Return the behaviours of the engine on a page as text, or a text for an open page.
 
-    A page is open if its result is not as it should be, see `Entry.shown`.
+    A page is open if `Entry.shown` is false: its results differ from the expected results.
     """
     found = {answer.conduct for answer in entry.answers}
     return (

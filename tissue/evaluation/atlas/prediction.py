@@ -1,6 +1,4 @@
-"""Pages on predicted forces: horizon of the prediction, and walls on which a predictor was not
-trained.
-"""
+"""Pages on predicted forces: prediction horizon, and walls on which no predictor was trained."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +47,10 @@ SIX_DOF = device_parameters("six-dof")
 HOME_N_M = 800.0
 """Stiffness of the wall in the training runs [N/m]."""
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
-"""Rotation of the tapped wall in the world. It makes all components of position and force vary."""
+"""Rotation from the frame of the tapped wall to the world.
+
+With this rotation, all three components of position and force vary.
+"""
 AHEAD = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
 LABELS = {
     "hold": "zero-order hold",
@@ -58,18 +59,18 @@ LABELS = {
     "koopman": "Koopman, guarded (engine)",
 }
 LEADS_MS = 10.0
-"""Horizon up to which the loop predicts [ms].
+"""Largest horizon at which the loop needs a prediction [ms].
 
-The delay and the filter of the loop take some milliseconds.
+The delay and the filter of the loop take several milliseconds together.
 """
 HORIZON_TICKS = 5
-"""Ticks ahead at which the operators are compared, in the middle of the range of `LEADS_MS`."""
+"""Horizon at which the operators are compared [ticks], half of `LEADS_MS`."""
 LAGS = 6
-"""Number of earlier ticks that the regression on positions uses."""
+"""Number of earlier ticks whose positions the regression uses, in addition to the present tick."""
 
 
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
-    """Record positions, velocities and forces of a novice who taps a wall and leans on it."""
+    """Record positions, velocities and forces of a simulated novice who taps a wall."""
     rng = np.random.default_rng(seed)
     # a tap every 0.7 s, 2 to 8 mm deep, with a drift of 2 mm along the wall at two frequencies, so
     # that no tap repeats another. The path lasts 2 s longer than the run
@@ -92,21 +93,22 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
 
 
 def recordings() -> list[Recording]:
-    """Record three training runs."""
+    """Record three training runs on a wall of stiffness `HOME_N_M`."""
     # other seeds than the recordings of the tests, whose seed is 9
     return [tapped(HOME_N_M, seed=seed, seconds=3.0) for seed in (1, 2, 3)]
 
 
 def guarded(trained: Trained) -> Guarded:
-    """Return the predictor of the engine: the trained operator with its guard."""
+    """Return the predictor of the engine: the trained Koopman operator with its guard."""
     koopman = Koopman(DelayPath(trained.operator))
     return Guarded(koopman, Hold(), reach_N=SIX_DOF.force_limit_N)
 
 
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:
-    """Return the error of predictions divided by the size of the force, at most 1e6.
+    """Return the norm of the prediction error divided by the norm of the force, at most 1e6.
 
-    The first 100 ticks are left out.
+    `predictions` and `force` have shape (n, 3). Each prediction is for the tick `horizon` ticks
+    later. Predictions of the first 100 ticks are ignored.
     """
     # in the first 0.1 s the operator's delays of up to 80 ticks fill up
     later = force[100 + horizon :]
@@ -128,7 +130,7 @@ class Horizon(Page):
     source = "Trained on three recordings, tested on a fourth; device with six degrees of freedom"
 
     def measure(self) -> Data:
-        """Vary the horizon on a recording with which no predictor was trained."""
+        """Vary the horizon on a recording that was not used for training."""
         # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=4.0)
         force = recording.force_N
@@ -153,8 +155,8 @@ class Horizon(Page):
     def judge(self, data: Data) -> Verdict:
         """Find the horizon at which each predictor becomes worse than zero-order hold.
 
-        A predictor counts as useless where its error exceeds a quarter of the force. At 64 ms the
-        error of the Koopman predictor is 0.38 of the force.
+        A predictor counts as useless at horizons where its error exceeds a quarter of the force. At
+        64 ms, the error of the Koopman predictor is 0.38 of the force.
         """
         table = data["horizon"]
         horizon = table["ahead_ms"]
@@ -181,7 +183,7 @@ class Horizon(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Give the predictor NaN samples, and build a predictor without noise."""
+        """Give the Koopman predictor NaN samples, and build a Kalman filter with zero noise."""
         predictor = guarded(fit("wall", recordings()))
         # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=2.0)
@@ -217,7 +219,7 @@ class Horizon(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the error against the horizon."""
+        """Draw the error of each predictor against the horizon."""
         table = data["horizon"]
         horizon_ms = table["ahead_ms"]
         curves = [
@@ -241,10 +243,11 @@ class Horizon(Page):
 
 
 def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
-    """Predict forces by a regression on positions, shape (n, 3).
+    """Predict the forces of a recording [N], shape (n, 3), by a regression on positions.
 
-    The regressors include the penetration depth into the wall. The result is zero for the first
-    ticks, which have too few earlier ticks.
+    The regression is fitted to the recordings `learnt`. Its regressors are positions and
+    penetration depths in the present tick and in `LAGS` earlier ticks. The result is zero in the
+    first `LAGS` ticks.
     """
 
     def regressors(run: Recording) -> Array:
@@ -264,10 +267,10 @@ def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
 
 
 class TrainedElsewhere(Page):
-    """Operators trained on one wall and used on another.
+    """Two linear operators that are trained on one wall and used on other walls.
 
-    The regression uses positions. The operator of the engine uses displacements and stretches of
-    the coupling.
+    The first operator is a regression on positions. The second operator is that of the engine,
+    which uses displacements of the device and stretches of the coupling.
     """
 
     name = "trained_elsewhere"
@@ -307,7 +310,7 @@ class TrainedElsewhere(Page):
         return {"wall": table | {"theory": share * np.abs(HOME_N_M / stiffnesses - 1.0)}}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare both operators with zero-order hold."""
+        """Compare the errors of both operators with the error of zero-order hold."""
         table = data["wall"]
         ratio = table["guarded"] / table["hold"]
         home = int(np.argmin(np.abs(table["stiffness_N_m"] - HOME_N_M)))
@@ -331,7 +334,7 @@ class TrainedElsewhere(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Use the file of another scene, and move outside the training range."""
+        """Use the predictor file of another scene, and move outside the training range."""
         trained = fit("wall", recordings())
         with TemporaryDirectory() as folder:
             path = trained.write(Path(folder) / "wall.npz")
@@ -365,7 +368,7 @@ class TrainedElsewhere(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the error against the stiffness of the wall."""
+        """Draw the error of each predictor against the stiffness of the wall."""
         table = data["wall"]
         axes = chart.subplots()
         axes.axvline(HOME_N_M, color=GREY, linestyle=":", label="trained here")

@@ -1,4 +1,4 @@
-"""Pages on bad device samples: lost, late, repeated and implausible samples."""
+"""Pages on faulty device samples: lost, late, repeated and implausible samples."""
 
 from collections.abc import Callable
 from math import nan
@@ -39,9 +39,12 @@ __all__ = ["LostSamples", "WildInput"]
 
 OMNI = device_parameters("omni")
 STIFFNESS_N_M = 1500.0
-"""Stiffness of the pressed wall [N/m]. The loop is stable, and the expert presses with 1.2 N."""
+"""Stiffness of the virtual wall [N/m].
+
+With this stiffness, the loop is stable, and the expert presses with 1.2 N.
+"""
 FAULT_S = 0.15
-"""Start of the faults [s], when the hand is at rest in the wall."""
+"""Time at which the faults start [s]. At this time, the hand rests in the wall."""
 FIRST = round(FAULT_S / TICK_S)
 STYLES: dict[FaultKind, tuple[str, str]] = {
     "dropped": ENGINE,
@@ -49,11 +52,11 @@ STYLES: dict[FaultKind, tuple[str, str]] = {
     "duplicated": ("^", GREEN),
 }
 VALID_M = FASTEST_M_S * (TICK_S + OLDEST_S)
-"""Longest plausible jump in a tick [m]."""
+"""Longest jump of the position in a tick that the sample guard accepts [m]."""
 
 
 class _Jumping:
-    """Device with one sample that lies deeper in the wall by a given jump."""
+    """Device whose sample at `FAULT_S` is displaced into the wall by a given jump."""
 
     in_process = True
 
@@ -63,7 +66,7 @@ class _Jumping:
         self.command = device.command
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the sample. The sample at `FAULT_S` lies deeper in the wall."""
+        """Return the sample of the device, displaced into the wall at `FAULT_S`."""
         sample = self._device.read(time_s)
         # one sample only: times of ticks are sums with rounding
         if sample is None or abs(time_s - FAULT_S) > 0.5 * TICK_S:
@@ -75,10 +78,11 @@ class _Jumping:
 def pressed(
     make: Callable[[Device], Device], *, seconds: float, guarded: bool
 ) -> tuple[Array, SampleGuard | None]:
-    """Simulate an expert who presses 5 mm deep into a wall with a device that has faults.
+    """Simulate an expert who aims 5 mm deep into a wall with a device that has faults.
 
-    Return the force in every tick [N] and the sample guard. If `guarded` is true, the samples pass
-    the guard as in the engine. Otherwise the guard is None.
+    Return the size of the force in every tick [N], shape (ticks,), and the sample guard. If
+    `guarded` is true, the guard checks the samples as in the engine. Otherwise no guard is used,
+    and None is returned for it. `make` adds the faults to a device.
     """
     # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
@@ -92,10 +96,10 @@ def pressed(
 
 
 def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure forces relative to the force before a gap in the samples.
+    """Measure three forces around a gap in the samples, relative to the force before the gap.
 
-    Return the force in the last tick of the gap, the largest force after the gap, and the largest
-    change of the force between two ticks of the gap.
+    The three values are the force in the last tick of the gap, the largest force after the gap, and
+    the largest change from tick to tick in the gap.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     size, _ = pressed(
@@ -110,7 +114,7 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Vary the length of the gap, with the guard and without the guard."""
+    """Vary the length of the gap [s], with the sample guard and without it."""
     guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
     bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old. A late sample is too old immediately. From
@@ -128,7 +132,11 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 
 
 class LostSamples(Page):
-    """Lost samples: the last force stays without a guard, and fades and returns with a guard."""
+    """Lost, late or repeated samples, with and without the sample guard.
+
+    Without the guard, the last force stays or drops in a single tick. With the guard, the force
+    fades, and returns after the fault.
+    """
 
     name = "lost_samples"
     title = "Dropped, late and repeated samples"
@@ -142,13 +150,13 @@ class LostSamples(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep the length of the gap for every kind of fault."""
+        """Vary the length of the gap for every kind of fault."""
         # short of, at and beyond the 20 ms in which the force fades
         gaps = 1e-3 * np.array([1, 2, 5, 8, 12, 16, 20, 30, 60])
         return {kind: over_gap(kind, gaps) for kind in STYLES}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare stale or jumping forces without the guard with the fading force of the guard."""
+        """Compare the forces without the guard with the fading force under the guard."""
         tables = data.values()
         off = max(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max() for t in tables)
         # 25 ms: the 20 ms of the fade, and the age that a repeated sample may have
@@ -168,7 +176,7 @@ class LostSamples(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Read the report of the guard for every kind of fault."""
+        """Return the events that the guard reports for every kind of fault."""
         answers = []
         for kind in STYLES:
             # 40 ms: twice the time of the fade, so that the force is gone and returns
@@ -187,7 +195,7 @@ class LostSamples(Page):
         return answers
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the force at the end of the gap, with and without the guard."""
+        """Draw the force at the end of the gap against its length, with and without the guard."""
         panels = chart.subplots(1, 2, sharey=True)
         gap = 1e3 * data["late"]["gap_s"]
         for axes, column, title in (
@@ -212,9 +220,10 @@ class LostSamples(Page):
 
 
 def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
-    """Measure the force before and at a sample that lies deeper by a jump [N].
+    """Measure the force one tick before and in the tick of a sample with a jump [N].
 
-    The number of rejected samples is returned too.
+    The jump displaces the sample into the wall by ``jump_m`` [m]. The third result is the number of
+    samples that the guard rejected.
     """
     # the jump is in one tick; the run ends right after it
     size, guard = pressed(
@@ -224,7 +233,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
 
 
 class WildInput(Page):
-    """NaN and implausible device samples: commanded force with and without the sample guard."""
+    """Implausible device samples and NaN: commanded force with and without the sample guard."""
 
     name = "wild_input"
     title = "NaN and wild device input"
@@ -235,7 +244,7 @@ class WildInput(Page):
     source = "Sample guard: 5 m/s over a tick and 2.5 ms of age; Omni, wall of 1.5 kN/m"
 
     def measure(self) -> Data:
-        """Sweep the size of the jump."""
+        """Vary the size of the jump of one sample."""
         # just below and above the longest jump that the guard accepts
         near = VALID_M * np.array([0.9, 1.1])
         # a damaged sample may hold any number
@@ -255,7 +264,7 @@ class WildInput(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the force of one sample without the guard with the bounded force of the guard."""
+        """Compare the force at one wrong sample with and without the sample guard."""
         table = data["jump"]
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])
@@ -275,7 +284,7 @@ class WildInput(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Give the engine NaN, from the device and from a model."""
+        """Test NaN as a device sample, as a model's force, and as the input of a force range."""
         first = SampleGuard(force_limit_N=OMNI.force_limit_N)
         valid = first.validate_sample(Sample(0.0, (0.0, nan, 0.0)), 0.0)
         guard = SampleGuard(force_limit_N=OMNI.force_limit_N)
@@ -304,7 +313,7 @@ class WildInput(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the force against the jump."""
+        """Draw the commanded force against the size of the jump."""
         table = data["jump"]
         jump = table["jump_m"]
         panel(

@@ -1,4 +1,4 @@
-"""Pages on virtual walls: critical stiffness, encoder steps, and walls that a fast tool crosses."""
+"""Pages on virtual walls: critical stiffness, encoder steps, and thin walls with fast tools."""
 
 from dataclasses import replace
 from itertools import product
@@ -50,13 +50,13 @@ from tissue.simulation.simulate import simulate
 __all__ = ["Quantisation", "ThinWalls", "WallMap"]
 
 LOOP = in_hands(device_parameters("six-dof").loop(1.0), [hand_parameters("expert").grip[:3]])[0]
-"""Device with six degrees of freedom in an expert's hand."""
+"""Loop of a virtual wall and a device with six degrees of freedom in an expert's hand."""
 AXES = {
     "damping": ("virtual damping / (N s/m)", 1.0, np.linspace(0.0, 60.0, 7)),
     "delay": ("delay added to the hold / ms", 1e3, np.linspace(0.0, 8e-3, 7)),
     "rate": ("rate / Hz", 1.0, np.geomspace(250.0, 8000.0, 5)),
 }
-"""Axis label, factor to the unit of the label, and values of each swept parameter."""
+"""Axis label, factor to the unit of this label, and values of each varied parameter."""
 BOUNDS = {
     "exact_N_m": ("eigenvalues", THEORY, critical_stiffness_N_m),
     "passive_N_m": ("passive", ("--", GREEN), passive_bound_N_m),
@@ -67,7 +67,7 @@ BOUNDS = {
 
 
 def loops(along: str, values: Array) -> list[WallLoop]:
-    """Return the loop with one parameter at each value."""
+    """Return copies of `LOOP`, one for each value of the parameter `along`."""
     if along == "rate":
         return [replace(LOOP, tick_s=1.0 / value) for value in values.tolist()]
     name = {"damping": "wall_damping_N_s_m", "delay": "delay_s"}[along]
@@ -77,7 +77,8 @@ def loops(along: str, values: Array) -> list[WallLoop]:
 class WallMap(Page):
     """Critical stiffness as a function of damping, delay and rate.
 
-    The measured stiffness is compared with eigenvalues and with bounds.
+    The critical stiffness measured in simulations is compared with the critical stiffness from
+    eigenvalues and with analytical bounds.
     """
 
     name = "wall_map"
@@ -91,7 +92,7 @@ class WallMap(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep damping, delay and rate."""
+        """Vary damping, delay and rate, one at a time."""
         data: Data = {}
         for along, (_, _, values) in AXES.items():
             swept = loops(along, values)
@@ -107,7 +108,7 @@ class WallMap(Page):
         return data
 
     def judge(self, data: Data) -> Verdict:
-        """Compare every bound with the measured critical stiffness."""
+        """Compare every predicted boundary with the measured critical stiffness."""
         measured, exact, *bounds = (
             np.concatenate([table[name] for table in data.values()])
             for name in ("measured_N_m", *BOUNDS)
@@ -126,7 +127,7 @@ class WallMap(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Run a scene beyond its critical stiffness, and exceed a device's force limit."""
+        """Run a scene above its critical stiffness, and exceed the force limit of a device."""
         # 6 kN/m is above the measured 4.3 kN/m without delay
         stiff = {"device": "six-dof", "hand": "expert", "coupling.stiffness_N_m": 6000.0}
         limit = device_parameters("six-dof").force_limit_N
@@ -143,7 +144,7 @@ class WallMap(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw one panel each for damping, delay and rate."""
+        """Draw the stiffness against damping, delay and rate, in one panel each."""
         panels = chart.subplots(1, len(data), sharey=True)
         for axes, (along, table) in zip(panels, data.items(), strict=True):
             label, scale, _ = AXES[along]
@@ -170,31 +171,38 @@ class WallMap(Page):
 
 ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
-"""Device with coarse encoders. Its viscous friction alone allows a wall of 2 b / T = 2 kN/m."""
+"""Device with coarse encoders.
+
+Without Coulomb friction, its damping b allows a wall stiffness of 2 b / T = 2 kN/m at the tick T.
+"""
 BUZZ_STEPS = 0.1
-"""Smallest peak-to-peak motion that counts as buzzing [encoder steps]."""
+"""Peak-to-peak motion above which the device counts as buzzing [encoder steps]."""
 PUSHES_N = (0.11, 0.37)
 """Steady pushes onto the wall [N].
 
-Under each push, the device rests at another place between two encoder steps.
+Two pushes are used because the device then rests at two different places between encoder steps.
 """
 FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
 """Coulomb frictions f [N].
 
-Their bounds 2 f / Δ are 60 to 1600 N/m. All of them lie below the critical stiffness 2 b / T.
+The bounds 2 f / Δ on the stiffness of a wall without buzzing are 60 to 1600 N/m, where Δ is the
+encoder step. All bounds lie below the critical stiffness 2 b / T.
 """
 LADDER_N_M = np.geomspace(40.0, 1950.0, 9)
-"""Tried stiffnesses [N/m], from below the lowest bound to just below the critical 2007 N/m."""
+"""Tested wall stiffnesses [N/m].
+
+They range from below the lowest bound 2 f / Δ to just below the critical stiffness of 2007 N/m.
+"""
 
 
 class Push:
-    """Steady push, with a knock of 2 N in the first tick."""
+    """Hand that pushes with a constant force, plus a knock of 2 N in the first tick."""
 
     def __init__(self, steady_N: float) -> None:
         self._steady = steady_N
 
     def act(self, time_s: float, position_m: tuple[float, float, float]) -> HandAction:
-        """Return the push."""
+        """Return the force of the hand at a time."""
         # one tick of 2 N gives 50 g a speed of 40 mm/s
         knock_N = 2.0 if time_s < 0.5 * TICK_S else 0.0
         return HandAction(push_N=(0.0, 0.0, -self._steady - knock_N))
@@ -203,8 +211,8 @@ class Push:
 def swing_steps(stiffness: float, friction: float) -> float:
     """Measure the peak-to-peak motion in the last third of a run [encoder steps].
 
-    The result is the largest motion over `PUSHES_N`. The wall also pulls the device back when the
-    device is outside.
+    The result is the larger motion under the two forces `PUSHES_N`. The wall is a spring that acts
+    in both directions: it also pulls back a device that has left the wall.
     """
     worst = 0.0
     for steady in PUSHES_N:
@@ -222,7 +230,7 @@ def swing_steps(stiffness: float, friction: float) -> float:
 
 
 def at_vendors_limit(name: str) -> Answer:
-    """Knock a device onto a wall with the stiffness limit that the vendor states."""
+    """Knock a device onto a wall whose stiffness is the limit that the vendor states."""
     device = device_parameters(name)
     allowed = 2.0 * device.friction_N / device.encoder_step_m
     run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
@@ -237,7 +245,7 @@ def at_vendors_limit(name: str) -> Answer:
 
 
 class Quantisation(Page):
-    """Encoder steps: a device keeps buzzing if its friction does not dissipate their energy."""
+    """Encoder steps: a device keeps buzzing if friction does not dissipate the added energy."""
 
     name = "quantisation"
     title = "Quantisation: encoder steps against friction"
@@ -251,7 +259,7 @@ class Quantisation(Page):
     )
 
     def measure(self) -> Data:
-        """Sweep friction and stiffness."""
+        """Vary the friction of the device and the stiffness of the wall."""
         swings = np.array(
             [[swing_steps(k, f) for k in LADDER_N_M.tolist()] for f in FRICTIONS_N.tolist()]
         )
@@ -284,9 +292,10 @@ class Quantisation(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Check that the device buzzes below the critical stiffness and rests below the bound.
+        """Check that the device buzzes below the critical stiffness, but not below the bound.
 
-        The bound follows from encoder and friction.
+        The bound is min(2 b / T, 2 f / Δ), with damping b, tick T, Coulomb friction f and encoder
+        step Δ.
         """
         table = data["friction"]
         swing = data["swing"]
@@ -306,7 +315,7 @@ class Quantisation(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Run the devices of the engine at and beyond their limits."""
+        """Run a scene with too stiff a wall, and three devices at their vendors' limits."""
         touch = device_parameters("touch")
         allowed = 2.0 * touch.friction_N / touch.encoder_step_m
         # any duration will do: the scene is refused before its first tick
@@ -321,7 +330,7 @@ class Quantisation(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw stiffness against friction."""
+        """Draw quiet and buzzing stiffnesses against the friction."""
         axes = chart.subplots()
         table = data["friction"]
         friction = table["friction_N"]
@@ -347,16 +356,16 @@ class Quantisation(Page):
 STIFFNESS_N_M = 1000.0
 MASS_KG = 0.05
 SHORT_TICK_S = 2.5e-4
-"""Duration of a tick on the page about thin walls [s].
+"""Duration of a tick in the simulations of thin walls [s].
 
-A contact lasts 22 ms with the stiffness `STIFFNESS_N_M` and the mass `MASS_KG`.
+A contact with the stiffness `STIFFNESS_N_M` and the mass `MASS_KG` lasts 22 ms.
 
-At this tick, the zero-order hold adds little energy during a contact.
+With such short ticks, the zero-order hold of the force adds little energy during a contact.
 """
 
 
 def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
-    """Return a point proxy above a wall about z = 0."""
+    """Return the proxy of a point tool at the height `start_m`, with a wall centred at z = 0."""
     # 0.1 m wide, while devices move along z only
     wall = Box(np.zeros(3), np.array([0.1, 0.1, thickness_m]))
     proxy = Proxy(ToolShell.ball(), ContactField(wall))
@@ -365,9 +374,10 @@ def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
-    """Compute the final height of a device that is thrown at a wall from just above the wall [m].
+    """Compute the final height of a device that is thrown at a wall [m].
 
-    Without a proxy the force is a penalty that pushes to the nearest face.
+    The device starts just above the wall, whose middle plane is at z = 0. Without a proxy, the
+    force is a penalty that pushes the device to the nearest face of the wall.
     """
     # without a limit of the force, 1 um above the face; 1 or 5 substeps end at the same height,
     # since the device has no friction
@@ -397,7 +407,7 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
 
 
 class ThinWalls(Page):
-    """A fast tool crosses a wall that a penalty renders, but not a wall that a proxy renders."""
+    """A fast tool crosses a thin wall rendered by a penalty, but not one rendered by a proxy."""
 
     name = "thin_walls"
     title = "Thin walls and fast tools"
@@ -411,7 +421,7 @@ class ThinWalls(Page):
     )
 
     def measure(self) -> Data:
-        """Find the speed at which a device crosses a penalty wall, and throw devices at proxies."""
+        """Find the speed at which a device crosses a penalty wall; throw devices at proxies."""
         # walls of 0.1 mm, as thin as a voxel, to 20 mm
         thickness = np.geomspace(1e-4, 2e-2, 8)
 
@@ -438,11 +448,12 @@ class ThinWalls(Page):
         return {"penalty": sweep("thickness_m", thickness, penalty), "proxy": proxy}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the crossing speed with its prediction, and count rejected devices.
+        """Compare the crossing speed with its prediction, and count devices that a proxy stops.
 
-        The prediction follows from the energy that half a wall stores.
+        The predicted speed follows from the energy that the spring of the wall stores over half the
+        thickness.
 
-        A rejected device is a device that a proxy throws back.
+        A device counts as stopped if it ends on the side from which it was thrown.
         """
         penalty = data["penalty"]
         thrown = data["proxy"]
@@ -460,7 +471,7 @@ class ThinWalls(Page):
         )
 
     def ask(self) -> list[Answer]:
-        """Move a proxy fast onto a thin wall, and place a proxy inside a wall."""
+        """Move a proxy through a thin wall in one tick, and place a proxy inside a wall."""
         # 51 mm within a tick of 1 ms, across a wall a fifth as thick as a voxel
         rest = point_proxy(2e-5, start_m=1e-3).advance(np.array([0.0, 0.0, -5e-2])).position_m[2]
         return [
@@ -474,7 +485,7 @@ class ThinWalls(Page):
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the speed against the thickness."""
+        """Draw the crossing speed against the thickness of the wall."""
         axes = chart.subplots()
         penalty = data["penalty"]
         thrown = data["proxy"]

@@ -1,1 +1,1 @@
-"""Calibration of observers: restorable sessions, populations, and the benefit of calibration."""
+"""Calibration of observers: sessions that can be continued, populations, benefit of calibration."""

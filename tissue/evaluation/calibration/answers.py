@@ -1,4 +1,6 @@
-"""Answers of a session: a simulated observer, or a person at the keyboard who feels forces on a
+"""Sources of the answers of a calibration session.
+
+The answers come from a simulated observer, or from a person at the keyboard who feels forces on a
 device.
 """
 
@@ -49,7 +51,7 @@ __all__ = [
 
 
 Answer = Callable[[Comparison | Magnitude, int], float]
-"""Function that answers a trial with the given number."""
+"""Function that returns the answer to a trial, given the trial and its number in the session."""
 DIRECTION = np.array([0.0, 0.0, -1.0])
 """Direction in which forces push the hand: down."""
 LENGTH_S = 0.8
@@ -57,16 +59,16 @@ RAMP_S = 0.1
 PAUSE_S = 0.4
 """Pause between two intervals [s].
 
-`LENGTH_S` is the length of an interval, and `RAMP_S` the length of its soft start and of its soft
-end.
+`LENGTH_S` is the length of an interval [s]. `RAMP_S` is the length of the soft start and of the
+soft end of an interval [s].
 
-The constant force lasts 0.6 s, six times the 0.1 s over which a person averages a force
+The force is constant for 0.6 s. This is six times the 0.1 s over which a person averages a force
 (`integration_s` in perception.toml). A force without a soft start and end would be felt as a tap.
 """
 MOST_INVALID = 0.1
-"""Largest share of invalid samples in an interval.
+"""Largest accepted fraction of invalid device samples in an interval.
 
-With this share, the force fades for less time than `RAMP_S`.
+At this fraction, the force fades for a shorter time than `RAMP_S`.
 """
 
 
@@ -84,16 +86,17 @@ def play(
     clock: Callable[[], float] = perf_counter,
     wait: Callable[[float], None] = sleep,
 ) -> None:
-    """Apply a force for a limited time with a soft start and end, and always end with zero force.
+    """Apply a force for a limited time, with a soft start and a soft end.
 
-    Without valid samples the force fades, as in a run.
+    The force fades while the device gives no valid samples, as in a run. The last command is always
+    zero force, even after an error.
 
     Parameters
     ----------
     device
         Device that applies the force, or a `SafeDevice` that holds one.
     force_N
-        Force [N].
+        Size of the downward force [N].
     limits
         Limits of the device.
     length_s
@@ -101,13 +104,13 @@ def play(
     tick_s
         Time between two commands [s].
     clock, wait
-        Function that returns the time since the device was started [s], and function that lets time
-        pass.
+        Function that returns the time since the device was started [s], and function that waits for
+        a number of seconds.
 
     Raises
     ------
     DeviceError
-        If the device fails, or a tenth of its samples or more are not valid.
+        If the device fails, or more than a tenth of its samples are invalid.
     """
     held = SafeDevice(device, tick_s=tick_s)
     guard = guard_of(held.device, limits, sample_s=max(1.0 / limits.rate_Hz, tick_s))
@@ -138,22 +141,24 @@ def play(
 
 
 class Person:
-    """Person at a keyboard, with a device or in front of bars on the screen.
+    """Person who answers at a keyboard, with a device or with bars on the screen.
 
     Parameters
     ----------
     device
-        Device that applies the forces, or a `SafeDevice` that holds one; None for bars.
+        Device that applies the forces, or a `SafeDevice` that holds one. None to show each force as
+        a bar.
     limits
-        Limits of the device. The length of a bar is proportional to its force, relative to the
+        Limits of the device. The length of a bar is proportional to the force divided by the
         largest force of the device.
     read
-        Function that returns the next typed line without its end. It raises EOFError at the end of
-        the input.
+        Function that returns the next typed line without the newline. The function raises EOFError
+        at the end of the input.
     show
         Function that shows a line to the person.
     clock, wait
-        Function that returns the time from any start [s], and function that lets time pass.
+        Clock with an arbitrary zero that returns the time [s], and function that waits for a number
+        of seconds.
     """
 
     def __init__(
@@ -175,7 +180,7 @@ class Person:
         self._clock = lambda: clock() - start
 
     def answer(self, asked: Comparison | Magnitude) -> float:
-        """Play a trial and ask until the answer is valid.
+        """Play a trial, and repeat the question until the answer is valid.
 
         Raises
         ------
@@ -224,12 +229,15 @@ class Person:
             self._wait(PAUSE_S)
 
     def _length(self, force_N: float) -> int:
-        """Return the length of a bar in characters, at most 60, to fit a line of a terminal."""
+        """Return the length of the bar of a force, in characters.
+
+        A bar has at most 60 characters, so that it fits into a line of a terminal.
+        """
         return max(round(60.0 * force_N / self._limits.force_limit_N), 1)
 
 
 def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
-    """Return the observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
+    """Return the observer with the name simulated:SEED or simulated:GROUP:SEED, and the seed.
 
     Raises
     ------
@@ -257,9 +265,10 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
 
 @suggests_arguments
 def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
-    """Return the answers of one simulated observer.
+    """Return the function that answers trials as a simulated observer.
 
-    Each trial draws from its own generator, so the order of trials does not matter.
+    Each trial has its own random generator, so the answers do not depend on the order of the
+    trials.
     """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
@@ -285,15 +294,16 @@ def questioner(
     read: Callable[[], str],
     show: Callable[[str], None],
 ) -> Iterator[tuple[Answer, float]]:
-    """Yield a source of answers and the largest force of the device [N].
+    """Yield the function that answers trials, and the largest force of the device [N].
 
-    The answers are given by a simulated observer or by a person. A real device is open inside the
-    `with` block, and applies force only while an interval is played.
+    The answers come from the simulated observer with the name `observer`, or from a person if
+    `observer` is None. A real device is open inside the `with` block, and applies force only while
+    an interval is played.
 
     Raises
     ------
     InputError
-        If observer or device is unknown, or an address is given for a device that is not real.
+        If observer or device is unknown, or an address is given without a real device.
     """
     if device != "mouse" and device not in DEVICES:
         raise InputError("device", f"be one of mouse, {', '.join(DEVICES)}", device, "use mouse")
@@ -323,7 +333,7 @@ def questioner(
 
 
 def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
-    """Open the log of a session, new or continued.
+    """Open the trial log of a new session, or of a session to be continued.
 
     Raises
     ------

@@ -1,15 +1,16 @@
 """Simulated observers with known parameters, and their discrimination of two forces.
 
-The discrimination is computed with and without a scaled force. A person feels a force with
-individual noise, which is added after the mapping. The scatter of the force itself is added before
-the mapping. A mapping that rises with the force adds no information to a noise that passes through
-it, so the scatter of tissue, hand and device is scaled together with the force. The mapping can
-change discrimination only in relation to the noise that is added after it. A power above 1 spreads
-forces, and a gain lifts forces over the low-force term of the threshold. Both improve
-discrimination. A power below 1, or a common factor that keeps forces within the limits of the
-device, impairs discrimination. Calibration maps every person to the exponent of the reference. It
-improves the discrimination of people with a lower exponent, and impairs the discrimination of
-people with a higher exponent. The mean over a population may increase or decrease.
+The discrimination is computed for unchanged forces, and for forces that a mapping scales. A person
+feels a force with individual noise, which is added after the mapping. The scatter of the force
+itself is added before the mapping. This scatter comes from tissue, hand and device. A monotonic
+mapping scales force and scatter together, so it cannot separate the two. The mapping changes
+discrimination only relative to the noise that is added after the mapping. A mapping with an
+exponent above 1 increases the differences between forces. A gain above 1 lifts forces above the
+low-force term of the threshold. Both improve discrimination. An exponent below 1 impairs
+discrimination. A common factor that keeps forces within the limits of the device impairs it too.
+Calibration maps every person to the exponent of the reference observer. This improves the
+discrimination of people with a lower exponent, and impairs the discrimination of people with a
+higher exponent. The mean over a population may increase or decrease.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,14 +45,14 @@ __all__ = [
 
 
 RESAMPLES = 2000
-"""Number of resampled groups of people for an interval.
+"""Number of resampled groups of people from which a 95 % interval is computed.
 
-With this number, the probability of 2.5 % beyond each end has a standard error of 0.35 %.
+With this number, the 2.5 % of the groups beyond each end have a standard error of 0.35 %.
 """
 TOUCH = ForceRange(limit_N=device_parameters("touch").force_limit_N)
 """Force range of the haptic device Touch."""
 Command = Callable[[Array], Array]
-"""Function that converts a force to be felt to the force at the device [N], of any shape."""
+"""Function that converts forces to be felt [N] to forces at the device [N], of any shape."""
 
 
 @suggests_arguments
@@ -59,18 +60,20 @@ Command = Callable[[Array], Array]
 class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).
 
-    Each of two intervals is felt with noise of unit variance. On this scale the threshold kappa (F
-    + offset) has the length 0.954, so 75 % of the answers at the threshold are right. A force is
-    rated with the number alpha (F / 1 N)^beta, with noise of its logarithm.
+    In a comparison of two intervals, each force is felt with noise of unit variance. On this scale,
+    a difference equal to the threshold kappa (F + offset) is 0.954, so 75 % of the answers at the
+    threshold are right. A force F is rated with the number alpha (F / 1 N)^beta, and noise is added
+    to the logarithm of this number.
 
     Attributes
     ----------
     alpha, beta
         Stevens' factor and exponent.
     kappa, offset_N
-        Weber's fraction and its term for low forces [N].
+        Weber fraction, and low-force term of the threshold [N].
     lapse
-        Share of wrong answers to strong stimuli. Observers guess twice this share of the answers.
+        Fraction of wrong answers even to strong stimuli. Observers guess twice this fraction of the
+        answers, and half of the guesses are right.
     sigma
         Standard deviation of the logarithm of a rated number.
     """
@@ -88,23 +91,28 @@ class SimulatedObservers:
     def correct(
         self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator
     ) -> NDArray[np.bool_]:
-        """Return whether each observer discriminates two forces, shape (n,).
+        """Return True for each observer who names the larger of two forces, shape (n,).
 
         The forces are `base_N` and `base_N + step_N` [N]. A step of 0 has no right answer.
 
         Parameters
         ----------
         base_N, step_N
-            Smaller force and difference: a single value, or one value for each observer, shape
-            (n,).
+            Smaller force, and difference of the larger force from it [N]. Each is a single value,
+            or one value for each observer, shape (n,).
         rng
-            Generator of the noise. Equal generators give the same noise for all forces.
+            Random generator of the noise. Generators in equal states give the same noise for all
+            forces.
         """
         threshold = self.kappa * (np.asarray(base_N) + self.offset_N)
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Return whether each observer discriminates two intervals at a distance d', shape (n,)."""
+        """Return True for each observer who answers correctly, shape (n,).
+
+        ``distance`` is the difference of two intervals, in standard deviations of the noise of an
+        interval.
+        """
         first, second = rng.standard_normal((2, len(self)))
         blind, guess = rng.random((2, len(self)))
         return np.where(
@@ -115,15 +123,15 @@ class SimulatedObservers:
         )
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
-        """Return the number with which each observer rates a force [N], shape (n,)."""
+        """Return the number with which each observer rates a force in newtons, shape (n,)."""
         noise = self.sigma * rng.standard_normal(len(self))
         return self.alpha * np.asarray(force_N) ** self.beta * np.exp(noise)
 
 
 def draw_observers(group: str, count: int, rng: np.random.Generator) -> SimulatedObservers:
-    """Draw observers of a group (novice, intermediate, expert).
+    """Draw observers of a group (novice, intermediate or expert) at random.
 
-    The parameters are from ``observers.toml`` and ``perception.toml``.
+    The distributions of their parameters are from ``observers.toml`` and ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
     drawn: dict[str, Any] = people.draws(count, rng)
@@ -132,7 +140,7 @@ def draw_observers(group: str, count: int, rng: np.random.Generator) -> Simulate
 
 @dataclass(frozen=True)
 class Stimulus:
-    """Force at the device, as level and scatter between trials [N]."""
+    """Force at the device: mean level, and standard deviation between trials [N]."""
 
     level_N: float
     scatter_N: float = 0.0
@@ -141,19 +149,20 @@ class Stimulus:
 def calibrated_commands(
     people: SimulatedObservers, rng: np.random.Generator, *, numbers: int = 24
 ) -> list[Command]:
-    """Return the function that gives the force to command for each person after a calibration.
+    """Calibrate people; return a function for each person that computes the force to command.
 
-    The calibration uses forces that the people rated with numbers, and maps each person to the
-    reference.
+    The calibration uses forces that each person rates with numbers. With the commanded force, the
+    person feels the same intensity as the reference observer.
 
     Parameters
     ----------
     people
-        People to calibrate. Each rates `numbers` forces, with individual scatter.
+        People to calibrate. Each person rates `numbers` forces, with scatter of the ratings.
     rng
-        Generator of the scatter.
+        Random generator of the scatter.
     numbers
-        Rated numbers per person. 0 uses the true exponent and factor of each person instead.
+        Number of forces that each person rates. With 0, the true exponent and factor of each person
+        are used instead.
     """
     knee_N = TOUCH.knee_N
     wanted = intensity_of(reference_observer())
@@ -188,10 +197,11 @@ def share_right(
     commands: Sequence[Command] | None = None,
     limits: ForceRange = TOUCH,
 ) -> Array:
-    """Return the share of right answers of each person, shape (n,).
+    """Return the fraction of right answers of each person, shape (n,).
 
-    An answer is right if it names the stimulus of higher level as the stronger one. Equal seeds
-    give the same scatter and the same noise in people for all commands, so two calls are paired.
+    An answer is right if it names the stimulus with the higher level as the stronger one. Equal
+    seeds give the same scatter of the forces and the same noise in people, whatever the `commands`.
+    Two calls with equal seeds are therefore paired.
 
     Parameters
     ----------
@@ -201,13 +211,13 @@ def share_right(
         The two stimuli. If their levels are equal, there is no right answer, and half of the
         answers count as right.
     seed
-        Seed of scatter and noise.
+        Seed of the scatter of forces and of the noise in people.
     trials
         Number of trials for each person.
     commands
-        Force to command for each person. None for the unchanged force.
+        For each person, the function that computes the force to command. None for unchanged forces.
     limits
-        Range of the device. Forces above its knee are compressed.
+        Force range of the device. Forces above the knee of this range are compressed.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -231,10 +241,10 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     """Return the sensitivity d' of each person for two forces at the skin, shape (n,).
 
     The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
-    threshold at the weaker force. A force difference with mean m and standard deviation s is then
-    a distance with mean 0.954 m / t and standard deviation 0.954 s / t between two intervals. Each
-    interval is felt with noise of unit variance. d' is the distance without scatter that gives the
-    same share of right answers.
+    threshold at the weaker force. Let m and s be mean and standard deviation of the difference of
+    the two forces. The difference is then felt as a distance with mean 0.954 m / t and standard
+    deviation 0.954 s / t. Each of the two intervals is felt with noise of unit variance. d' is the
+    distance without scatter that gives the same fraction of right answers.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
@@ -246,7 +256,7 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
 def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
     """Return the probability that each person names the stronger of two forces, shape (n,).
 
-    The forces are forces at the skin, and the noise is normal.
+    `first` and `second` are forces at the skin. The noise has a normal distribution.
     """
     # in two intervals P = Phi(d' / sqrt(2))
     right = ndtr(sensitivity(people, first, second) / 2.0**0.5)
@@ -254,9 +264,9 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:
-    """Return the sizes of forces as the device plays them [N], any shape.
+    """Return the sizes of forces that a device plays for requested sizes [N], of any shape.
 
-    This is `ForceRange.play` for arrays.
+    The function applies the compression of `ForceRange.play` to arrays.
     """
     knee = device.knee_N
     above = device.limit_N - knee
@@ -266,9 +276,10 @@ def _played(force_N: Array, device: ForceRange) -> Array:
 
 
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
-    """Return the relative change of the mean of paired shares of right answers [%].
+    """Return the relative change of the mean fraction of right answers [%].
 
-    `before` and `after` have shape (n,). The 95 % interval follows from resampled people.
+    `before` and `after` are the fractions of the same n people, shape (n,). The 95 % interval is
+    computed by resampling the people.
     """
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)

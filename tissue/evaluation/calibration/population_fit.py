@@ -26,7 +26,7 @@ __all__ = ["draw_session", "fit_population", "new_person", "posterior_panel"]
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
-    """Return the trials of many sessions, end to end."""
+    """Return the trials of many sessions, joined into arrays."""
     compared = [
         (who, asked.base_N, asked.step_N, answer == asked.greater)
         for who, each in enumerate(sessions)
@@ -50,9 +50,10 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """Return an observer for an unmeasured person of the population.
+    """Return the distribution of an unmeasured person of the population, as an observer.
 
-    The spread between people is included.
+    The distribution includes the spread between people. `trials` is the number of trials of the
+    fit.
     """
     flat = {name: fit.draws[name].ravel() for name in HYPER}
     count = len(flat["beta"])
@@ -79,11 +80,12 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
 def fit_population(
     folder: Path, out: Path, *, seed: int, overwrite: bool, progress: bool = False
 ) -> list[str]:
-    """Fit the hierarchy to all logs in a folder, write the population and return sentences.
+    """Fit the hierarchical model to all trial logs in a folder, and write the population.
 
-    The file describes an observer known only as a member of the population. A table next to it
-    holds intervals and diagnostics of every parameter of the population. With ``progress``, every
-    Markov chain shows a progress bar.
+    The file `out` describes an observer of whom only membership in the population is known. A table
+    next to this file holds the interval and the convergence diagnostics of every parameter of the
+    population. The result of the fit is also returned as sentences. With ``progress``, every Markov
+    chain shows a progress bar.
 
     Raises
     ------
@@ -166,7 +168,7 @@ GREY = "0.6"
 
 
 def posterior_panel(session: Session) -> Panel:
-    """Return the posterior of the Weber fraction as bars of text, with the estimates below."""
+    """Return the posterior of the Weber fraction as text bars, with the estimates below."""
     masses = session.threshold.weber_masses()[:, 0]
     # a character is an eighth of its height to its whole height tall
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
@@ -192,7 +194,7 @@ def posterior_panel(session: Session) -> Panel:
 
 
 def draw_session(session: Session, path: Path) -> None:
-    """Draw posterior, answers and numbers of a session into a PNG file."""
+    """Draw posterior, answers and rated numbers of a session into a PNG file."""
     # inches: three panels side by side
     chart = figure(13.0, 4.2)
     chart.set_layout_engine("constrained")
@@ -232,7 +234,7 @@ def _posterior(session: Session, axes: Axes) -> None:
 
 
 def _answers(session: Session, axes: Axes) -> None:
-    """Draw the share of right answers against the force step divided by the threshold.
+    """Draw the fraction of right answers against the force step divided by the threshold.
 
     Each bin holds about the same number of answers.
     """
@@ -297,6 +299,6 @@ def _numbers(session: Session, axes: Axes) -> None:
 
 
 def _ticks(axes: Axes, ticks: list[float]) -> None:
-    """Set the ticks of a logarithmic axis."""
+    """Set the tick marks of a logarithmic x axis."""
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)

@@ -1,4 +1,4 @@
-"""Calibration session: next question, present result, and limits of the result."""
+"""Calibration session: next trial, present estimates, and limits of these estimates."""
 
 import json
 import os
@@ -32,7 +32,7 @@ __all__ = ["Comparison", "Magnitude", "Plan", "Session", "TrialLog", "log_path",
 @suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Plan of a session, fixed before its first trial.
+    """Plan of a calibration session, which is fixed before the first trial.
 
     Attributes
     ----------
@@ -40,13 +40,13 @@ class Plan:
         Seed that determines which interval holds the larger force, and the order of the forces that
         are rated with numbers.
     trials
-        Number of comparisons of two intervals.
+        Number of trials in which two intervals are compared.
     numbers
-        Number of forces that are rated with a number.
+        Number of trials in which a force is rated with a number.
     force_limit_N
         Largest force of the device [N].
     prior
-        Prior of the threshold before the first trial.
+        Prior distribution of the threshold parameters.
     """
 
     seed: int = 0
@@ -75,7 +75,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two intervals, one of which holds the larger force. The answer is 1 or 2."""
+    """Trial with two intervals, one of which has the larger force. The answer is 1 or 2."""
 
     base_N: float
     step_N: float
@@ -90,25 +90,27 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Magnitude:
-    """One interval, whose force is rated with a number above 0."""
+    """Trial with one interval, whose force is rated with a number above 0."""
 
     force_N: float
 
 
 @suggests_arguments
 class Session:
-    """State of a session after some answers. It depends only on the plan and the answers.
+    """State of a session after some answers.
+
+    The state depends only on the plan and the answers.
 
     Attributes
     ----------
     plan
         Plan of the session.
     threshold
-        Posterior of the threshold.
+        Posterior distribution of the threshold parameters.
     asked
-        Comparisons so far, with their answers.
+        Answered comparisons, each with its answer.
     given
-        Forces rated with numbers so far, with these numbers.
+        Rated forces [N], each with its number.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -136,7 +138,7 @@ class Session:
         return self.trial == self.plan.trials + self.plan.numbers
 
     def ask(self) -> Comparison | Magnitude:
-        """Return the next trial: comparisons first, then numbers."""
+        """Return the next trial: first all comparisons, then all ratings with numbers."""
         if len(self.asked) == self.plan.trials:
             return Magnitude(self._forces[len(self.given)])
         index = int(self.threshold.propose()[0])
@@ -147,13 +149,13 @@ class Session:
         )
 
     def take(self, asked: Comparison | Magnitude, answer: float) -> None:
-        """Add the answer to a trial.
+        """Record the answer to a trial.
 
         Raises
         ------
         InputError
-            If the answer is impossible, or the trial is not in this plan. The state is then
-            unchanged.
+            If the answer is impossible, or the trial is not in this plan. The state of the session
+            is then unchanged.
         """
         foreign = InputError("trial", "belong to the plan", asked, "use the log of this plan")
         if isinstance(asked, Magnitude):
@@ -185,9 +187,7 @@ class Session:
         )
 
     def observer(self, name: str) -> Observer:
-        """Return the observer as estimated from the answers so far: mean and covariance of the
-        posteriors.
-        """
+        """Return the observer with the present estimates: mean and covariance of the posteriors."""
         weber, offset, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -210,7 +210,7 @@ class Session:
     def lines(self) -> list[str]:
         """Return the present estimates as sentences.
 
-        The numbers agree with those of the observer's file.
+        The numbers agree with the numbers in the observer's file.
         """
         # the ends of the 95 % interval
         low, high = self.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]
@@ -232,7 +232,10 @@ class Session:
         return notes
 
     def notes(self) -> list[str]:
-        """Return sentences on what the answers cannot show; empty for an ordinary session."""
+        """Return warnings about estimates that the answers do not determine.
+
+        The list is empty for an ordinary session.
+        """
         found = []
         count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
@@ -277,28 +280,31 @@ VERSION = 1
 
 
 def log_path(out: Path) -> Path:
-    """Return the path of the trial log next to an observer's file: observer.json has
-    observer.trials.jsonl.
+    """Return the path of the trial log of an observer's file.
+
+    The log of ``observer.json`` is ``observer.trials.jsonl`` in the same folder.
     """
     return out.with_name(out.stem + ".trials.jsonl")
 
 
 class TrialLog:
-    """Writer that appends trials to a file and syncs each one to disk before it returns.
+    """Writer that appends the answered trials of a session to a log file.
+
+    Each trial is on disk before the call returns.
 
     Parameters
     ----------
     path
         Log file. An existing file is continued if it belongs to this observer and this plan.
     observer
-        Observer who answers, as given to the command.
+        Name of the observer who answers, as given to the command.
     plan
         Plan of the session.
 
     Attributes
     ----------
     session
-        Session with all trials that the file held.
+        Session with all trials of the file.
     repaired
         True if the file ended within a line, for example after a loss of power. The trial of the
         incomplete line is asked again.
@@ -373,7 +379,9 @@ class TrialLog:
 
 
 def read_log(path: Path) -> tuple[str, Session]:
-    """Read a log; return its observer and the session without an incomplete last line.
+    """Read a log; return the name of its observer, and its session.
+
+    An incomplete last line is ignored.
 
     Raises
     ------
@@ -432,7 +440,7 @@ def read_log(path: Path) -> tuple[str, Session]:
 
 
 def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
-    """Return a line's trial, answer and number."""
+    """Return the trial, the answer and the number of the trial in a line of a log."""
     entry = read_json(line)
     if not isinstance(entry, dict):
         # a damaged line may be long

@@ -1,1 +1,1 @@
-"""Performance and force error of every setting of a scene, measured on this machine."""
+"""Time of a tick and force error of every setting of a scene, measured on this machine."""

@@ -1,4 +1,4 @@
-"""Settings of a scene, measured once and stored, and the Pareto-optimal settings."""
+"""Measurements of the settings of a scene, which are stored, and the Pareto-optimal settings."""
 
 import csv
 from collections.abc import Sequence
@@ -48,16 +48,16 @@ __all__ = [
 ]
 
 OFFERED_US = 800.0
-"""99th percentile of the time of a tick above which no finer setting is offered [us].
+"""Largest 99th percentile of the time of a tick [us] at which finer settings are still measured.
 
-The remaining time of a tick is for the loop of device and hand.
+The loop of device and hand needs the remaining time of a tick of 1 ms.
 """
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
 
 @dataclass(frozen=True)
 class Frontier:
-    """Measurements of a scene.
+    """Measurements of all settings of a scene.
 
     Attributes
     ----------
@@ -66,13 +66,13 @@ class Frontier:
     points
         One measurement for each setting.
     gap
-        Uncertainty of the reference, see `reference_gap`.
+        Relative uncertainty of the reference force, see `reference_gap`.
     settings
         Settings in the order of the points.
     rounding
-        Change of the force by the rounding of float32. NaN if it was not measured.
+        Relative change of the force by rounding to float32. NaN if it was not measured.
     law
-        Error of the linear law against a neo-Hookean law. None if it was not measured.
+        Error of the linear elastic law against a neo-Hookean law. None if it was not measured.
     """
 
     scene: Scene
@@ -84,12 +84,12 @@ class Frontier:
 
     @property
     def best(self) -> tuple[Measured, ...]:
-        """Pareto-optimal settings in cost and error, cheapest first."""
+        """Measurements that are Pareto-optimal in tick time and force error, cheapest first."""
         return tuple(undominated(self.points))
 
     @property
     def bounds(self) -> tuple[Measured, ...]:
-        """Measured rows for errors that no setting reduces: the elastic law and rounding."""
+        """Table rows of errors that no setting reduces: elastic law and rounding."""
         law = nan if self.law is None else self.law.error
         errors = {("linear law", "law"): law, ("float32", "rounding"): self.rounding}
         return tuple(
@@ -115,19 +115,19 @@ def undominated(points: Sequence[Measured]) -> list[Measured]:
 
 
 def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) -> Frontier:
-    """Measure every setting of a scene that was not measured on this machine before.
+    """Return the measurements of a scene; measure the settings without a stored measurement.
 
     Every measurement is stored immediately, so that an interrupted chart can continue.
 
     Parameters
     ----------
     scene
-        Scene. With a device, the settings of its loop are measured; without a device, the settings
-        of its model.
+        Scene. If the scene has a device, the settings of the haptic loop are measured; otherwise,
+        the settings of the tissue model.
     quick
         Use fewer settings, a shorter excerpt and a coarser reference.
     report
-        Called with the current measurement.
+        Called with the name and the progress of each measurement.
     """
     path = _store(scene, quick=quick)
     known = _kept(path)
@@ -159,7 +159,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
-    """Return the uncertainty of the reference, which is stored next to the measurements."""
+    """Return the relative uncertainty of the reference, and store it next to the measurements."""
     gap_file = path.with_suffix(".gap")
     if (kept := read_entry(gap_file)) is None:
         short = short_of(of_model(scene), quick)
@@ -169,7 +169,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 
 def _store(scene: Scene, *, quick: bool) -> Path:
-    """Return the file of a scene's measurements, next to the computed arrays of this machine."""
+    """Return the path of the file with a scene's measurements, in the cache folder."""
     # 8 bytes: the name of the scene is in the file name too
     text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
     return (
@@ -180,19 +180,25 @@ def _store(scene: Scene, *, quick: bool) -> Path:
 
 
 def _kept(path: Path) -> dict[str, Measured]:
-    """Read the measurements in a file of the cache, as a dictionary with their keys."""
+    """Read the measurements in a file of the cache, as a dictionary from key to measurement."""
     return {point.key: point for point in measured_of(read_entry(path) or "")}
 
 
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
-    """Write measurements as a table. A reader never sees an incomplete table."""
+    """Write measurements as a table.
+
+    The file is replaced at once, so a reader never sees an incomplete table.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_bytes(_table(points).encode())
 
 
 def measured_of(text: str) -> list[Measured]:
-    """Return the measurements in the text of a table; none if the table has other columns."""
+    """Return the measurements in the text of a table.
+
+    The list is empty if the table has other columns, for example from an earlier version.
+    """
     table = csv.DictReader(StringIO(text, newline=""))
     if tuple(table.fieldnames or ()) != COLUMNS:
         return []
@@ -209,26 +215,30 @@ def _table(points: Sequence[Measured]) -> str:
 
 
 SAFETY = 1.5
-"""Ratio of a demanded error to the largest allowed error of a setting at the measured places.
+"""Safety factor on force errors that were measured at a few places.
 
-The margin keeps the error within the demand at other places. The value was chosen with seeds 1-10
-of an earlier force law. It was then tested with five further motions on each of four scenes and of
-four imaged teeth and scapulae. With a margin of 1.5, the error stays within every demand. With a
-margin of 1.25, the error exceeds a demand on one tooth. With a margin of 1, the error stays within
+A setting satisfies a demanded error if its measured error times this factor is at most the demanded
+error.
+
+The factor keeps the error within the demand at other places too. It was chosen with seeds 1-10 of
+an earlier force law. It was then tested with five further motions on each of four scenes and of
+four imaged teeth and scapulae. With a factor of 1.5, the error stays within every demand. With a
+factor of 1.25, the error exceeds a demand on one tooth. With a factor of 1, the error stays within
 a demand of 1 % for only two of five motions on another tooth (tests/bench/held_out.py).
 """
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
-    """Return the cheapest measurement that satisfies a demand.
+    """Return the measurement of the cheapest setting that satisfies a demanded fidelity.
 
-    Without a demanded error, the most accurate measurement is returned. An error counts as at least
-    `gap`, the uncertainty of the reference. Rows that are not settings are ignored.
+    If only a tick time is demanded, the most accurate setting that satisfies it is chosen. Measured
+    errors are multiplied by `SAFETY`. An error below `gap`, the uncertainty of the reference,
+    counts as `gap`. Rows of the families in `BOUNDS` are ignored.
 
     Raises
     ------
     InputError
-        If no setting satisfies the demand. The message names the nearest setting.
+        If no setting satisfies the demand. The message names the setting that comes closest.
     """
     settings = [point for point in points if point.family not in BOUNDS]
 
@@ -261,9 +271,9 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
 
 
 def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
-    """Return a scene at the cheapest setting with its `fidelity`, and the reason of the choice.
+    """Return a scene at the setting that its `fidelity` demands, and the reason for the choice.
 
-    Settings that were not measured on this machine are measured first.
+    See `choose` for the choice. Settings that were not measured on this machine are measured first.
 
     Raises
     ------
@@ -292,5 +302,5 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
 
 
 def _asked(wanted: Fidelity) -> str:
-    """Return a demand as the user wrote it."""
+    """Return a demanded fidelity as text in the form of a scene file."""
     return ", ".join(f"{name} = {value:g}" for name, value in wanted if value is not None)

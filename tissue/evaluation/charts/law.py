@@ -1,7 +1,8 @@
-"""Error of the linear elastic law of an organ, and the law that a demanded fidelity needs.
+"""Error of the linear elastic law of an organ, and choice of the law for a demanded fidelity.
 
-`law_error` solves the body at rest under the linear and the neo-Hookean law, at some instants of
-the motion. Both solutions use the same mesh and no friction, so only the laws cause a difference.
+`law_error` computes the static force on the tool by the linear and by the neo-Hookean law, at
+several instants of the motion. Both solutions use the same mesh and no friction, so a difference is
+caused only by the law.
 """
 
 from collections.abc import Sequence
@@ -41,15 +42,21 @@ __all__ = ["LawError", "law_error", "linear_error", "with_law"]
 
 
 LAW = "neo-hookean"
-"""Law that replaces the linear law. It needs no constants beyond the small-strain constants."""
-CITED_LAW = "exponential"
-"""Law that replaces the linear law for a material with a published rate of this law."""
-EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
-"""Depth relative to the ball's radius, and error of the linear force against the exponential law.
+"""Default law that replaces the linear law.
 
-The rate is 4.6, the published value of a pressed liver. The layer is ten radii thick
-(`tests/tissue/evaluation/test_law_choice.py`). The errors are 1.2 times as large on a layer of five
-radii, and 1.8 times on a layer of 2.5 radii.
+This law needs only the constants of linear elasticity.
+"""
+CITED_LAW = "exponential"
+"""Law that replaces the linear law for a material with a published exponential rate."""
+EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
+"""Pairs of depth and relative error of the linear force.
+
+The depth is the indentation by a ball, divided by the radius of the ball. The error is the
+difference from the force of the exponential law, divided by this force.
+
+The exponential law has a rate of 4.6, the published value of a compressed liver. The layer of
+tissue is ten radii thick (`tests/tissue/evaluation/test_law_choice.py`). On a layer of five radii,
+the errors are 1.2 times as large. On a layer of 2.5 radii, they are 1.8 times as large.
 """
 INSTANTS = 4
 """Number of instants at which the contact is solved.
@@ -59,26 +66,30 @@ Each instant lies in the middle of one of four equal parts of the contact.
 Each instant takes two nonlinear solves of about 5 s in liver-press.
 """
 POSES = 400
-"""Number of poses of the motion that are searched for contact.
+"""Number of poses along the motion that are tested for contact.
 
-On a path of 40 mm the poses are 0.1 mm apart.
+On a path of 40 mm, the poses are 0.1 mm apart.
 """
 COARSER = 1.4
-"""Ratio of the edge lengths of the mesh for the comparison to those of the scene's mesh.
+"""Edge lengths of the mesh for the comparison, divided by the edge lengths of the scene's mesh.
 
-With this ratio, liver-press takes 40 s on one core. A graded slab with a nodule takes minutes: the
-nodule needs short cells, and the gradients need more iterations.
+With this ratio, the comparison of the scene liver-press takes 40 s on one core. That of a graded
+slab with a nodule takes minutes, because the nodule needs short edges, and the graded stiffness
+needs more iterations.
 """
 TOLERANCE = 1e-4
-"""Residual of a solve, and distance of a node from the ball relative to its radius.
+"""Relative tolerance of a solve, and of the distance of a node in contact from the ball.
 
-The forces of the two laws differ by several per cent, far more than this tolerance.
+The distance is relative to the radius of the ball. The forces of the two laws differ by several per
+cent, far more than this tolerance.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LawError:
-    """Forces on the tool with the body at rest; NaN where a solve did not converge.
+    """Static forces on the tool by two elastic laws, at k instants of a motion.
+
+    A force is NaN if its solve did not converge.
 
     Attributes
     ----------
@@ -94,12 +105,12 @@ class LawError:
 
     @property
     def solved(self) -> NDArray[np.bool_]:
-        """Instants at which both laws converged, shape (k,)."""
+        """True for instants at which the solves of both laws converged, shape (k,)."""
         return np.asarray(np.isfinite(self.linear_N + self.neo_N).all(axis=1))
 
     @property
     def error(self) -> float:
-        """||F_linear - F_neo|| / ||F_neo|| over the instants; NaN if no instant was solved."""
+        """||F_linear - F_neo|| / ||F_neo|| over the instants of `solved`; NaN if there are none."""
         on = self.solved
         return force_error(self.linear_N[on], self.neo_N[on]) if on.any() else nan
 
@@ -118,12 +129,12 @@ class LawError:
 
 
 def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
-    """Compare both laws on the motion of a scene.
+    """Compare the forces of the linear and of the neo-Hookean law on the motion of a scene.
 
     The result is stored on disk.
 
-    The comparison needs a ball on a path into an organ that is isotropic, weightless and without a
-    capsule. The result is None for other scenes.
+    The comparison needs a spherical probe that moves along a path into an organ. The organ must be
+    isotropic, without weight and without a capsule. The result is None for other scenes.
     """
     organ = scene.organ
     if not _pressed_by_a_ball(scene) or not isinstance(scene.motion, PathMotion):
@@ -154,7 +165,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
 
 
 def _pressed_by_a_ball(scene: Scene) -> bool:
-    """Return whether a ball presses an organ."""
+    """Return whether the tool of a scene is a spherical probe and its anatomy an organ."""
     tool = scene.tool
     return (
         isinstance(scene.anatomy, SoftAnatomy)
@@ -182,10 +193,10 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
 
 
 def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
-    """Mesh a scene's organ with edges longer by `COARSER`.
+    """Mesh a scene's organ with edges that are `COARSER` times as long as in the scene.
 
-    A nodule keeps the edge lengths of the scene. Tetrahedra from a file are not made coarser away
-    from the tool.
+    In an anatomy with a nodule, and in tetrahedra from a file, only the edges near the path of the
+    tool are made longer.
     """
     longer_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else COARSER)
     # The key must not count as set: tetrahedra from a file have their own edges.
@@ -197,9 +208,9 @@ def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
 
 
 def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
-    """Return positions of the tip spread evenly over the contact [m], and the tool's direction.
+    """Return tip positions [m] spread evenly over the contact, and the unit direction of pressing.
 
-    The contact is the contact with the undeformed body.
+    These are poses along the path in which the ball overlaps the undeformed body.
     """
     assert isinstance(scene.tool, Probe)
     motion = motion_of(scene)
@@ -223,7 +234,7 @@ def _pressed(
 ) -> tuple[Array, Array]:
     """Compute the force on the ball [N] and its depth [m] at each position of the tip.
 
-    The result is NaN where a solve does not converge.
+    A force is NaN if its solve did not converge.
     """
     from tissue.fem.newton import press_at
 
@@ -239,10 +250,11 @@ def _pressed(
 
 
 def linear_error(depth: float, law: str = LAW) -> float:
-    """Return the error of the linear force on a ball against the force of a law.
+    """Return the relative error of the linear force on a ball against the force of a nonlinear law.
 
-    The error is a function of depth over radius. It is interpolated between the depths of
-    `LINEAR_ERROR` or `EXPONENTIAL_ERROR`, from zero at rest, and extrapolated beyond the last one.
+    ``depth`` is the indentation divided by the radius of the ball. The error is interpolated in the
+    table `LINEAR_ERROR` or `EXPONENTIAL_ERROR`, and is zero at zero depth. Beyond the last depth of
+    the table, the error is extrapolated linearly.
     """
     known = EXPONENTIAL_ERROR if law == CITED_LAW else LINEAR_ERROR
     depths, errors = np.array([(0.0, 0.0), *known]).T
@@ -252,21 +264,22 @@ def linear_error(depth: float, law: str = LAW) -> float:
 
 
 def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
-    """Return a scene with the law that its forces need, and the reason in words.
+    """Return a scene with the elastic law that a demanded force error needs, and the reason.
 
-    The reason is empty if no change of the law was requested.
+    The reason is a text that continues a sentence. It is empty if the law was not chosen here.
 
     Parameters
     ----------
     scene
-        Scene whose tool a script moves. Other scenes keep their law.
+        Scene. The law is chosen only if a script moves a spherical probe against an organ. Other
+        scenes keep their law.
     wanted
         Demanded fidelity.
 
     Raises
     ------
     InputError
-        If ticks with the needed law take longer than demanded.
+        If 99 % of the ticks with the needed law do not stay within the demanded time.
     """
     organ = scene.organ
     needed = _law_of_material(scene)
@@ -319,14 +332,14 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
 
 
 def _law_of_material(scene: Scene) -> str:
-    """Return the nonlinear law that fits a scene's material without further constants."""
+    """Return the nonlinear law whose constants are all known for a scene's material."""
     organ = scene.organ
     known = scene.constants.constants("soft", organ.material)
     return CITED_LAW if "exponential_rate" in known and organ.young_kPa is None else LAW
 
 
 def _largest_depth_mm(scene: Scene) -> float:
-    """Return the largest indentation by the script [mm], on the coarsest cells.
+    """Return the largest indentation by the scripted motion [mm], computed on the coarsest mesh.
 
     The result is stored on disk.
     """

@@ -58,18 +58,18 @@ __all__ = [
 
 
 LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
-"""Resolution of a float32 at 10 mm, the size of a path: 1 nm."""
+"""Spacing of float32 numbers at 10 mm, the size of a path [mm]: about 1 nm."""
 
 
 def of_model(scene: Scene) -> Scene:
-    """Return the scene with its script, without parts that have no effect on a scripted run."""
+    """Return the scene without its device, so that the scripted motion moves the tool."""
     return changed(scene, {"device": "none"})
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
     """Compute the force on the tool at every tick with the model of a scene [N], shape (n, 3).
 
-    The result is kept on disk.
+    The result is stored on disk.
     """
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
@@ -83,8 +83,8 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
     """Return the force of a run and its reference on the same motion, each shape (n, 3) [N].
 
-    For a hand, the returned force is the played force. The reference is then the force of a loop
-    without delay on the finest model.
+    If a hand moves the tool, the force is the played force. Its reference is then the force of a
+    loop without delay on the finest model.
     """
     if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
@@ -95,13 +95,15 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 
 
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
-    """Return the uncertainty of the reference.
+    """Return the relative uncertainty of the reference force.
 
     Differences between forces that are smaller than this uncertainty are not resolved.
 
-    With an exact geometry, it is the uncertainty of the force on this geometry. For a hand, the
-    reference is the finest grid, and the uncertainty is the error of this grid. Without an exact
-    geometry, it is the grid-convergence index of the finest grid.
+    The uncertainty depends on the reference. If the geometry is known exactly and a script moves
+    the tool, it is the uncertainty of the force on this geometry. If a hand moves the tool, the
+    reference is the finest grid, and its error on the exact geometry is returned. Without an exact
+    geometry, it is the grid-convergence index of the finest grid. For a wall or a needle, it is
+    zero.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -119,7 +121,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
 
 
 def reference_words(scene: Scene, gap: float) -> str:
-    """Return the reference of a scene and its uncertainty in words."""
+    """Return the kind of a scene's reference force, and the uncertainty of this force, in words."""
     model = of_model(scene)
     percent = f"{100.0 * gap:.2g} %"
     exact = has_exact_geometry(model)
@@ -139,12 +141,12 @@ def reference_words(scene: Scene, gap: float) -> str:
 
 
 def float32_error(scene: Scene) -> float:
-    """Return the relative change of a cutting force if the path is rounded to float32.
+    """Return the relative change of a cutting force if the path is shifted by `LAST_PLACE_MM`.
 
-    Voxels are cut in float32, which rounds all coordinates to about `LAST_PLACE_MM`. If a tool
-    only grazes voxels, the rounding decides whether the tool touches them. The change of the force
-    is then much larger than the resolution of the force. The result is NaN for models that compute
-    in float64: organs, needles and walls.
+    The removal of voxels is computed in float32, which rounds all coordinates to about
+    `LAST_PLACE_MM`. If a tool only grazes voxels, the rounding decides whether the tool touches
+    them. The relative change of the force is then much larger than the rounding error of a float32.
+    The result is NaN for models that compute in float64: organs, needles and walls.
     """
     motion = scene.motion
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
@@ -159,25 +161,37 @@ def float32_error(scene: Scene) -> float:
 
 
 BOUNDS = ("law", "rounding")
-"""Families of rows that are not settings but errors that no setting reduces."""
+"""Families of table rows that contain an error that no setting reduces, not a setting."""
 EXCERPT_S = {True: 1.2, False: 3.0}
-"""Simulated time after the first contact [s], for a quick chart (True) or a full one."""
+"""Simulated time after the first contact [s], for a quick chart (True) or a full chart (False)."""
 LATE_S = 0.3
-"""Additional time that a hand needs for the path of a script [s]."""
-MARGIN_MM = 0.5
-"""Bone around the reach of a script [mm], the smallest margin of a scene.
+"""Additional simulated time if a hand moves the tool [s].
 
-The margin affects the time to build the bone, but no force.
+Such a tool lags behind the scripted path.
+"""
+MARGIN_MM = 0.5
+"""Width of the bone that is modelled around the region that a scripted tool reaches [mm].
+
+This is the smallest margin that a scene allows. The margin affects the time to build the bone, but
+no force.
 """
 STRAY_MM = 1.5
-"""Bone around the reach of a hand, which deviates from the path [mm]."""
-REPEATS = 2
-"""Number of runs of a setting that has a single place. The fastest run counts.
+"""Largest width of bone that is modelled around the path if a hand moves the tool [mm].
 
-A quick chart of a loop uses one run.
+A hand deviates from the path.
+"""
+REPEATS = 2
+"""Number of runs of a setting that is measured at a single place.
+
+The time of the fastest run counts.
+
+A quick chart of a haptic loop uses one run.
 """
 SETTLED = 20
-"""Number of first ticks in contact that are not timed, because they load code."""
+"""Number of ticks at the beginning of the contact whose times are ignored.
+
+These ticks take longer because they load code.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,26 +201,29 @@ class Measured:
     Attributes
     ----------
     key
-        Hash of everything that was run.
+        Hash of scene, setting, machine and code.
     scene, setting, family
-        Scene and setting. Rows of the families in `BOUNDS` are not settings.
+        Names of the scene, of the setting, and of the family of the setting. Rows of the families
+        in `BOUNDS` are not settings.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the run, the largest of all places. For the error of a law,
-        F_ref is the neo-Hookean force.
+        ||F - F_ref|| / ||F_ref|| over the ticks of a run: the largest value of all places. For a
+        row of the family "law", F_ref is the force of the neo-Hookean law.
     error_50_ms
-        Error of means over 50 ms.
+        Same error for forces that are averaged over 50 ms.
     median_us, p99_us, missed
-        Time of a tick in contact [us], and number of ticks over 1 ms.
+        Median and 99th percentile of the time of a tick in contact [us], and number of ticks that
+        took longer than 1 ms.
     far_us
         Median time of a tick out of contact [us]; NaN if all ticks are in contact.
     engaged_mm2, step_mm
-        Mean area in contact, and edge of a voxel or element.
+        Mean area in contact [mm2], and edge of a voxel or finite element [mm].
     elements, met
-        Numbers that determine the time of a tick. For a cutter: its cutting elements, and the
-        voxels in the area of contact. For an organ: the contacts that a tick visits in all its
-        sweeps, and the pairs of contacts.
+        Numbers that determine the time of a tick. For a cutter: the number of its cutting elements,
+        and the contact area in units of a squared voxel edge. For an organ: the number of contacts
+        times the number of sweeps of a tick, and the squared number of contacts times the number of
+        sweeps.
     built_s
-        Time to build the scene, run it and find its error [s], of one run.
+        Mean time to build and run the scene once and to compute its force error [s].
     machine
         Machine of the measurement.
     """
@@ -229,7 +246,7 @@ class Measured:
     machine: str
 
     def row(self) -> dict[str, str]:
-        """Return the values as text from which exactly the same numbers can be read."""
+        """Return the values as text, without rounding of numbers."""
         return {
             name: repr(value) if isinstance(value, float) else str(value)
             for name, value in asdict(self).items()
@@ -244,8 +261,9 @@ class Measured:
 def short_of(scene: Scene, quick: bool) -> Scene:
     """Return the excerpt of a scene that is run at each setting.
 
-    A scene in which a hand cuts is not shortened. At the start of a cut, the hand presses less than
-    the friction of its device, and the force error would be noise.
+    A scene with a device and a spinning tool is not shortened. At the start of a cut, the hand
+    presses with less than the friction of the device, so the force error of a short run would be
+    noise.
     """
     cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
     if scene.device is not None and cuts:
@@ -254,9 +272,10 @@ def short_of(scene: Scene, quick: bool) -> Scene:
 
 
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
-    """Return the scene up to some time after the first contact, with little tissue around the path.
+    """Return the scene up to `EXCERPT_S` after the first contact, with less bone around the path.
 
-    A hand has the same path as a script, so both have the same references. The hand gets more time.
+    A hand and a script get the same path, so that both have the same reference. The hand gets more
+    time. ``coarse`` holds the changes of the coarse setting with which the first contact is found.
     """
     if isinstance(scene.tool, Tool):
         # a hand deviates from its path, so it needs more margin of the scene
@@ -275,9 +294,9 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
 
 
 def _first_contact_s(scene: Scene, span_s: float) -> float:
-    """Find the first contact of a script [s] in a run that is as short as possible.
+    """Return the time of the first contact of a scripted motion [s], by short test runs.
 
-    The result is kept on disk.
+    The result is stored on disk.
     """
 
     def found() -> Arrays:
@@ -312,7 +331,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 
 def _length_s(scene: Scene) -> float:
-    """Return the duration of a scene [s], or zero if it is not known before the run."""
+    """Return the duration of a scene [s], or zero if it is unknown before the run."""
     # the duration of a tool that is pushed by a thrust follows from the force, so it is known only
     # after the run
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
@@ -321,9 +340,10 @@ def _length_s(scene: Scene) -> float:
 
 
 def _until(scene: Scene, end_s: float) -> Scene:
-    """Return the scene up to a time.
+    """Return the scene with a shorter duration [s].
 
-    A path ends at that time too, because an organ is prepared along its path.
+    The path of the tool is cut off at this time too, because an organ is prepared along the whole
+    path.
     """
     if 0.0 < _length_s(scene) <= end_s:
         return scene
@@ -340,7 +360,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
 
 
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
-    """Run excerpts at one setting: one run at each place, or several at a single place."""
+    """Run a scene at one setting: once at each of several places, or repeatedly at one place."""
     started = perf_counter()
     places = placed(scene)
     runs = []
@@ -390,13 +410,13 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
 
 
 def _run(scene: Scene, setting: Setting) -> Run:
-    """Run a scene at a setting."""
+    """Run a scene with the changes, the cores and the Warp device of a setting."""
     at = changed(scene, setting.changes)
     return simulate(at, compute=setting.compute, cores=setting.cores, allow_unstable=True)
 
 
 def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
-    """Return `elements`, `met` and `step_mm` of a measurement over some ticks of a run."""
+    """Return the fields `elements`, `met` and `step_mm` of `Measured` over the counted ticks."""
     scene = run.scene
     trace = run.trace
     if run.parts.cutter is not None:

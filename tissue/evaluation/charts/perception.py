@@ -1,5 +1,7 @@
-"""Pictures of perception: intensity and threshold, the command, and the deadband on a recorded
-force.
+"""Pictures of perception.
+
+The pictures show intensity and threshold, the commanded force, and the effect of the deadband on a
+recorded force.
 """
 
 from pathlib import Path
@@ -40,13 +42,13 @@ EXAMPLE = Observer.known(
 )
 """Simulated observer that is drawn by default.
 
-The perceived intensity of this observer grows less with the force than the intensity of the
-reference observer.
+The intensity that this observer perceives increases less with the force than the intensity that the
+reference observer perceives.
 """
 
 
 def perception_charts(out: Path, observer: Path | None, *, overwrite: bool) -> list[Path]:
-    """Draw all pictures of an observer's file, or of an example, into a folder.
+    """Draw all pictures of the observer in a file, or of `EXAMPLE` without a file, into a folder.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool) -> l
 
 
 def _people(someone: Observer, path: Path) -> None:
-    """Draw intensity and threshold against force, for the population and for one observer."""
+    """Draw perceived intensity and threshold against force, for the population and one observer."""
     chart, (left, right) = _panels(1, 2)
     # a decade on both sides of 1 N, where the reference's intensity is 1
     forces = np.geomspace(0.1, 10.0, 200)
@@ -99,7 +101,7 @@ def _people(someone: Observer, path: Path) -> None:
 
 
 def _command(someone: Observer, path: Path) -> None:
-    """Draw the commanded force and its perceived intensity against force."""
+    """Draw the played force, and its perceived intensity, against the physical force."""
     chart, (left, right) = _panels(1, 2)
     limit_N = device_parameters(DEVICE).force_limit_N
     device = ForceRange(limit_N=limit_N)
@@ -131,7 +133,7 @@ def _command(someone: Observer, path: Path) -> None:
 
 
 def _deadband(someone: Observer, path: Path) -> None:
-    """Draw a recorded force and the force that the deadband plays."""
+    """Draw a recorded force, and the force that is played with the deadband."""
     # the seed does not matter: the title states the share of this run
     run = simulate(load_scene(SCENE, {"device": DEVICE, "hand": "novice", "seed": 3}))
     wanted = run.trace.vectors("filtered_force", "N")
@@ -167,7 +169,7 @@ def _deadband(someone: Observer, path: Path) -> None:
 
 
 def _panels(rows: int, columns: int) -> tuple[Figure, tuple[Axes, Axes]]:
-    """Return a figure with two panels."""
+    """Return a figure with two panels, and the axes of the panels."""
     # inches; two panels side by side, or one below the other
     chart = figure(10.0, 4.6)
     chart.set_layout_engine("constrained")
@@ -176,7 +178,7 @@ def _panels(rows: int, columns: int) -> tuple[Figure, tuple[Axes, Axes]]:
 
 
 def _finish(chart: Figure, path: Path) -> None:
-    """Add grids and legends, and write the file."""
+    """Add grids and legends to a figure, and write its file."""
     for axes in chart.axes:
         axes.grid(alpha=0.3)
         axes.legend(loc="best")

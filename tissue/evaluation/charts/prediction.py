@@ -1,4 +1,4 @@
-"""Comparison of all predictors on unseen runs: horizon, cost and slow models."""
+"""Comparison of all predictors on unseen runs: error by horizon, cost, and use with slow models."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -42,23 +42,24 @@ __all__ = [
 
 
 FIRST_SEED = 10_000
-"""First seed of unseen runs. Training uses seeds from 0 on."""
+"""First seed of the unseen runs. Training uses the seeds 0, 1, 2, ..."""
 SHARES = (0.7, 1.3)
-"""Ratios of the tissue's force in unseen runs to its force in training.
+"""Tissue force in unseen runs, divided by the tissue force of the scene for the same motion.
 
-Unseen runs use the two ratios in turn.
+The unseen runs use the two ratios in turn.
 """
 OURS = "koopman-look-ahead"
 OWN_COLOURS = ("#56B4E9", "#8C564B", "#000000", "#7570B3")
 OWN_MARKERS = ("X", "p", "h", "<", ">")
-"""Colours and markers of registered predictors, in the order of registration.
+"""Markers of registered predictors, in the order of registration; `OWN_COLOURS` holds the colours.
 
-No built-in predictor has one of them. Twenty predictors differ in colour or marker.
+No built-in predictor has one of these markers. Up to twenty registered predictors differ in colour
+or marker.
 """
 DELAY_MS = 4
-"""Latency of the compared loops [ms], near the paper's mean of 4.3 ms."""
+"""Latency of the loops in the unseen runs [ms], near the mean of 4.3 ms in the paper."""
 SLOW_TICKS = 10
-"""Ticks between two answers of the slow model: 100 Hz, a tenth of the haptic rate."""
+"""Ticks between two forces of a slow model. Its rate is 100 Hz, a tenth of the haptic rate."""
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",
@@ -68,20 +69,21 @@ HEADS = {
 
 @dataclass(frozen=True)
 class PredictorComparison:
-    """Measurements of all predictors on a scene.
+    """Errors and computing times of all predictors for one scene.
 
     Attributes
     ----------
     scene
         Name of the scene.
     errors
-        Errors by predictor, shape (runs, horizons).
+        Relative force errors by name of the predictor, each of shape (runs, horizons).
     cost_us
-        Median and 99th percentile of the time of the calls in a tick [us], by predictor.
+        Median and 99th percentile of the time that a predictor takes in a tick [us], by name.
     slow
-        Results with a model at 100 Hz and a predictor between its answers, by predictor: the error
-        of the present tick's force and the cost of a tick [us]. The entry ``1 kHz`` is the model in
-        every tick.
+        Results with a model at 100 Hz, by name of the predictor that predicts the forces between
+        those of the model. Each result is the error of the force in the present tick, and the time
+        of model and predictor per tick [us]. The entry ``1 kHz`` is a model that runs in every
+        tick.
     """
 
     scene: str
@@ -90,14 +92,15 @@ class PredictorComparison:
     slow: dict[str, tuple[Interval, float]]
 
     def at(self, kind: str, horizon_ms: int) -> Interval:
-        """Return the error of a predictor at a horizon."""
+        """Return the mean error of a predictor at a horizon [ms], with its 95 % interval."""
         return signed_interval(self.errors[kind][:, HORIZONS.index(horizon_ms)])
 
 
 def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorComparison:
     """Measure all predictors on unseen runs of a scene.
 
-    These runs have other seeds, tissue that is 30 % softer or stiffer, and 4 ms of latency.
+    Compared with training, these runs have other seeds, tissue that is 30 % softer or stiffer, and
+    always 4 ms of latency.
 
     Raises
     ------
@@ -138,9 +141,9 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
-    """Measure the median and 99th percentile of a predictor's time for a tick [us].
+    """Measure median and 99th percentile of the time that a predictor takes in a tick [us].
 
-    The time includes observing the tick and predicting the force after the latency.
+    In a tick, the predictor observes the present state and predicts the force `DELAY_MS` later.
     """
     # like the loop, this shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
@@ -158,7 +161,7 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
 
 
 def looks() -> dict[str, tuple[str, str]]:
-    """Return colour and marker of every predictor, by name."""
+    """Return colour and marker of every predictor, by the name of the predictor."""
     found = {kind: (PREDICTORS[kind].colour, PREDICTORS[kind].marker) for kind in PREDICTORS}
     own = [kind for kind in found if kind not in PREDICTORS.built_in]
     for kind, colour, marker in zip(own, cycle(OWN_COLOURS), cycle(OWN_MARKERS), strict=False):
@@ -196,7 +199,9 @@ def chart_prediction(
     overwrite: bool,
     report: Progress = silent,
 ) -> list[PredictorComparison]:
-    """Measure and draw some scenes: ``prediction_SCENE.png``, ``prediction_tasks.png`` and tables.
+    """Compare the predictors on scenes; write pictures and tables into a folder.
+
+    The pictures are ``prediction_SCENE.png`` and ``prediction_tasks.png``.
 
     Raises
     ------
@@ -222,7 +227,7 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
-    """Return the errors 4 ms ahead in words, and a comparison with the other predictors.
+    """Return the prediction errors at a horizon of 4 ms in words, with comparisons of predictors.
 
     `OURS` and every registered predictor are compared with zero-order hold and with the best other
     predictor. The text calls a predictor better or worse only if the interval of the paired
@@ -260,9 +265,9 @@ def _verdict(found: PredictorComparison, kind: str, at_delay: Mapping[str, Inter
 
 
 def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> None:
-    """Write all tables.
+    """Write the tables of errors, costs and slow models.
 
-    Errors are relative to the force; low and high are the ends of their 95 % interval.
+    Errors are relative to the force. The columns low and high are the ends of the 95 % interval.
     """
     rows: dict[str, list[Sequence[object]]] = {name: [] for name in HEADS}
     for each in found:
@@ -281,13 +286,14 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
 
 
 LIMIT_US = 20.0
-"""Target of the median time of a prediction [us]."""
+"""Target for the median time that a predictor takes in a tick [us]."""
 
 
 def draw_scene(found: PredictorComparison, path: Path) -> None:
-    """Draw the results of all predictors on a scene.
+    """Draw the results of all predictors for one scene.
 
-    The panels show the error against horizon and cost, and the error with a model at 100 Hz.
+    The three panels show the error against the horizon, the error against the cost, and the error
+    with a model at 100 Hz.
     """
     # inches: a row of three panels over the legend
     chart = figure(10.5, 4.2)
@@ -334,7 +340,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
-    """Draw the error of every predictor at 4 ms on every scene, with its 95 % interval."""
+    """Draw the error of every predictor 4 ms ahead on every scene, with its 95 % interval."""
     # inches: 1.9 for the points of a scene, and at least the width of the legend
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     chart.set_layout_engine("constrained")

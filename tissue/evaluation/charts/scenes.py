@@ -1,4 +1,4 @@
-"""Charts of scenes: frontiers of scripted and of held tools, as pictures and tables."""
+"""Charts of scenes: settings of scripted and of hand-held tools, as pictures and tables."""
 
 from collections.abc import Sequence
 from math import isnan
@@ -33,17 +33,16 @@ def chart_scenes(
     overwrite: bool = False,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all scenes if no names are given.
+    """Measure and draw the settings of scenes, or of all scenes if no names are given.
 
-    Each scene writes NAME.png and NAME.csv. All scenes together write frontier.png.
+    For each scene, NAME.png and NAME.csv are written. The picture frontier.png shows all scenes.
 
-    Settings that were measured on this machine before are not measured again. An interrupted chart
-    therefore continues.
+    Stored measurements of this machine are used again, so an interrupted chart can be continued.
 
     Raises
     ------
     InputError
-        If a scene is unknown, ``out`` is a file, or it holds a chart already.
+        If a scene is unknown, or ``out`` is a file or already holds a chart.
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     files = [f"{scene.name}{end}" for scene in scenes for end in (".csv", ".png")]
@@ -71,9 +70,9 @@ def chart_scenes(
 
 
 def charted(scene: Scene) -> list[Scene]:
-    """Return the scenes whose frontiers are charted: moved by a script, by a hand or by both.
+    """Return the variants of a scene that are charted: with a scripted tool, with a hand, or both.
 
-    A scene with a device is charted only with a hand, unless its tool cuts.
+    A scene with a device is charted only with a hand, unless the tool cuts.
     """
     cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
     if scene.device is not None and not cuts:
@@ -82,7 +81,10 @@ def charted(scene: Scene) -> list[Scene]:
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
-    """Return a note, before any computation, for each scene whose chart leaves out predictors."""
+    """Return a note for each scene whose chart leaves out untrained predictors.
+
+    Nothing is measured.
+    """
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
@@ -95,7 +97,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
-    """Return frontiers in words, a line for each Pareto-optimal setting."""
+    """Return the charts in words, with a line for each Pareto-optimal setting."""
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
@@ -127,7 +129,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
 
 
 def _how(scene: Scene) -> str:
-    """Return how the tool of a scene is moved."""
+    """Return a text that states how the tool of a scene is moved."""
     return "by script" if scene.device is None else f"by hand on {scene.held.kind}"
 
 
@@ -143,19 +145,22 @@ FAMILIES = {
     "loop": (ORANGE, "o", "renderer, predictor, model rate"),
     "model": ("0.2", "o", "the model"),
 }
-"""Colour, mark and label of each family of settings, after Okabe and Ito (2008) where possible."""
+"""Colour, marker and label of each family of settings.
+
+Most colours are from Okabe and Ito (2008).
+"""
 LEAST = 1e-4
 """Error [%] that replaces zero on logarithmic axes."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
-"""Colours and labels in the overview. The second colour is dark enough for text."""
+"""Colour and label of scripted and of hand-held tools in the overview."""
 COLUMNS = 4
 
 
 def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
-    """Draw a panel for each frontier: median and 99th percentile of a tick against force error.
+    """Draw force error against tick time (median and 99th percentile), one panel per frontier.
 
-    The uncertainty of the reference is shaded. Horizontal lines are errors that no setting reduces:
-    the error of the linear law (dashed) and of float32 (dotted).
+    The uncertainty of the reference is shaded. Horizontal lines show errors that no setting
+    reduces: the error of the linear law (dashed) and the error of float32 (dotted).
     """
     # inches for each panel with its legend to the right
     chart = figure(7.0 * len(found), 4.6)
@@ -167,7 +172,7 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
 
 
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
-    """Draw a small panel for each scene with its Pareto-optimal settings by script and by hand.
+    """Draw a panel for each scene with the Pareto-optimal settings by script and by hand.
 
     The settings are numbered, and their names are listed next to the panel.
     """
@@ -207,7 +212,7 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
 
 
 def _draw_best(axes: Axes, found: Frontier, colour: str, label: str, names: Sequence[str]) -> None:
-    """Draw the Pareto-optimal settings of a frontier with a text at each of them."""
+    """Draw the Pareto-optimal settings of a scene, each with a text next to its point."""
     ticks = [point.median_us for point in found.best]
     errors = [_percent(point.force_error) for point in found.best]
     axes.step(ticks, errors, "-o", where="post", color=colour, label=label)
@@ -217,7 +222,7 @@ def _draw_best(axes: Axes, found: Frontier, colour: str, label: str, names: Sequ
 
 
 def _draw_frontier(axes: Axes, found: Frontier) -> None:
-    """Draw all settings of a scene."""
+    """Draw all settings of a scene into axes."""
     for point in found.points:
         colour, mark, label = FAMILIES[point.family]
         error = _percent(point.force_error)
@@ -254,12 +259,12 @@ def _draw_frontier(axes: Axes, found: Frontier) -> None:
 
 
 def _percent(error: float) -> float:
-    """Return an error in per cent, large enough for a logarithmic axis."""
+    """Return an error in per cent, at least `LEAST` so that a logarithmic axis can show it."""
     return max(100.0 * error, LEAST)
 
 
 def _log_axes(axes: Axes, **settings: str) -> None:
-    """Use logarithmic axes with plain numbers."""
+    """Make both axes logarithmic, with plain numbers at the ticks."""
     axes.set(xscale="log", yscale="log", **settings)
     for axis in (axes.xaxis, axes.yaxis):
         plain_numbers(axis)

@@ -1,4 +1,4 @@
-"""Settings of a scene from coarse to fine, grids for its convergence, and places on a grid."""
+"""Settings of a scene from coarse to fine, three grids for convergence, and tool positions."""
 
 import os
 import platform
@@ -51,49 +51,54 @@ __all__ = [
 ]
 
 LATENCY_MS = 4
-"""Latency of the compared loops if the scene has none [ms]. The mean in the paper is 4.3 ms."""
+"""Latency of the loops if the scene does not set a latency [ms].
+
+The mean in the paper is 4.3 ms.
+"""
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
-"""Relative voxel lengths of the three grids of a grid-convergence index.
+"""Voxel edges on the three grids for a grid-convergence index, divided by the edge of the scene.
 
 The key is True for a quick chart and False for a full chart.
 """
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
-"""Relative edge lengths of tetrahedra on the three grids, with the keys of `VOXEL_SHARES`.
+"""Edges of tetrahedra on the three grids, divided by the edges of the scene; see `VOXEL_SHARES`.
 
-Half the edge gives seven times as many unknowns, 140,000 for a liver. With ratios nearer to 1, the
-scatter of the force from mesh to mesh would hide the order of convergence.
+With half the edge, there are seven times as many unknowns: 140,000 for a liver. With ratios closer
+to 1, the scatter of the force from mesh to mesh would hide the order of convergence.
 """
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
-"""Shifts along x and y as shares of the coarsest step, and factors of the depth.
+"""Shift along x, shift along y and factor on the depth of the path, for three test positions.
 
-The error of a discretisation depends on the place of the tool on the grid or mesh: a path along
-voxels has a smaller error than a path between voxels. No shift is a half, a third or a quarter of
-a step, so the place relative to a finer grid differs as well.
+The shifts are fractions of the coarsest voxel or of the edge of a tetrahedron. The error of a
+discretisation depends on the position of the tool relative to the grid or mesh. For example, a path
+along the faces of voxels has a smaller error than a path between them. No shift is a half, a third
+or a quarter, so the position relative to a finer grid changes too.
 """
 COARSEST = 4.0
-"""Ratio of the coarsest voxel of a quick chart to the voxel of the scene, see `_voxels`."""
+"""Edge of the coarsest voxel of a quick chart, divided by the edge in the scene; see `_voxels`."""
 Changes = Mapping[str, object]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Setting of a scene.
+    """Values of a scene's numerical parameters whose cost and error are measured.
 
     Attributes
     ----------
     name
-        Short name, for a picture.
+        Short name for pictures.
     family
-        Varied quantity: voxels, shell, cutting, elements, path, stress, loop or cores.
+        Varied quantity: voxels, shell, cutting, elements, path, stress, loop or cores; "model" if
+        nothing is varied.
     changes
-        Values by dotted key; None removes an entry.
+        Changes of the scene: values by dotted key. A value of None removes the entry.
     cores
         Number of processor cores. None for all cores.
     compute
-        Warp device.
+        Name of the Warp device.
     finer
-        True if the setting is finer than the scene. The setting is offered only if all preceding
-        finer settings stay within the time of a tick.
+        True if the setting is finer than the scene. Such a setting is measured only if the
+        preceding finer settings stay within the time of a tick.
     """
 
     name: str
@@ -114,16 +119,19 @@ def by_hand(scene: Scene) -> Scene:
 
 
 def untrained(scene: Scene) -> tuple[str, ...]:
-    """Return the predictors that need training and have no file for a scene."""
+    """Return the predictors that need training, if the scene has no trained predictor file."""
     if is_trained(scene.name, scene.predictor_file):
         return ()
     return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
 
 def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
-    """Return the settings of a scene: of its loop with a device, otherwise of its model.
+    """Return the settings of a scene.
 
-    A fidelity is chosen among the quick settings if nothing has been measured yet.
+    If the scene has a device, these are settings of the haptic loop, otherwise settings of the
+    tissue model.
+
+    The setting for a demanded fidelity is chosen among the quick settings.
     """
     if scene.device is not None:
         return list(_loops(scene, quick=quick))
@@ -136,12 +144,15 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
-    """Return the finest grid: the reference of loops, and of models without an exact geometry."""
+    """Return the changes for the finest grid; empty for a scene without a grid.
+
+    The finest grid is the reference of haptic loops, and of models without an exact geometry.
+    """
     return (grids(scene, quick=quick) or [{}])[-1]
 
 
 def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Return the lengths of three grids relative to the scene's lengths, coarse to fine.
+    """Return the lengths of the three grids divided by the scene's lengths, coarse to fine.
 
     The result is empty for a scene without a grid.
     """
@@ -151,7 +162,10 @@ def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
 
 
 def grids(scene: Scene, *, quick: bool) -> list[Changes]:
-    """Return the three grids, with the most accurate method."""
+    """Return the changes for each of the three grids, coarse to fine.
+
+    They also select the most accurate numerical method.
+    """
     best: dict[str, object] = {"organ.order": 2, "organ.path": "condensed"}
     if isinstance(scene.tool, Tool):
         best = {"voxels.removal": "subvoxel"}
@@ -159,9 +173,9 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
-    """Return all lengths of the scene's grid multiplied by `share`.
+    """Return the changes that multiply all lengths of the scene's grid by `share`.
 
-    Fields that do not influence the force are left out.
+    The changes also switch off fields that do not influence the force.
     """
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
@@ -180,9 +194,10 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return copies of the scene with its path at three places on the grid.
+    """Return the scene with its path at the three positions of `PLACES` relative to the grid.
 
-    A scene without a grid is returned alone.
+    A scene without a grid, with a device or without a path is returned unchanged, as the only
+    entry.
     """
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
@@ -200,7 +215,7 @@ def placed(scene: Scene) -> list[Scene]:
 
 
 def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
-    """Return the scene with a laterally shifted path.
+    """Return the scene with a path that is shifted along x and y.
 
     Below z = 0, the depth of the path is multiplied by `depth`.
     """
@@ -214,7 +229,7 @@ def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scen
 
 
 def edge_mm(scene: Scene) -> float:
-    """Return the edge of a tetrahedron under the probe of an organ [mm]."""
+    """Return the edge length of the tetrahedra of an organ under the probe [mm]."""
     assert isinstance(scene.anatomy, SoftAnatomy)
     assert isinstance(scene.tool, Probe)
     # a quarter of the probe's size is the default of a scene
@@ -222,7 +237,7 @@ def edge_mm(scene: Scene) -> float:
 
 
 def force_only(scene: Scene) -> dict[str, object]:
-    """Return the changes to a scene that switch off everything without influence on the force."""
+    """Return the changes to a scene that switch off fields without influence on the force."""
     if isinstance(scene.anatomy, SoftAnatomy):
         return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
     if isinstance(scene.anatomy, LayersAnatomy | IncisedAnatomy):
@@ -231,7 +246,7 @@ def force_only(scene: Scene) -> dict[str, object]:
 
 
 def _shell_mm(tool: Tool) -> float:
-    """Return the distance between the cutting elements of a cutter [mm]."""
+    """Return the distance between neighbouring cutting elements of a cutter [mm]."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
     return tool.shell_spacing_mm or 1e3 * float(
@@ -240,7 +255,10 @@ def _shell_mm(tool: Tool) -> float:
 
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of spacing, removal, elements of the cutter, law, stress and cores."""
+    """Yield settings of a cutting scene.
+
+    They vary voxel spacing, removal method, cutting elements, cutting law, stress field and cores.
+    """
     plain = force_only(scene)
     base = scene.voxels.spacing_mm
     shell = _shell_mm(tool)
@@ -286,11 +304,11 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 
 
 def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
-    """Return the simpler cutting laws and drill of a scene by name.
+    """Return the changes for simpler cutting laws and a simpler drill, by name.
 
-    Each simpler law or drill leaves out one refinement that the scene has. The last law leaves out
-    the size effect as well, because the size effect grows without bound if there is no minimum
-    chip thickness.
+    Each entry leaves out one refinement of the scene: the size effect, the minimum chip thickness
+    ("linear law"), or the web of the drill. The linear law leaves out the size effect too, because
+    this effect grows without bound if there is no minimum chip thickness.
     """
     found: dict[str, Changes] = {}
     if _of_law(scene, "minimum_chip_um") > 0.0:
@@ -304,7 +322,7 @@ def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
 
 
 def _of_law(scene: Scene, name: str) -> float:
-    """Return a constant of the size effect of a scene: the largest value of its layers."""
+    """Return a constant of the cutting law of a scene: the largest value over its layers."""
     stated = getattr(scene.cutting, name)
     if stated is not None:
         return float(stated)
@@ -316,7 +334,7 @@ def _of_law(scene: Scene, name: str) -> float:
 
 
 def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of order and edge of tetrahedra, compliance method and cores."""
+    """Yield settings of an organ: order and edge of tetrahedra, compliance method and cores."""
     plain = force_only(scene)
     base = edge_mm(scene)
     # coarse to fine; linear tetrahedra have fewer nodes at the same edge, so finer ones are tried
@@ -345,7 +363,7 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
 
 
 def _cores(name: str, plain: Changes) -> Iterator[Setting]:
-    """Yield the scene on one core, and on every accelerator of the machine."""
+    """Yield settings with the scene on one core, and on every CUDA device of the machine."""
     import warp as wp
 
     import kernels  # noqa: F401  starts Warp without its greeting
@@ -356,7 +374,7 @@ def _cores(name: str, plain: Changes) -> Iterator[Setting]:
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of renderer, predictor and rate of the model."""
+    """Yield settings of a haptic loop: renderer, predictor and rate of the tissue model."""
     plain = force_only(scene)
     missing = untrained(scene)
     for law in RENDERERS:
@@ -383,7 +401,7 @@ PACKAGES = ("meshes", "kernels", "tissue")
 
 
 def scene_text(scene: Scene) -> str:
-    """Return the part of a scene that determines its results, as text.
+    """Return, as text, the values of a scene that determine its results.
 
     Description and fidelity are left out.
     """
@@ -392,7 +410,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def machine() -> str:
-    """Return the key of measured times: processor, cores and versions of the libraries."""
+    """Return processor architecture, cores and library versions, as a key of measured times."""
     import psutil
 
     return (
@@ -403,10 +421,11 @@ def machine() -> str:
 
 
 def sources() -> str:
-    """Return the checksum of all code and constants.
+    """Return a checksum of all code and constants.
 
     The time of a tick and the error may change with any part of the code and with any constant.
-    External parts are included by their names and by the code of their packages.
+    Registered parts from other packages are included by their names and by the code of their
+    packages.
     """
     # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
@@ -418,7 +437,7 @@ def sources() -> str:
 
 
 def _code_of(part: Any) -> str:
-    """Return the numbers of an external part and the checksum of the package with its code."""
+    """Return a text that changes if the constants or the code of a registered part change."""
     if isinstance(part, Mapping):
         return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
     if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):
@@ -432,9 +451,9 @@ def _code_of(part: Any) -> str:
 
 
 def _package_sum(name: str) -> str:
-    """Return the checksum of all Python files of a package, or of a module.
+    """Return a checksum of all Python files of a package, or of the file of a module.
 
-    If there is no such file, the result is unique to the call.
+    If the code has no file, as in an interactive session, every call returns another result.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     # code from an interactive session cannot be compared: its results are never reused
@@ -459,7 +478,7 @@ def code_sha256() -> str:
 
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
-    """Return the hash of a scene at a setting, of the machine and of the code."""
+    """Return a hash of a scene at a setting, of the machine and of the code."""
     at = scene_text(changed(scene, setting.changes))
     text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
     # 24 digits: short enough for a table, and long enough to exclude equal keys by chance

@@ -1,1 +1,1 @@
-"""Reference of the cutting force on exact geometry, without voxels and elements of the engine."""
+"""Reference cutting force on the exact geometry, without the voxels and elements of the engine."""

@@ -1,25 +1,27 @@
-"""Cutting force by adaptive quadrature over the cutter's surface.
+"""Reference cutting force by adaptive quadrature over the surface of the cutter.
 
 The quadrature uses no voxels, and no surface elements that are fixed to the tool.
 
-The surface is r(s), z(s) turned by the angle phi; s is the length along the half section. Averaged
-over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi
-r)`` of cutting edge into a part of the surface. With v the velocity of the surface point (without
-the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
+The surface is the half section r(s), z(s), rotated about the axis by the angle phi. s is the length
+along the half section. The tool has N cutting edges and spins at omega. Averaged over a revolution,
+a part of the surface contains the length ``N ds dphi / (2 pi)`` = ``N dA / (2 pi r)`` of cutting
+edge. Let v be the velocity of a surface point without the spin, and n the outward normal. The chip
+thickness is h = max(0, v . n) 2 pi / (N omega), and the force on the part is::
 
     dF = - (N / 2 pi) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] ds dphi
 
-c is the effective chip thickness and e the share of the edge force, functions of h by
-`tissue.materials.constants.effective_chip`. t is the direction in which the spin moves the point, n
-the outward normal, a the axis from tip to shank. Every K is the coefficient of the layer at the
-point multiplied by (density / reference density) ** exponent. A point is engaged where it advances
-(v . n > 0), lies in the solid (signed distance below 0), and lies outside the volume that the tool
-has swept before.
+c is the effective chip thickness, and e is the fraction of the edge force that acts. Both are
+functions of h, see `tissue.materials.constants.effective_chip`. t is the direction in which the
+spin moves the point, and a is the axis from tip to shank. Every K is a cutting coefficient of the
+layer at the point, multiplied by (density / reference density) ** exponent. Only engaged points
+contribute. A point is engaged if it advances (v . n > 0), lies in the solid (signed distance below
+0), and lies outside the volume swept earlier by the tool.
 
-Smooth cells in (s, phi) are integrated by two by two Gauss points. Cells that a boundary may cross
-are divided into four, down to a finest size, where one point per cell decides. The distances are
-1-Lipschitz, so no boundary of the solid or of an old cut is missed. Boundaries between layers are
-found from the cells' corners.
+The surface is divided into cells in (s, phi). Cells that no boundary crosses are integrated with
+two by two Gauss points. Cells that a boundary may cross are divided into four, down to a finest
+size. Cells of the finest size are integrated with one point each. The distance functions are
+1-Lipschitz, so no boundary of the solid or of an earlier cut is missed. Boundaries between layers
+are detected at the corners of the cells.
 """
 
 from dataclasses import dataclass
@@ -39,11 +41,11 @@ from tissue.materials.constants import CuttingCoefficients, effective_chip
 __all__ = ["Resolution", "Solid", "wrench_at"]
 
 GAUSS = 0.5 / 3.0**0.5
-"""Distance of the Gauss points from the middle of a cell of length 1."""
+"""Distance of the two Gauss points from the middle of an interval of length 1."""
 TOUCHING_M = 1e-11
-"""Distance to an earlier cut below which the tool's surface is not in contact [m].
+"""Largest distance from an earlier cut at which the tool's surface counts as lying on the cut [m].
 
-A surface closer than this distance counts as lying on the cut.
+Points of the surface that lie on the cut are not engaged.
 """
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
@@ -55,11 +57,11 @@ class Solid:
     Attributes
     ----------
     anatomy
-        Surface and layers as functions of position.
+        Signed distance and layer of the anatomy as functions of position.
     coefficients
-        Cutting coefficients of each layer, in the order of the anatomy's names.
+        Cutting coefficients of each layer, in the order of the layer names of the anatomy.
     minus
-        Volume drilled out before the run. None without such a volume.
+        Volume that was drilled out before the run. None if nothing was drilled out.
     """
 
     anatomy: Anatomy
@@ -67,9 +69,9 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Return a bound of the signed distance [m], shape (n,); it is negative inside.
+        """Return a 1-Lipschitz bound of the signed distance [m], shape (n,), negative inside.
 
-        The points [m] have shape (n, 3).
+        The points [m] have shape (n, 3) and are in the world frame.
         """
         distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
         return (
@@ -77,18 +79,19 @@ class Solid:
         )
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
-        """Return the number of the layer at each point, shape (n,).
+        """Return the index of the layer at each point, shape (n,).
 
         The points [m] have shape (n, 3).
         """
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
-        """Return chip and edge coefficients at points, and the size effect, shape (9, n).
+        """Return the cutting coefficients and the constants of the size effect, shape (9, n).
 
-        The order is tangential, radial, axial chip [Pa], then edge [N/m], then exponent, minimum
-        and reference chip thickness [m]. The first six are the coefficients of the point's layer
-        times (density / reference density) ** exponent of the layer.
+        The rows are the tangential, radial and axial chip coefficients [Pa] and the three edge
+        coefficients [N/m]. The last rows are the exponent of the size effect, and the minimum and
+        the reference chip thickness [m]. The first six rows are those of the layer at the point,
+        multiplied by (density / reference density) ** exponent of this layer.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
         names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
@@ -103,30 +106,30 @@ class Solid:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of the division of the surface.
+    """Resolution with which the surface of the tool is divided into cells.
 
-    At the default resolution, the force of the built-in scenes is within 0.03 % of the force at a
-    resolution twice as fine (``tests/bench/bench_reference.py``).
+    In the built-in scenes, the force at the default resolution differs by at most 0.03 % from the
+    force at twice this resolution (``tests/bench/bench_reference.py``).
 
     Attributes
     ----------
     coarsest
-        Number of cells on a radius of the tool before any cell is divided.
+        Number of cells per length of the tool's radius, before any cell is divided.
     divisions
-        Number of times that a cell crossed by a boundary is divided into four.
+        Largest number of successive divisions of a cell into four.
     """
 
     coarsest: int = 12
     divisions: int = 4
 
     def finer(self) -> "Resolution":
-        """Return a resolution that is twice as fine throughout."""
+        """Return twice the resolution: cells of half the size at every division."""
         return Resolution(2 * self.coarsest, self.divisions)
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells of one piece: middle and size in (s, phi), each of shape (n, 2), with s in [m]."""
+    """Cells on one piece of the surface: middle and size in (s [m], phi), each of shape (n, 2)."""
 
     middle: Array
     size: Array
@@ -140,9 +143,9 @@ class _Cells:
         return _Cells(middle, np.repeat(half, 4, axis=0))
 
     def points(self, offsets: Array) -> Array:
-        """Return points in all cells, shape (n k, 2), at offsets in units of the cell size.
+        """Return k points (s, phi) in each of the n cells, shape (n k, 2).
 
-        The offsets have shape (k, 2).
+        The offsets from the middle of a cell have shape (k, 2) and are in units of the cell size.
         """
         return (self.middle[:, None] + self.size[:, None] * offsets).reshape(-1, 2)
 
@@ -150,9 +153,9 @@ class _Cells:
 def wrench_at(
     tick: int, path: ToolPath, cutter: Cutter, solid: Solid, *, resolution: Resolution | None = None
 ) -> Array:
-    """Return the force on the tool [N] and the torque about its tip [N m] at a tick, shape (6,).
+    """Return force on the tool [N] and torque about its tip [N m] at a tick, shape (6,).
 
-    Both are in the world frame.
+    Force and torque are in the world frame.
     """
     # a tool at rest makes no chip
     if not (path.velocities[tick].any() or path.turnings[tick].any()):
@@ -167,7 +170,7 @@ def wrench_at(
 
 
 class _AtTick:
-    """Integral over the surface at one tick, in the tool's frame."""
+    """Integral of the cutting force over the tool's surface at one tick, in the tool's frame."""
 
     def __init__(self, tick: int, path: ToolPath, cutter: Cutter, solid: Solid) -> None:
         self.tick = tick
@@ -201,7 +204,7 @@ class _AtTick:
         return total
 
     def _coarsest(self, piece: Piece, coarsest: int) -> _Cells:
-        """Return equal cells over a whole piece."""
+        """Divide a whole piece of the profile into cells of equal size."""
         radius = self.cutter.profile.radius_m
         # a short piece, such as a rounded edge, has at least four cells along its section
         counts = max(ceil(piece.length_m / radius * coarsest), 4), ceil(2.0 * pi * coarsest)
@@ -212,7 +215,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
-        """Return the cells that may be engaged, and flags for cells engaged in a single layer."""
+        """Return the cells that may be engaged, and flags for cells that no boundary crosses."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
@@ -249,15 +252,18 @@ class _AtTick:
         return cells, smooth
 
     def _advance(self, points: Array, normals: Array) -> Array:
-        """Return the speed of points along their normals [m/s]."""
+        """Return the speed of points of the surface along their outward normals [m/s]."""
         return ((self.velocity + np.cross(self.turning, points)) * normals).sum(axis=1)
 
     def _integral(
         self, piece: Piece, cells: _Cells, offsets: Array, *, tested: bool = False
     ) -> Array:
-        """Return the sum of the law over cells, at points of equal weight.
+        """Return the force [N] and torque [N m] on cells, shape (6,).
 
-        If `tested` is true, points that are not engaged count as 0.
+        Each cell is integrated at the points of `offsets`, with equal weights.
+
+        If `tested` is true, points that are not engaged contribute zero. Otherwise, all points
+        count as engaged.
         """
         points, normals, around = _surface(piece, cells.points(offsets))
         weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))
@@ -295,9 +301,9 @@ class _AtTick:
 
 
 def _surface(piece: Piece, at: Array) -> tuple[Array, Array, Array]:
-    """Return points [m], outward normals and directions of growing phi, each shape (n, 3).
+    """Return points [m], outward normals and directions of increasing phi, each shape (n, 3).
 
-    The positions (s, phi) have shape (n, 2).
+    The surface positions `at` are (s, phi), shape (n, 2).
     """
     section, outward = piece.at(at[:, 0] / piece.length_m)
     cosine = np.cos(at[:, 1])

@@ -1,6 +1,7 @@
-"""Reference force of a whole run, and errors against it.
+"""Reference force of a whole run, and the error of a grid by its convergence.
 
-The force is interpolated between evaluated ticks and stored on disk.
+The reference force is evaluated at selected ticks and interpolated between them. It is stored on
+disk.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,26 +38,28 @@ __all__ = [
 
 
 COARSEST_TICKS = 32
-"""Largest number of ticks between two evaluations.
+"""Largest number of ticks between two evaluations of the reference force.
 
-It is less than the 50 ms over which the reported means are computed.
+The value is below the 50 ms over which the reported means are computed.
 """
 INTERPOLATION = 2e-3
-"""Largest error of interpolation between two evaluations, relative to the mean force.
+"""Largest allowed error of the interpolation between two evaluations, relative to the mean force.
 
-Above this error, both halves are evaluated too. The uncertainty of the built-in scenes,
-interpolation included, is then 0.01 to 0.03 % (``tests/bench/bench_reference.py``).
+If the error is larger, the force is evaluated in the middle of both halves too. With this value,
+the uncertainty of the built-in scenes, including that of the interpolation, is 0.01 to 0.03 %
+(``tests/bench/bench_reference.py``).
 """
 JUMP = 0.05
-"""Smallest relative jump of the velocity between two ticks at which the force may jump too.
+"""Relative change of the velocity from tick to tick above which the force may jump too.
 
-Within a leg of a path, the velocity changes by less than this from tick to tick. At corners the
-velocity changes by more.
+Along a straight leg of a path, the velocity changes by less than this value from tick to tick. At
+corners, it changes by more.
 """
 CHECKED = 32
-"""Number of ticks at which the reference is evaluated again with twice the resolution.
+"""Number of ticks at which the force is evaluated again with twice the resolution.
 
-The second evaluation at a tick takes four times as long as the first evaluation.
+These evaluations determine the uncertainty of the reference. Each takes four times as long as the
+first evaluation at the tick.
 """
 WINDOW_TICKS = 50
 """Number of ticks in a mean over 50 ms."""
@@ -64,17 +67,17 @@ WINDOW_TICKS = 50
 
 @dataclass(frozen=True)
 class ReferenceForce:
-    """Force and torque of a run on the exact geometry.
+    """Reference force and torque of a run, computed on the exact geometry.
 
     Attributes
     ----------
     wrench
-        Force on the tool [N] and torque about its tip [N m] in the world at every tick, shape (n,
-        6).
+        Force on the tool [N] and torque about its tip [N m] at every tick, in the world frame,
+        shape (n, 6).
     uncertainty
-        Error of the reference relative to the force: the difference from an evaluation with twice
-        the resolution, interpolation included. Error and force are root mean squares over ticks
-        spread over the contact.
+        Relative error of the reference force. The error is the difference from an evaluation with
+        twice the resolution, and includes the error of the interpolation. Error and force are root
+        mean squares over ticks spread over the contact.
     """
 
     wrench: Array
@@ -87,7 +90,7 @@ class ReferenceForce:
 
 
 def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
-    """Return poses and velocities of a run's tool."""
+    """Return poses and velocities of the tool from the trace of a run."""
     low, high = cutter.profile.height_range_m
     quaternions = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
     return ToolPath(
@@ -107,7 +110,7 @@ def has_exact_geometry(scene: Scene) -> bool:
 def solid_of_scene(scene: Scene) -> Solid:
     """Return the solid that a scene's tool cuts, as functions of position.
 
-    An anatomy from a file is refused.
+    Raises InputError if the anatomy comes from a file.
     """
     anatomy, minus = solid_of(scene, motion_of(scene))
     changes = scene.cutting.model_dump(exclude={"material"})
@@ -118,9 +121,9 @@ def solid_of_scene(scene: Scene) -> Solid:
 def reference_force(
     scene: Scene, trace: Table, *, resolution: Resolution | None = None
 ) -> ReferenceForce:
-    """Compute the force of the exact geometry on the motion of a run.
+    """Compute the force on the tool by the exact geometry, for the motion of a run.
 
-    The force is computed once for each motion, anatomy and tool.
+    The force is computed only once for each motion, anatomy and tool, and then read from disk.
 
     Raises
     ------
@@ -147,13 +150,13 @@ def force_on_path(
     kept_by: tuple[object, ...] = (),
     resolution: Resolution | None = None,
 ) -> ReferenceForce:
-    """Compute the force of the exact geometry on a path.
+    """Compute the force on the tool by the exact geometry along a path.
 
     Parameters
     ----------
     kept_by
-        Identification of cutter and solid. Together with the path it is the key of the cache.
-        Without this identification, nothing is stored.
+        Values that identify cutter and solid. Together with the path, they are the key of the
+        result in the cache. If the tuple is empty, nothing is stored.
     """
     fine = resolution or Resolution()
 
@@ -192,10 +195,10 @@ def force_on_path(
 
 
 def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
-    """Compute the wrench at every tick, shape (n, 6).
+    """Compute force and torque at every tick, shape (n, 6), from few evaluations.
 
-    The path is divided at its jumps. Every part is halved until linear interpolation between two
-    evaluated ticks agrees with the evaluation at the tick between them. A part in which contact
+    The path is divided at jumps of the velocity. Every part is halved until the linear
+    interpolation between its ends agrees with the evaluation at its middle. A part in which contact
     begins or ends is halved down to single ticks.
     """
     wrench = np.zeros((len(path.tips_m), 6))
@@ -227,7 +230,7 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
 
 
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
-    """Return first and last ticks of the parts of a path without jumps of the velocity.
+    """Divide a path at jumps of the velocity; return the first and the last tick of each part.
 
     The force does not jump within these parts.
     """
@@ -241,49 +244,58 @@ def _stretches(path: ToolPath) -> list[tuple[int, int]]:
 
 
 def _fill(wrench: Array, first: int, last: int) -> None:
-    """Interpolate between two evaluated ticks."""
+    """Fill the ticks between two evaluated ticks by linear interpolation."""
     share = (np.arange(first + 1, last) - first)[:, None] / (last - first)
     wrench[first + 1 : last] = wrench[first] + share * (wrench[last] - wrench[first])
 
 
 def means_over_50_ms(values: Array) -> Array:
-    """Return means over 50 ms, shape (n // 50, 3), or the mean of a shorter run."""
+    """Return the means over successive intervals of 50 ms, shape (n // 50, 3).
+
+    The values have shape (n, 3), one row per tick of 1 ms. A shorter run has one mean.
+    """
     count = max(len(values) // WINDOW_TICKS, 1)
     return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])
 
 
 FORMAL_ORDER = 2.0
-"""Formal order of convergence of the force, and the highest order that an index uses."""
+"""Formal order of convergence of the force. A grid-convergence index uses no higher order."""
 ASYMPTOTIC = 0.5, 2.2
-"""Observed orders that count as asymptotic.
+"""Lowest and highest observed order that counts as asymptotic.
 
-The range is from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above the
-formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing).
+The lowest is 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130). The highest is 10 % above
+the formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing).
 """
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
-"""Roache's safety factor outside the asymptotic range. `SAFETY` is the factor within the range."""
-STEEPEST = 30.0
-"""Largest searched order, of either sign. Larger orders count as infinite.
+"""Safety factor of a grid-convergence index (Roache) outside the asymptotic range.
 
-For this order and spacings with a ratio of 1.2, the difference of the two coarser forces is 240
-times the difference of the two finer forces.
+`SAFETY` is the factor within this range.
+"""
+STEEPEST = 30.0
+"""Largest absolute value of an observed order. Larger orders count as infinite.
+
+At this order, with successive spacings in the ratio 1.2, the two coarser forces differ by 240 times
+the difference of the two finer forces.
 """
 
 
 @dataclass(frozen=True)
 class Order:
-    """Convergence in one norm, relative to the norm of the finest force.
+    """Convergence of the forces on three grids.
+
+    Differences are norms over all ticks, relative to the norm of the force on the finest grid.
 
     Attributes
     ----------
     order
-        Observed order. Infinite if the two finer forces agree, negative if they lie farther apart
-        than the two coarser ones, NaN if all three agree.
+        Observed order of convergence. It is infinite if the forces on the two finer grids agree,
+        and NaN if all three forces agree. It is negative if the forces on the two finer grids lie
+        farther apart than those on the two coarser grids.
     index
         Grid-convergence index of each grid, coarsest first.
     distance
-        Difference of each grid from the finest grid, coarsest first.
+        Difference of the force on each grid from the force on the finest grid, coarsest first.
     """
 
     order: float
@@ -292,7 +304,7 @@ class Order:
 
     @property
     def asymptotic(self) -> bool:
-        """True if an extrapolation may use the observed order, or the three forces are equal."""
+        """True if the observed order is in the range `ASYMPTOTIC`, or the forces are all equal."""
         return np.isnan(self.order) or ASYMPTOTIC[0] <= self.order <= ASYMPTOTIC[1]
 
 
@@ -304,8 +316,8 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacings of the three grids, all different, in any unit. All other lengths of the grid must
-        change by the same factor.
+        Spacings of the three grids, all different, in any unit. If a grid has further lengths, such
+        as the distance between cutting elements, these lengths must be proportional to its spacing.
     """
     order = np.argsort(spacings)[::-1]
     h = [float(spacings[k]) for k in order]
@@ -322,14 +334,15 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
 
 
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
-    """Return the order p of an error C h^p from two differences of forces.
+    """Return the order p of an error C h^p, from the differences of forces on three grids.
 
-    The differences are ``coarse`` (h3 to h2) and ``fine`` (h2 to h1).
+    ``coarse`` is the difference between the spacings h3 and h2, and ``fine`` the difference between
+    h2 and h1.
 
     Parameters
     ----------
     spacings
-        h3 > h2 > h1.
+        Spacings h3, h2 and h1, in decreasing order.
     """
     # equal forces on all grids have no order; equal forces on two of them have an infinite one
     if coarse == fine == 0.0:

@@ -1,8 +1,8 @@
-"""Path of a tool through a solid: convex parts of the tool and the distance from swept volume.
+"""Path of a tool through a solid: convex parts of the tool, and distance from the swept volume.
 
-The distance to a convex body is a convex function. Along a straight path it therefore has one
-minimum, which golden-section search brackets. For a ball, the minimum is the distance of its centre
-to the path minus its radius.
+The distance of a point from a convex body is a convex function of the position of the point. Along
+a straight path, it therefore has one minimum, which golden-section search finds. For a ball, the
+minimum is the distance of the centre of the ball from the path, minus the radius.
 """
 
 from dataclasses import dataclass, field
@@ -18,24 +18,26 @@ __all__ = ["ToolPath", "convex_parts"]
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
-"""Precision to which the nearest position on a path is bracketed [m]."""
+"""Precision with which the nearest position on a path is found [m]."""
 STRAIGHT_M = 5e-9
-"""Largest bend of a point's path through the tool's frame within a leg [m].
+"""Largest deviation from a straight line within a leg [m].
 
-The bend is far smaller than a chip thickness, which is a tenth of a micrometre or more.
+The deviation is that of the path of a point, as seen in the frame of the tool.
+
+This deviation is far smaller than a chip thickness, which is a tenth of a micrometre or more.
 """
 
 
 @dataclass(frozen=True)
 class ConvexPart:
-    """Convex body of revolution about z, bounded by the pieces of its half section.
+    """Convex body of revolution about z, described by the pieces of its half section.
 
     Attributes
     ----------
     pieces
-        Pieces from the axis at the bottom to the axis at the top.
+        Pieces of the half section, from the lowest point on the axis to the highest.
     ball
-        True if the part is one ball.
+        True if the body is a ball.
     """
 
     pieces: tuple[Piece, ...]
@@ -43,7 +45,7 @@ class ConvexPart:
 
     @property
     def bounding_ball(self) -> tuple[float, float]:
-        """Height of the centre and radius of a ball that holds the body [m]."""
+        """Height of the centre, and radius, of a ball that contains the body [m]."""
         # 64 parts of each piece
         share = np.linspace(0.0, 1.0, 65)
         outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
@@ -53,7 +55,7 @@ class ConvexPart:
         return centre, np.hypot(outline[:, 0], outline[:, 1] - centre).max() + slack
 
     def distance(self, points: Array) -> Array:
-        """Return the signed distance [m], shape (n,), negative inside.
+        """Return the signed distance of points from the body [m], shape (n,), negative inside.
 
         The points [m], shape (n, 3), are in the tool's frame.
         """
@@ -68,8 +70,8 @@ class ConvexPart:
     def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
         """Return the smallest signed distance of points that move straight from start to end [m].
 
-        ``start`` and ``end`` have shape (n, 3) [m]. Results above ``within``, shape (n,) [m], may
-        be too small, but they never fall below ``within``.
+        ``start`` and ``end`` have shape (n, 3) [m]. A result that is larger than ``within``, shape
+        (n,) [m], is only a lower bound of the distance.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
@@ -84,7 +86,7 @@ class ConvexPart:
         return bound
 
     def _search(self, start: Array, along: Array) -> Array:
-        """Search the smallest distance at ``start + share along`` for a share in [0, 1].
+        """Return the smallest distance at ``start + share * along`` over all shares in [0, 1].
 
         The method is golden-section search.
         """
@@ -115,7 +117,7 @@ class ConvexPart:
 
 
 def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
-    """Return the convex parts whose union is a cutter. The first part is the cutting part."""
+    """Divide a cutter into convex parts. The first part is the cutting part."""
     pieces = profile.pieces
     if profile.convex:
         arc = pieces[0]
@@ -130,10 +132,10 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Return the distance of points from a piece [m], and its component along the normal [m].
+    """Return the distance of points from a piece [m], and a component that shows the side [m].
 
-    The component is that of the vector from the nearest point of the piece to the point, along the
-    outward normal of the piece at the nearest point.
+    The component belongs to the vector from the nearest point of the piece to the given point. It
+    is the component along the outward normal at the nearest point, and is positive outside.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
@@ -163,22 +165,23 @@ def _to_segment(point: Array, start: Array, end: Array) -> Array:
 
 @dataclass(frozen=True)
 class ToolPath:
-    """Poses and velocities of a tool, tick by tick.
+    """Poses and velocities of a tool at n ticks.
 
     Attributes
     ----------
     tips_m
-        Tip [m], shape (n, 3).
+        Positions of the tip [m], shape (n, 3).
     rotations
         Rotations from tool to world, shape (n, 3, 3).
     velocities
         Velocity of the tip [m/s], shape (n, 3).
     turnings
-        Angular velocity of the pose [rad/s], shape (n, 3), without the spin.
+        Angular velocity of the tool [rad/s], shape (n, 3), without the spin about its axis.
     reach_m
         Largest distance of the tool's surface from its tip [m].
     legs
-        First and last tick of each leg, shape (legs, 2).
+        First and last tick of each leg, shape (legs, 2). A leg is a part of the path that is
+        straight in the tool's frame and does not reverse.
     """
 
     tips_m: Array
@@ -202,13 +205,13 @@ class ToolPath:
     def swept_distance(
         self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, within: Array
     ) -> Array:
-        """Return the signed distance [m] from all volume that the tool has swept before a tick.
+        """Return the signed distance [m] from the volume that the tool has swept before a tick.
 
-        The distance is negative inside. The points, shape (n, 3), are in the world. The first part
-        is left out on the leg to which the tick belongs, because no point on a convex body that
-        advances on a straight path was inside the body before. The distance is infinite if nothing
-        was swept. If a result is larger than ``within``, shape (n,) [m], the true distance is
-        larger than ``within`` too, but may differ from the result.
+        The distance is negative inside this volume, and infinite if nothing was swept. The points,
+        shape (n, 3), are in the world frame. On the leg to which the tick belongs, the first part
+        of the tool is ignored. A point on a convex body that advances along a straight path was
+        never inside the body before. A result that is larger than ``within``, shape (n,) [m], is
+        only a lower bound of the distance.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -222,7 +225,7 @@ class ToolPath:
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:
-        """Join ticks to legs whose paths in the tool's frame are straight and do not reverse."""
+        """Join successive ticks to legs, see `legs`."""
         last = len(self.tips_m) - 1
         legs: list[tuple[int, int]] = []
         start = 0
@@ -241,9 +244,9 @@ class ToolPath:
         return np.array(legs, dtype=np.intp).reshape(-1, 2)
 
     def _is_straight(self, start: int, end: int) -> bool:
-        """Return whether points near the tool move straight and onward between two ticks.
+        """Return whether points near the tool move straight and without reversal between two ticks.
 
-        The motion is judged in the tool's frame.
+        The motion of the points is that in the tool's frame.
         """
         # the motion of all points is an affine combination of that of four points that are not in
         # one plane; the fifth is the tip

@@ -1,1 +1,1 @@
-"""Statistics of a study: metrics of a trial, the table of trials, and tests with assumptions."""
+"""Statistics of a study: metrics of a trial, table of trials, hypothesis tests and intervals."""

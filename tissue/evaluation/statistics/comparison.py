@@ -1,4 +1,7 @@
-"""Comparison of methods and groups by sign flips, with the tests of the paper next to them."""
+"""Comparison of methods and groups by sign-flip tests.
+
+The tests of the paper are reported as alternatives.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -42,23 +45,25 @@ __all__ = [
 ]
 
 ROUNDING = 1e-12
-"""Variation among users, relative to the values, below which it counts as rounding error."""
+"""Largest variation among users, divided by the largest value, that counts as rounding error."""
 
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """Comparisons of one metric.
+    """Comparisons of methods and groups by one metric.
 
     Attributes
     ----------
     metric, task
-        Compared metric, and its task.
+        Names of the compared metric and of the task.
     cells
         Mean of the metric for every user under every method.
     tests
-        Tests of method, group and their interaction, if the table holds several methods and groups.
+        Tests of the method, of the group, and of their interaction. Tests for which the table has
+        too few methods or groups are omitted.
     pairs
-        All pairs of methods, then all pairs of groups. Tukey's test is their alternative test.
+        Tests of all pairs of methods, then of all pairs of groups. Each test has Tukey's test as
+        its alternative.
     sizes
         Cohen's d of every pair of methods (from differences within users) and of every pair of
         groups.
@@ -86,12 +91,13 @@ def compare(
     task
         Name of the task. Tasks are not pooled, because their metrics have different scales.
     rng
-        Generator of the sign flips.
+        Random generator of the sign flips.
 
     Raises
     ------
     InputError
-        If there is nothing to compare, only one user per group, or a constant metric.
+        If there is only one method and one group, a group has only one user, or the metric is
+        constant.
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
@@ -122,11 +128,11 @@ def compare(
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """Test a metric over all tasks, by sign flips and by the mixed model.
+    """Test a metric over all tasks by sign flips and by a linear mixed model.
 
-    The returned model holds the tests by sign flips. Each of these tests has the test of the mixed
-    model as its alternative. If the stratum of a question holds no variation, the test of the
-    mixed model is kept, with a note.
+    The returned model contains the tests by sign flips. Each of these tests has the test of the
+    mixed model as an alternative. If the error term of a question has no variation, the test of the
+    mixed model takes the place of the test by sign flips, with a note.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
@@ -148,23 +154,23 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
 def stratum_test(
     cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
 ) -> tuple[HypothesisTest, SignTest]:
-    """Test one effect by sign flips, with the F test as an alternative.
+    """Test one effect by sign flips, with F tests as alternatives.
 
     Parameters
     ----------
     cells
-        Means of a metric.
+        Means of a metric over the trials of each user.
     within
-        Factors within users in the effect, as indices into ``cells.factors``.
+        Factors within users that belong to the effect, as indices into ``cells.factors``.
     between
         True if the effect involves the group.
     rng
-        Generator of the sign flips.
+        Random generator of the sign flips.
 
     Returns
     -------
     tuple of HypothesisTest and SignTest
-        The test for the report, and the results of its pairs.
+        Test for the report, and the results of the comparisons of pairs.
     """
     values = cells.values
     groups = cells.groups
@@ -206,7 +212,7 @@ def stratum_test(
 
 
 def _symmetry(scores: Array, groups: Ints) -> tuple[Assumption, ...]:
-    """Check the assumption of sign flips, if there are enough users."""
+    """Check the symmetry that sign flips assume, if there are at least eight users."""
     # D'Agostino's test needs eight values
     if len(scores) < 8:
         return ()
@@ -218,7 +224,8 @@ def _f_tests(
 ) -> tuple[HypothesisTest, ...]:
     """Return the F test of an effect, and the F test corrected for sphericity.
 
-    The scores on orthonormal contrasts have shape (users, contrasts).
+    `exact` is the F test of the effect. `scores` are the scores of users on orthonormal contrasts,
+    shape (users, contrasts).
     """
     statistic = float(exact.F)
     residuals = scores - group_means(scores, groups)[groups]
@@ -250,10 +257,10 @@ def manova(
 ) -> HypothesisTest:
     """Compare groups or methods on several metrics at once, by sign flips and by MANOVA.
 
-    The unit is the user. Groups are compared by users' means over their trials, and methods by
-    users' differences between methods. The rows of the analysis are therefore independent, although
-    every user has trials under every method. Each sign flip applies to all metrics of a user
-    together. The statistic is the largest t over all metrics.
+    The analysis has one row per user. Groups are compared by the means of users over their trials,
+    and methods by the differences between methods within users. The rows are therefore independent,
+    although every user has trials under every method. Each sign flip changes the signs of all
+    metrics of a user together. The statistic is the largest t over all metrics and pairs.
 
     Parameters
     ----------
@@ -265,12 +272,13 @@ def manova(
     factor
         Compared factor, "group" or "method".
     rng
-        Generator of the sign flips.
+        Random generator of the sign flips.
 
     Raises
     ------
     InputError
-        If there are too few users for the metrics, or one metric is a multiple of another.
+        If there are too few users for the number of metrics, or one metric is a multiple of
+        another.
     """
     cells = [table.cells(metric) for metric in metrics]
     groups = cells[0].groups
@@ -297,7 +305,7 @@ def manova(
 
 
 def _pairs(signs: SignTest, tukey: Sequence[HypothesisTest]) -> list[HypothesisTest]:
-    """Return the test of each pair by sign flips, with Tukey's test as an alternative."""
+    """Return the sign-flip test of each pair, with Tukey's test of the pair as an alternative."""
     found = []
     for index, other in enumerate(tukey):
         difference = signs.differences[index]
@@ -342,7 +350,7 @@ def tukey_groups(
     names
         Names of the groups.
     metric
-        Name of the metric, for the sentence.
+        Name of the metric, for the question of the tests.
 
     Returns
     -------
@@ -380,10 +388,10 @@ def tukey_groups(
 def tukey_levels(
     values: Array, names: Sequence[str], groups: Ints, *, metric: str
 ) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of levels by Tukey's test.
+    """Compare every pair of levels of a factor within users by Tukey's test.
 
-    All users have values at all levels. The error is the interaction of users with levels, pooled
-    over levels.
+    All users have values at all levels. The error term is the interaction of users with levels,
+    pooled over the levels.
 
     Parameters
     ----------
@@ -392,10 +400,10 @@ def tukey_levels(
     names
         Names of the levels.
     groups
-        Group of every user, shape (users,). Effects of groups and their interaction with the level
-        are removed from the error.
+        Group of every user, shape (users,). The effect of the group, and its interaction with the
+        level, are removed from the error term.
     metric
-        Name of the metric, for the sentence.
+        Name of the metric, for the question of the tests.
     """
     found = strata(values, groups, (values.shape[1],), (0,), between=False)
     counts = np.bincount(groups)
@@ -418,5 +426,5 @@ def tukey_levels(
 
 
 def corrected(p_values: Sequence[float]) -> list[float]:
-    """Correct the p values of a family of tests by Bonferroni's factor."""
+    """Multiply the p values of a family of tests by their number (Bonferroni), up to at most 1."""
     return [min(1.0, len(p_values) * p) for p in p_values]

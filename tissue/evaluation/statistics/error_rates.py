@@ -18,9 +18,12 @@ from tissue.evaluation.statistics.trials import Cells
 __all__ = ["QUESTIONS", "Power", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 2_000
-"""Number of populations. A rate of 5 % then has a standard error of 0.5 %."""
+"""Number of simulated populations.
+
+With this number, a rate of 5 % has a standard error of 0.5 %.
+"""
 QUESTIONS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
-"""Factors within users of each question, and whether groups are compared."""
+"""For each question, the indices of the factors within users, and True if groups are compared."""
 Rejects = NDArray[np.bool_]
 
 
@@ -35,12 +38,13 @@ class Power:
     test
         Name of the test, such as "sign flips" or "F of strata".
     users_per_group, populations
-        Size of the study and number of populations.
+        Number of users in a group, and number of simulated populations.
     false_alarms
-        Share of rejections without a difference (type I), with its interval.
+        Fraction of populations without an effect in which the test rejects (type I error rate),
+        with its interval.
     hits
-        Share of rejections with the effect (power), with its interval. 1 - hits is the type II
-        error rate.
+        Fraction of populations with an effect in which the test rejects (power), with its interval.
+        1 - hits is the type II error rate.
     """
 
     question: str
@@ -52,7 +56,7 @@ class Power:
 
     @property
     def sentence(self) -> str:
-        """Both error rates in words."""
+        """False alarms and power in words."""
         return (
             f"{self.question} by {self.test}: with {self.users_per_group} users a group, false "
             f"alarms {_percent(self.false_alarms)}, "
@@ -63,22 +67,23 @@ class Power:
 def redrawn_power(
     cells: Sequence[Cells], *, rng: np.random.Generator, populations: int = POPULATIONS
 ) -> tuple[Power, ...]:
-    """Estimate the error rates with users redrawn from a study of any distribution.
+    """Estimate the error rates of tests, with users that are drawn from the data of a study.
 
-    The null hypothesis is made true by subtracting the means of each group and method. Users are
-    drawn from a smoothed distribution of the residuals (Silverman and Young 1987): a drawn user is
-    a user of the group plus normal noise with the covariance of the group. Without the noise, the
-    same ten users are repeated so often that sign flips seem to give too many false alarms.
+    The data may have any distribution. The null hypothesis is made true by subtracting the mean of
+    each group and method. Users are drawn from a smoothed distribution of the residuals (Silverman
+    and Young 1987). A drawn user is a random user of the group plus normal noise with a covariance
+    proportional to that of the group. Without the noise, the same ten users would be repeated so
+    often that sign flips seem to give too many false alarms.
 
     In 25 normal studies with a true rate of 5 %, the mean estimate for sign flips is 5.1 to 5.4 %,
-    depending on the question (3.7 to 6.4 % in single studies). Without the noise, the mean
-    estimate is 5.6 to 7.8 % (up to 10.8 % in single studies). The estimate for F is too high,
-    because the covariance of ten users is never spherical. The mean estimate for F is 5.5 % for
-    groups, 5.9 % for methods and 7.1 % for their interaction (up to 8.4 %). ``python
+    depending on the question (3.7 to 6.4 % in single studies). Without the noise, the mean estimate
+    is 5.6 to 7.8 % (up to 10.8 % in single studies). The estimate for the F test is too high,
+    because the covariance of ten users is never exactly spherical. Its mean is 5.5 % for groups,
+    5.9 % for methods and 7.1 % for their interaction (up to 8.4 %). ``python
     tests/bench/bench_null.py --only redrawn`` measures these rates.
 
-    The power applies to an effect of the measured size, which includes the error of the
-    measurement. The estimated power is too high if the true effect is zero or small.
+    The power is the power for an effect of the size that the study measured. The measured size
+    contains a random error, so the estimated power is too high if the true effect is zero or small.
 
     Parameters
     ----------
@@ -86,7 +91,7 @@ def redrawn_power(
         Means of each metric at the levels of one factor within users. Several metrics are tested
         together.
     rng
-        Generator that draws users and signs.
+        Random generator for users and sign flips.
     populations
         Number of populations.
     """
@@ -105,24 +110,24 @@ def redrawn_power(
 
 
 def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Generator) -> Array:
-    """Draw users from the smoothed residuals of their group.
+    """Draw users from the smoothed residuals of each group.
 
     Parameters
     ----------
     residuals
-        Residuals about the means of groups, shape (users, columns), in the order of groups.
+        Residuals about the means of groups, shape (users, columns), sorted by group.
     groups
         Group of every user, shape (users,).
     populations
         Number of populations.
     rng
-        Generator of users and noise.
+        Random generator for users and noise.
 
     Returns
     -------
     Array
-        Shape (populations, users, columns). The covariance is the unbiased covariance of each
-        group.
+        Drawn residuals, shape (populations, users, columns). Their covariance is the unbiased
+        estimate of the covariance of each group.
     """
     columns = residuals.shape[1]
     found = []
@@ -146,7 +151,7 @@ def rejection_rates(
     rng: np.random.Generator,
     questions: Sequence[str] = tuple(QUESTIONS),
 ) -> tuple[Power, ...]:
-    """Return the shares of populations in which each test rejects.
+    """Return the fractions of populations in which each test rejects.
 
     Parameters
     ----------
@@ -156,10 +161,10 @@ def rejection_rates(
     groups
         Group of every user, shape (users,).
     rng
-        Generator of the sign flips.
+        Random generator of the sign flips.
     questions
-        Questions to answer. Those that the design cannot answer are skipped. Several metrics have
-        no test of group x method.
+        Questions to answer. Questions that the design cannot answer are skipped. For several
+        metrics, there is no test of group x method.
     """
     found: list[Power] = []
     metrics, _, methods = null.shape[1:]
@@ -190,7 +195,7 @@ def rejection_rates(
 def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
 ) -> dict[str, Rejects]:
-    """Return the populations in which each test of one metric rejects, by the name of the test."""
+    """Return True for populations in which a test of one metric rejects, by name of the test."""
     values = values[:, 0]
     chosen, between = QUESTIONS[question]
     sizes = (values.shape[-1],)
@@ -212,7 +217,7 @@ def _rejections(
 def _joint_rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator, *, by_pillai: bool
 ) -> dict[str, Rejects]:
-    """Return the populations in which each test of several metrics rejects, by its name."""
+    """Return True for populations in which a joint test of several metrics rejects, by name."""
     chosen, between = QUESTIONS[question]
     sizes = (values.shape[-1],)
     scores = _joined(pair_scores(values, sizes, chosen))
@@ -224,9 +229,11 @@ def _joint_rejections(
 
 
 def _pillai_applies(values: Array, groups: Ints, question: str) -> bool:
-    """Return whether there are enough users for Pillai's trace, and no metric repeats another.
+    """Return whether Pillai's trace can be computed for one population.
 
-    The values of one population have shape (metrics, users, methods).
+    There must be enough users, and no metric may be a linear combination of others.
+
+    `values` has shape (metrics, users, methods).
     """
     chosen, _ = QUESTIONS[question]
     scores = _joined(scores_of(values, (values.shape[-1],), chosen))
@@ -237,23 +244,26 @@ def _pillai_applies(values: Array, groups: Ints, question: str) -> bool:
 
 @lru_cache(maxsize=64)
 def _critical_range(levels: int, degrees: int) -> float:
-    """Return the critical value of the studentised range.
+    """Return the critical value of the studentised range at the level 5 %.
 
-    The computation takes 0.3 s.
+    The result is cached, because the computation takes 0.3 s.
     """
     return studentized_range.ppf(LEVEL, levels, degrees)
 
 
 def _joined(scores: Array) -> Array:
-    """Join the scores of all metrics, from (..., metrics, users, scores) to (..., users, all)."""
+    """Join the scores of all metrics of a user into one row.
+
+    The shape (..., metrics, users, scores) becomes (..., users, metrics * scores).
+    """
     moved = np.moveaxis(scores, -3, -2)
     return moved.reshape(*moved.shape[:-2], -1)
 
 
 def _tukey_levels(values: Array, groups: Ints, exact: Strata) -> Rejects:
-    """Return whether Tukey's test within users finds any pair of levels, shape (populations,).
+    """Return True where Tukey's test within users rejects for any pair, shape (populations,).
 
-    `exact` is the F test of the levels.
+    `values` has shape (populations, users, levels). `exact` is the F test of the levels.
     """
     counts = np.bincount(groups)
     means = group_means(values, groups).mean(axis=-2)
@@ -263,7 +273,7 @@ def _tukey_levels(values: Array, groups: Ints, exact: Strata) -> Rejects:
 
 
 def _tukey_groups(values: Array, groups: Ints) -> Rejects:
-    """Return whether Tukey and Kramer's test finds any pair of groups, shape (populations,).
+    """Return True where Tukey and Kramer's test rejects for any pair, shape (populations,).
 
     The values have shape (populations, users).
     """
@@ -280,7 +290,7 @@ def _tukey_groups(values: Array, groups: Ints) -> Rejects:
 
 
 def _share(rejects: Rejects) -> Effect:
-    """Return the share of populations with Wilson's interval (Wilson 1927)."""
+    """Return the fraction of populations with a rejection, with its interval by Wilson (1927)."""
     found = binomtest(int(rejects.sum()), len(rejects))
     return Effect("share", found.statistic, *map(float, found.proportion_ci(LEVEL, "wilson")))
 

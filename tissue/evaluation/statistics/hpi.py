@@ -1,4 +1,7 @@
-"""Composite index: metrics with one direction, standardised, weighted by their squared loadings."""
+"""Composite index: weighted sum of standardised metrics that all point in the same direction.
+
+The weights are the squared loadings of the metrics on their first principal component.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,19 +22,19 @@ __all__ = [
 
 
 def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
-    """Draw users with replacement within each group, in the order of groups.
+    """Draw users of each group with replacement.
 
     Parameters
     ----------
     groups
         Group of every user, 0 to G - 1, shape (users,).
     count
-        Number of populations. Each has the size of the original groups.
+        Number of populations. In each population, the groups have their original sizes.
 
     Returns
     -------
     Ints
-        Indices of users, shape (count, users).
+        Indices of the drawn users, sorted by group, shape (count, users).
     """
     members = (np.flatnonzero(groups == group) for group in range(groups.max() + 1))
     return np.concatenate(
@@ -40,7 +43,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
 
 
 SMALLEST_GAP = 1.25
-"""Ratio of the first two variances below which the first direction does not count as distinct.
+"""Smallest ratio of the variances of the first two principal components for a distinct first one.
 
 The value is a convention.
 """
@@ -48,18 +51,19 @@ The value is a convention.
 
 @dataclass(frozen=True)
 class Index:
-    """Index of every trial and the weights of its metrics.
+    """Composite index of a study: mean of each method, and weights of the metrics.
 
     Attributes
     ----------
     metrics, weights
-        Metrics, and their weights with intervals over resampled users. The weights sum to one.
+        Names of the metrics, and their weights with intervals over resampled users. The weights sum
+        to one.
     means
-        Mean of each method with an interval over resampled users. The weights are fitted again to
-        each resampled population.
+        Mean index of each method, with an interval over resampled users. The weights are computed
+        again for each resampled population.
     assumptions
-        Checks that metrics agree in sign, that the first component is distinct, and that weights
-        are stable.
+        Checks that the loadings of all metrics have the same sign, that the first component is
+        distinct, and that the weights are stable.
     """
 
     metrics: tuple[str, ...]
@@ -69,7 +73,7 @@ class Index:
 
     @property
     def sentence(self) -> str:
-        """Weights and means in words, with failed assumptions."""
+        """Weights, means and failed assumptions in words."""
         weights_text = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
         means = ", ".join(
             f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]"
@@ -92,8 +96,9 @@ def weights_of(standard: Array) -> tuple[Array, Array, Array]:
     Returns
     -------
     weights, loadings, variances
-        Shape (..., metrics) each. The weights sum to one. The loadings sum to a positive number.
-        The variances are in decreasing order.
+        Squared loadings, loadings, and variances of the principal components, each of shape (...,
+        metrics). The weights sum to one. The sign of the loadings is chosen so that their sum is
+        positive. The variances are in decreasing order.
     """
     variances, vectors = np.linalg.eigh(standard)
     first = vectors[..., -1]
@@ -107,21 +112,23 @@ def composite_index(
     """Compute the composite index with weights from the first principal component.
 
     Metrics are oriented so that higher is better, and standardised within each task, because the
-    scales of tasks differ. They are then weighted by the squared loadings of the first principal
-    component of their correlation matrix. Published weights from raw metrics have mixed signs and
-    depend on the units. The weights of this function are positive and do not depend on the units.
+    scales of tasks differ. The weights are the squared loadings of the first principal component of
+    the correlation matrix. The published weights, which are computed from raw metrics, have mixed
+    signs and depend on the units. The weights of this function are not negative and do not depend
+    on the units.
 
     Parameters
     ----------
     table
-        Trials.
+        Trials of a study.
     directions
-        +1 for a metric where higher is better, -1 for a metric where lower is better, by name. Two
-        metrics or more.
+        Direction of each metric, by name, for at least two metrics: +1 if higher is better, -1 if
+        lower is better.
     rng
-        Generator that draws users for the intervals.
+        Random generator that draws users for the intervals.
     count
-        Number of resampled populations. With 2000, tails of 2.5 % have a standard error of 0.35 %.
+        Number of resampled populations. With 2000, the 2.5 % beyond each end of an interval have a
+        standard error of 0.35 %.
     """
     names = tuple(directions)
     kept = table.failure == ""
@@ -171,23 +178,25 @@ def composite_index(
 
 
 def _correlation(rows: Array, times: Array) -> Array:
-    """Return the correlation matrix of rows, each of which counts several times."""
+    """Return the correlation matrix of rows; row i counts ``times[i]`` times."""
     covariance = np.atleast_2d(np.cov(rows.T, aweights=times, ddof=0))
     size = np.sqrt(np.diag(covariance))
     return covariance / size / size[:, None]
 
 
 def _means(values: Array, shares: Array) -> Array:
-    """Return k weighted means of values, for k sets of weights, shape (k, rows).
+    """Return k weighted means of values, shape (k,).
 
-    The mean is zero for a method without rows in a resampled population. NaN would spread to every
-    percentile.
+    ``shares`` holds k sets of weights, shape (k, rows).
+
+    If a method has no rows in a resampled population, its mean is set to zero, because NaN would
+    make every percentile NaN.
     """
     return shares @ values / np.maximum(shares.sum(axis=1), 1.0)
 
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:
-    """Check whether one number may represent these metrics."""
+    """Check whether one number can represent all metrics; see `Index.assumptions`."""
     # a loading of zero may be negative by rounding
     agree = bool((loadings > -1e-9).all())
     # of two metrics that agree entirely, the second variance is zero
@@ -216,7 +225,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
 
 
 def _effects(names: Sequence[str], values: Array, limits: Array) -> tuple[Effect, ...]:
-    """Return the values by name, each with its limits; the limits have shape (2, values)."""
+    """Return named values with intervals; ``limits`` holds the ends, shape (2, values)."""
     return tuple(
         Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True)
     )

@@ -1,7 +1,7 @@
-"""Result of a hypothesis test.
+"""Result of a hypothesis test, and functions for effect sizes and checks of assumptions.
 
-The result holds effect sizes with exact intervals, assumptions with their checks, and other tests
-of the same question.
+The result contains the size of the effect with an interval, the assumptions with their checks, and
+other tests of the same question.
 """
 
 from dataclasses import dataclass
@@ -31,32 +31,32 @@ __all__ = [
 ]
 
 ALPHA = 0.05
-"""Share of false alarms that a test allows."""
+"""Significance level: probability that a test rejects if there is no effect."""
 LEVEL = 0.95
-"""Coverage of an interval."""
+"""Coverage of the intervals."""
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
-"""Probabilities that define the two ends of an interval.
+"""Probabilities that define the lower and the upper end of an interval.
 
-If the true value equals the lower end, a value below the measured value has the first probability.
-If it equals the upper end, such a value has the second probability.
+If the true value is the lower end, a value below the measured value has the first probability. If
+the true value is the upper end, a value below the measured value has the second probability.
 """
 MOST = 5000
-"""Largest sample with a known p value of Shapiro and Wilk's test (Royston 1995)."""
+"""Largest sample for which the p value of Shapiro and Wilk's test is known (Royston 1995)."""
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """Assumption of a test, checked on the same data.
+    """Assumption of a hypothesis test, checked on the data of the test.
 
     Attributes
     ----------
     name
         Name of the assumption, such as "normal residuals".
     holds
-        True if the check did not reject the assumption at :data:`ALPHA`. A passed check is no proof
-        in a small sample.
+        True if the check did not reject the assumption at :data:`ALPHA`. In a small sample, this is
+        no proof of the assumption.
     finding
-        Name of the check with its figures.
+        Name of the check and its numbers, as text.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Assumption:
 
 @dataclass(frozen=True)
 class Effect:
-    """Size of an effect with its interval of coverage :data:`LEVEL`."""
+    """Size of an effect, with an interval of coverage :data:`LEVEL`."""
 
     name: str
     value: float
@@ -79,7 +79,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class HypothesisTest:
-    """Result of one test.
+    """Result of one hypothesis test.
 
     Attributes
     ----------
@@ -88,9 +88,10 @@ class HypothesisTest:
     question
         Question of the test, such as "force_error: method".
     statistic_name, statistic, degrees
-        Statistic of the test, such as F, and its degrees of freedom.
+        Name of the test statistic, such as F, its value and its degrees of freedom.
     p
-        Probability that the statistic is at least as large if there is no effect.
+        Probability of a statistic that is at least as large as the measured one, if there is no
+        effect.
     effect
         Size of the effect, if the test has one.
     assumptions
@@ -125,13 +126,13 @@ class HypothesisTest:
 
     @property
     def figures(self) -> str:
-        """Statistic with its degrees of freedom and p, as text."""
+        """Statistic, degrees of freedom and p value as text."""
         degrees = f"({', '.join(f'{each:.4g}' for each in self.degrees)})" if self.degrees else ""
         return f"{self.statistic_name}{degrees} = {self.statistic:.4g}, {format_p(self.p)}"
 
 
 def format_p(p: float) -> str:
-    """Return a p value as text in the usual form."""
+    """Return a p value as text, such as "p = 0.0123" or "p < 0.0001"."""
     if not np.isfinite(p):
         return "p unknown"
     # smaller values depend on the tails of the assumed law
@@ -152,7 +153,7 @@ def require_statsmodels() -> None:
 
 
 def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Effect:
-    """Return the difference of two means in standard deviations (Cohen 1988).
+    """Return Cohen's d: the difference of two means in standard deviations (Cohen 1988).
 
     The interval from the noncentral t distribution (Steiger and Fouladi 1997) is exact for normal
     samples of equal variance.
@@ -164,13 +165,13 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
         samples belongs to the same user.
     paired
         Divide by the standard deviation of the differences ("d of differences"), not by the pooled
-        standard deviation of the samples. The two results answer different questions and have
-        different names.
+        standard deviation of the samples. The two kinds of d answer different questions, so the
+        returned effects have different names.
 
     Raises
     ------
     InputError
-        If the samples do not vary.
+        If the standard deviation in the denominator is zero.
     """
     one = np.asarray(first, dtype=float)
     other = np.asarray(second, dtype=float)
@@ -195,18 +196,18 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
 
 
 def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
-    """Return partial eta squared from F (Cohen 1973).
+    """Compute partial eta squared from an F statistic (Cohen 1973).
 
     Partial eta squared is the variation that the effect explains, divided by the sum of this
     variation and the variation of the error.
 
-    The ends of the interval are L / (L + above + below + 1), where L is the noncentrality of F at
-    each end (Steiger 2004).
+    Each end of the interval is L / (L + above + below + 1), where L is the noncentrality parameter
+    of F at this end (Steiger 2004).
 
     Parameters
     ----------
     statistic, above, below
-        F and its degrees of freedom.
+        F statistic, and its degrees of freedom in the numerator and in the denominator.
     """
     value = statistic * above / (statistic * above + below)
     ends = (_noncentrality(statistic, above, below, chance) for chance in TAILS)
@@ -215,9 +216,9 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
 
 
 def _noncentrality(statistic: float, above: float, below: float, chance: float) -> float:
-    """Return the noncentrality at which an F below the given F has the probability `chance`.
+    """Return the noncentrality at which a smaller F than `statistic` has probability `chance`.
 
-    The result is zero if this probability is smaller even for a noncentrality of zero.
+    The result is zero if the probability is at most `chance` even without noncentrality.
     """
 
     def excess(shift: float) -> float:
@@ -234,16 +235,17 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
 
 
 def normal_residuals(residuals: ArrayLike) -> Assumption:
-    """Check normality as an assumption.
+    """Check the assumption of normal residuals by two tests.
 
-    The assumption is rejected if one of two tests rejects it at half of :data:`ALPHA`.
+    The assumption is rejected if one of the tests rejects it at :data:`ALPHA` divided by the number
+    of tests.
 
-    For up to 5,000 values, one test is Shapiro and Wilk's test (1965), with p computed by
-    Royston's method (1995). For 8 values or more, the other test is Anderson and Darling's test
-    (1952) with estimated mean and variance (Stephens 1986). In a large sample, even a slight
-    departure from normality is rejected. Skewness and excess kurtosis are therefore reported too.
-    An absolute skewness below about 1 and an absolute excess kurtosis below about 2 hardly matter
-    for a comparison of means (West et al. 1995 warn from 2 and 7 on).
+    The first test is Shapiro and Wilk's test (1965), with p by Royston (1995). It is used for up to
+    5,000 values. The second test is Anderson and Darling's test (1952) with estimated mean and
+    variance (Stephens 1986). It needs at least 8 values. In a large sample, even a slight departure
+    from normality is rejected. Skewness and excess kurtosis are therefore reported too. An absolute
+    skewness below about 1 and an absolute excess kurtosis below about 2 hardly matter for a
+    comparison of means (West et al. 1995 warn from 2 and 7 on).
 
     Raises
     ------
@@ -273,14 +275,15 @@ def normal_residuals(residuals: ArrayLike) -> Assumption:
 
 
 def symmetric_residuals(residuals: Array) -> Assumption:
-    """Check symmetry as an assumption by D'Agostino's (1970) test of skewness.
+    """Check the assumption of symmetric residuals by D'Agostino's test of skewness (1970).
 
-    The smallest p over the columns is corrected by Bonferroni's factor.
+    Each column is tested. The smallest p is multiplied by the number of columns (Bonferroni).
 
     Parameters
     ----------
     residuals
-        Shape (users, columns), 8 users or more, columns not all constant.
+        Residuals of at least 8 users, shape (users, columns). Constant columns are ignored; at
+        least one column must vary.
     """
     columns = residuals[:, np.ptp(residuals, axis=0) > 0.0]
     p = min(1.0, columns.shape[1] * np.min(skewtest(columns, axis=0).pvalue))

@@ -11,7 +11,7 @@ __all__ = ["Interval", "mean_interval", "signed_interval"]
 
 
 class Interval(NamedTuple):
-    """Mean over units and the ends of its 95 % interval."""
+    """Mean over independent units, and the ends of its 95 % interval."""
 
     mean: float
     low: float
@@ -19,10 +19,10 @@ class Interval(NamedTuple):
 
 
 def mean_interval(values: Array) -> Interval:
-    """Return the mean over the first axis with its symmetric interval from Student's t.
+    """Return the mean of values, shape (n,), with a symmetric interval by Student's t.
 
-    Use it for values of both signs, such as differences. The interval of a single unit has no
-    width.
+    `values` has one entry per unit. Use this interval for values of both signs, such as
+    differences. The interval of a single unit has zero width.
     """
     mean = float(values.mean())
     half = _half_width(values)
@@ -30,12 +30,12 @@ def mean_interval(values: Array) -> Interval:
 
 
 def signed_interval(values: Array) -> Interval:
-    """Return the mean over the first axis with an interval that keeps the sign of the values.
+    """Return the mean of values, shape (n,), with an interval that keeps their sign.
 
-    The t interval is computed for the logarithm of the mean. Its standard error is the standard
-    error of the mean divided by the mean (delta method). Errors and times are positive, and a
-    symmetric interval of a few skewed values can end below zero. Values of both signs get the
-    symmetric interval.
+    Errors and times are positive, but the symmetric interval of a few skewed values can end below
+    zero. The t interval is therefore computed for the logarithm of the mean. The standard error of
+    this logarithm is the standard error of the mean divided by the mean (delta method). Values that
+    do not all have the same sign get the symmetric interval.
     """
     mean = float(values.mean())
     if not ((values > 0.0).all() or (values < 0.0).all()):
@@ -47,7 +47,7 @@ def signed_interval(values: Array) -> Interval:
 
 
 def _half_width(values: Array) -> float:
-    """Return half of the width of the 95 % t interval."""
+    """Return half of the width of the 95 % interval by Student's t, zero for a single value."""
     from scipy.stats import t
 
     count = len(values)

@@ -26,16 +26,21 @@ __all__ = [
 ]
 
 SPARC_CUTOFF_HZ = 10.0
-"""Highest counted frequency of a hand's movement (Balasubramanian et al. 2015).
+"""Highest frequency of a movement that SPARC uses (Balasubramanian et al. 2015).
 
 Published values range from 5 to 20 Hz.
 """
 SPARC_AMPLITUDE = 0.05
-"""Share of the peak below which a spectrum counts as noise (Balasubramanian et al. 2015)."""
+"""Fraction of the peak below which SPARC ignores the spectrum (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
-"""Exponent of the power of two by which the spectrum is refined (Balasubramanian et al. 2015)."""
+"""Padding level of SPARC (Balasubramanian et al. 2015).
+
+Zero padding refines the spectrum by a factor of 2 to this power.
+"""
 POINTS = 800
-"""Samples of each path for the alignment. Distances are refined between these samples.
+"""Largest number of samples of each path that are aligned.
+
+Rows between these samples are interpolated.
 
 Memory and time of the alignment grow with the square of this number.
 """
@@ -47,12 +52,12 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     Parameters
     ----------
     force_N, ideal_N
-        Played force and ideal force [N], shape (ticks,) or (ticks, 3).
+        Played force and ideal force [N], each of shape (ticks,) or (ticks, 3).
 
     Raises
     ------
     InputError
-        If a force is not finite, or the ideal force is zero throughout.
+        If a force is not finite, or the ideal force is zero in all ticks.
     """
     force, ideal = _pair(force_N, ideal_N)
     size = float(np.linalg.norm(ideal))
@@ -64,18 +69,18 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def excess_error(error: float, least_error: float) -> float:
-    """Compute the excess over the smallest possible error, sqrt(error^2 - least_error^2).
+    """Compute the excess of an error over the smallest possible error.
 
-    The result is 0 if the error is smaller than the smallest possible error. The smallest possible
-    error is the error of a perfect force that is played through the same device. The squares of
-    independent errors add up, so the excess is the part of the error that a better force could
-    remove.
+    The excess is sqrt(error^2 - least_error^2), or 0 if `error` is smaller than `least_error`.
+    `least_error` is the error of a perfect force that is played through the same device. The
+    squares of independent errors add up, so the excess is the part of the error that a better force
+    could remove.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the mean over ticks of the size of the force's error [N].
+    """Return the mean over ticks of the size of the error vector of a force [N].
 
     The arguments are the same as for :func:`force_error`.
     """
@@ -84,7 +89,7 @@ def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the root mean square over ticks of the size of the force's error [N].
+    """Return the root mean square over ticks of the size of the error vector of a force [N].
 
     The arguments are the same as for :func:`force_error`.
     """
@@ -97,25 +102,26 @@ def latency_ms(
 ) -> float:
     """Compute the lag of the played force behind the ideal force [ms].
 
-    The lag is the shift with the best correlation. The correlation is computed over the overlap of
-    both signals. Its peak is found by a parabola through three shifts. A force that leads, such as
-    a predicted force, gives a negative lag.
+    The lag is the time shift with the highest correlation of both forces. The correlation is
+    computed over the overlap of the shifted signals. The peak is refined by a parabola through
+    three shifts. If the played force leads the ideal force, for example after a prediction, the lag
+    is negative.
 
     Parameters
     ----------
     force_N, ideal_N
-        Played force and reference force [N], shape (ticks,) or (ticks, 3).
+        Played force and ideal force [N], each of shape (ticks,) or (ticks, 3).
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift in either direction [ms]. The default of 50 ms is twelve times the latency of
-        a study's loop.
+        Largest tested shift in either direction [ms]. The default of 50 ms is twelve times the
+        latency of the loop in a study.
 
     Raises
     ------
     InputError
-        If a force is constant, or the best shift lies at the end of the range. A better shift may
-        then lie outside the range.
+        If a force is constant, or the best shift lies at an end of the tested range. In the second
+        case, a better shift may lie outside the range.
     """
     force, ideal = _pair(force_N, ideal_N)
     reach = round(1e-3 * longest_ms / tick_s)
@@ -143,17 +149,18 @@ def latency_ms(
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Return the mean size of the change of acceleration between ticks [m/s^2].
+    """Return the mean size of the change of acceleration from tick to tick [m/s^2].
 
-    Lower is smoother. This is the published "smoothness index" in the form of its printed formula:
-    mean |dv[i+1]/dt - dv[i]/dt|. It equals the jerk multiplied by the duration of a tick, so only
-    trials with the same tick can be compared. It grows with roughness, although the published
-    table presents higher values as better.
+    A lower value means a smoother motion. The measure is the "smoothness index" of the paper,
+    computed by the printed formula: mean |dv[i+1]/dt - dv[i]/dt|. The value is the mean jerk
+    multiplied by the duration of a tick, so only trials with the same tick can be compared. The
+    value increases with roughness, although the table in the paper presents higher values as
+    better.
 
     Parameters
     ----------
     velocity_mm_s
-        Velocity of the tool [mm/s], shape (ticks,) or (ticks, 3), at least three ticks.
+        Velocity of the tool [mm/s], shape (ticks,) or (ticks, 3), with at least three ticks.
     tick_s
         Time from tick to tick [s].
     """
@@ -167,16 +174,16 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
 
     A value nearer to zero means a smoother movement.
 
-    The measure is SPARC (Balasubramanian et al. 2012, 2015). The result is minus the length of the
-    curve of the normalised magnitude spectrum of the speed. The spectrum is used from its first to
-    its last frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. The
-    result has no unit. It does not depend on the movement's size or, below the cutoff, on its
-    duration.
+    The measure is SPARC (Balasubramanian et al. 2012, 2015). The result is minus the arc length of
+    the normalised magnitude spectrum of the speed. The spectrum is used up to
+    :data:`SPARC_CUTOFF_HZ`, from the first to the last frequency at which it is at least
+    :data:`SPARC_AMPLITUDE`. The result has no unit. It does not depend on the size of the movement.
+    It does not depend on the duration either, as long as the spectrum lies below the cutoff.
 
     Parameters
     ----------
     speed_mm_s
-        Size of the velocity [mm/s], shape (ticks,), from rest to rest.
+        Size of the velocity [mm/s], shape (ticks,). The movement starts and ends at rest.
     tick_s
         Time from tick to tick [s].
     """
@@ -210,7 +217,7 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
     time_s
         Time of every tick [s], shape (ticks,).
     done
-        True where the task's condition holds, shape (ticks,).
+        True for ticks in which the condition of the task is met, shape (ticks,).
     """
     times = _signal("time_s", time_s, at_least=1)[:, 0]
     holds = np.asarray(done, dtype=bool)
@@ -238,7 +245,7 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
-    """Return the correlation of force[t + shift] with ideal[t] over the ticks that both have."""
+    """Return the correlation of force[t + shift] with ideal[t] over all ticks t that both have."""
     late, early = (
         (force[shift:], ideal[: len(ideal) - shift])
         if shift >= 0
@@ -252,7 +259,7 @@ def _correlation(force: Array, ideal: Array, shift: int) -> float:
 
 
 def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
-    """Return the samples as an array of shape (ticks, components), all finite."""
+    """Return samples as an array of shape (ticks, components); check that all are finite."""
     array = np.asarray(values, dtype=float)
     if array.ndim not in (1, 2) or len(array) < at_least:
         raise InputError(
@@ -270,27 +277,27 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
 
 
 def _pair(force_N: ArrayLike, ideal_N: ArrayLike) -> tuple[Array, Array]:
-    """Return a force and the ideal force as arrays of shape (ticks, components)."""
+    """Return the played and the ideal force as finite arrays of shape (ticks, components)."""
     return _signal("force_N", force_N, at_least=1), _signal("ideal_N", ideal_N, at_least=1)
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
-    """Return the row of the model that each row of a path corresponds to.
+    """Align a path with a model path; return the row of the model for each row of the path.
 
-    The rows never decrease (Sakoe and Chiba 1978). The sum of distances over pairs is the smallest
-    among all monotonic alignments of both paths. In an alignment, both paths start at their first
-    points. The alignment may end before the last point of the model, so that a correct but
-    incomplete path has no deviation.
+    The alignment is computed by dynamic time warping (Sakoe and Chiba 1978), and the returned rows
+    never decrease. Of all monotonic alignments, it has the smallest sum of distances between
+    aligned points. It starts at the first points of both paths. It may end before the last point of
+    the model, so that a correct but incomplete path has no deviation.
 
     Parameters
     ----------
     path, model
-        Points in time, any unit, shapes (n, d) and (m, d).
+        Points of both paths in the order of time, in any unit, shapes (n, d) and (m, d).
 
     Returns
     -------
     NDArray
-        Shape (n,), from 0 to m - 1.
+        Rows of the model, from 0 to m - 1, shape (n,).
     """
     ours, theirs = (
         np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int))
@@ -321,14 +328,16 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Return the distance of each point from the model's path near its row [mm], shape (n,).
+    """Return the distance of each point of a path from the model path [mm], shape (n,).
+
+    Only the part of the model path near the aligned row is searched.
 
     Parameters
     ----------
     path, model
-        Points in time [mm], shapes (n, d) and (m, d).
+        Points of both paths in the order of time [mm], shapes (n, d) and (m, d).
     rows
-        Row of the model for each point, from :func:`aligned_rows`, shape (n,).
+        Row of the model that is aligned with each point, from :func:`aligned_rows`, shape (n,).
     """
     reach = 2 * int(np.ceil(max(len(path), len(model)) / POINTS)) + 2
     best = np.full(len(path), np.inf)

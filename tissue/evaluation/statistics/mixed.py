@@ -1,4 +1,4 @@
-"""Linear mixed models with random users, by statsmodels."""
+"""Linear mixed models with random users (by statsmodels), and Bayesian regression."""
 
 import warnings
 from collections.abc import Mapping
@@ -30,30 +30,31 @@ if TYPE_CHECKING:
 __all__ = ["Components", "MixedModel", "Posterior", "mixed_model", "regression"]
 
 ITERATIONS = 400
-"""Number of iterations after which the fit counts as not converged.
+"""Largest number of iterations of a fit. A fit that needs more counts as not converged.
 
-Simulated studies of 45 people converge within 25 iterations.
+Fits of simulated studies with 45 people converge within 25 iterations.
 """
 LEAST = 1e-6
-"""Share of the residual in the total variance below which the likelihood has no maximum."""
+"""Smallest residual variance, divided by the total variance, for a likelihood with a maximum."""
 
 
 @dataclass(frozen=True)
 class Components:
-    """Estimated variances, in the square of the metric's unit.
+    """Estimated variance components, in the squared unit of the metric.
 
     Attributes
     ----------
     user
-        Variance of users about their group.
+        Variance of users about the mean of their group.
     user_method
         Variance of the interaction of users with methods, within a task.
     trial
-        Variance between trials of one user. All methods that render a trial share its value.
+        Variance between trials of one user. All methods that are run in a trial share its
+        deviation.
     residual
         Remaining variance.
     user_task
-        Variance of the interaction of users with tasks. Zero for one task.
+        Variance of the interaction of users with tasks. Zero if there is only one task.
     """
 
     user: float
@@ -70,9 +71,10 @@ class MixedModel:
     Attributes
     ----------
     components
-        Variances of users, of users by method, of trials and of the rest.
+        Estimated variance components.
     tests
-        One test of each fixed effect: F with the degrees of freedom of its stratum.
+        One F test of each fixed effect. The degrees of freedom are those of the effect and of its
+        error term (stratum).
     """
 
     components: Components
@@ -84,18 +86,19 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
 
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
-    The interaction of users with methods is a separate term. Without this term, the test of the
-    methods would treat the trials of one user as independent (Barr et al. 2013). A trial that
-    several methods render is a separate random term too. Terms that the table cannot separate,
-    because a cell holds one trial, are left out. Wald's statistic is compared with the F
-    distribution that has the degrees of freedom of the stratum. With few users, a comparison with
-    chi squared would reject too often. In a complete design, this test equals the exact test of
+    The interaction of users with methods is a separate random term. Without this term, the test of
+    the methods would treat the trials of one user as independent (Barr et al. 2013). If several
+    methods are run in the same trial, the trial is a random term too. If each user has only one
+    trial per method, the interaction of users with methods cannot be separated from the residual
+    and is omitted. Wald's statistic is compared with the F distribution whose degrees of freedom
+    are those of the error term (stratum). With few users, a comparison with the chi-squared
+    distribution would reject too often. In a complete design, this test equals the exact test of
     :func:`tissue.evaluation.statistics.strata.strata`, unless a variance is estimated as zero.
 
     Raises
     ------
     InputError
-        If there is nothing to compare, or a group has fewer than two users left.
+        If there is only one group, task and method, or a group has fewer than two complete users.
     """
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
@@ -164,9 +167,9 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
 def _convergence(
     reported_convergence: bool, found: Components, caught: list[warnings.WarningMessage]
 ) -> Assumption:
-    """Check whether the optimiser has reached the maximum.
+    """Check whether the optimiser has reached the maximum of the restricted likelihood.
 
-    The optimiser can report convergence wrongly if there is no residual.
+    The optimiser may wrongly report convergence if the residual variance is zero.
     """
     name = "convergence"
     if not reported_convergence:
@@ -184,10 +187,10 @@ def _convergence(
 
 
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
-    """Return the degrees of freedom of the stratum of a term or coefficient.
+    """Return the degrees of freedom of the error term of a fixed effect.
 
-    The result is the number of degrees of freedom of users, multiplied by the degrees of freedom
-    of the factors within users.
+    The result is `free`, the degrees of freedom of users within groups, multiplied by the degrees
+    of freedom of the effect's factors within users.
     """
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
@@ -198,7 +201,7 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
 def _tests(
     fitted: "MixedLMResults", metric: str, free: int, assumptions: tuple[Assumption, ...]
 ) -> list[HypothesisTest]:
-    """Return Wald's F of every effect, in its stratum."""
+    """Return Wald's F test of every fixed effect, each against its error term."""
     found = []
     for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
         # the mean of all trials is no effect
@@ -223,7 +226,7 @@ def _tests(
 
 
 def _plain(name: str) -> str:
-    """Return a term of the formula in readable form."""
+    """Return a term of the formula in readable form, such as "group x method"."""
     return (
         name.replace("C(", "")
         .replace(", Sum)", "")
@@ -234,19 +237,19 @@ def _plain(name: str) -> str:
 
 
 NODES = 96
-"""Number of quadrature nodes for the intraclass correlation.
+"""Number of quadrature nodes for the integral over the intraclass correlation.
 
-With 48 nodes, the intervals agree to four digits.
+With half as many nodes, the intervals agree to four digits.
 """
 
 
 SLOPE_SPREAD = 10.0
-"""Prior standard deviation of slopes and intercept, relative to the residual deviation.
+"""Prior standard deviation of slopes and intercept, divided by the residual standard deviation.
 
-Both refer to standardised columns. This prior is almost uninformative.
+Both standard deviations refer to standardised columns. The prior is almost uninformative.
 """
 SHAPE = SCALE = 0.01
-"""Parameters of the inverse gamma prior of the residual variance, almost uninformative.
+"""Shape and scale of the inverse gamma prior of the residual variance, almost uninformative.
 
 Gelman (2006) advises against this prior for variances between groups. Here, the intraclass
 correlation of users has a uniform prior instead.
@@ -255,15 +258,16 @@ correlation of users has a uniform prior instead.
 
 @dataclass(frozen=True)
 class Posterior:
-    """Posterior of a regression.
+    """Posterior distribution of a regression.
 
     Attributes
     ----------
     slopes
-        Change of the response for one unit of each predictor: median and credible interval in the
-        units of response and predictor.
+        Slope of each predictor: median and credible interval, in units of the response per unit of
+        the predictor.
     correlation
-        Variance between users divided by the variance about the line, mean over the posterior.
+        Intraclass correlation: variance between users divided by the variance about the regression
+        line, as the mean over the posterior.
     chances
         Probability that each slope is positive.
     sentence
@@ -287,28 +291,29 @@ def regression(
 
     The model is y = b0 + X b + u(user) + e with e ~ N(0, s^2), u ~ N(0, s^2 r / (1 - r)).
 
-    Given r, the intraclass correlation, the normal-inverse-gamma prior is conjugate (Gelman et al.
-    2013, chapter 14). Slopes therefore have a t distribution and the evidence has a closed form. r
-    has a uniform prior and is integrated by quadrature. The posterior is a mixture of t
-    distributions, exact apart from the quadrature nodes. Chains (NUTS) give the same intervals for
-    the same model.
+    r is the intraclass correlation. For a given r, the normal-inverse-gamma prior is conjugate
+    (Gelman et al. 2013, chapter 14). The slopes then have a t distribution, and the evidence has a
+    closed form. r has a uniform prior and is integrated by quadrature. The posterior is therefore a
+    mixture of t distributions, exact apart from the quadrature error. Markov chains (NUTS) give the
+    same intervals for the same model.
 
     Parameters
     ----------
     values
         Response, finite, shape (rows,).
     predictors
-        Columns by name, finite, each of shape (rows,).
+        Predictors by name, finite, each of shape (rows,).
     users
-        User of each row, shape (rows,). Without random users, the rows of one user would count as
-        independent.
+        User of each row, shape (rows,). The random term of the users prevents that the rows of one
+        user count as independent.
     response
         Name of the response.
 
     Raises
     ------
     InputError
-        If a column is constant or repeats another, or there are fewer than two users.
+        If the response or a predictor is constant, a predictor is a linear combination of others,
+        or there are fewer than two users.
     """
     columns = np.column_stack([np.asarray(each, dtype=float) for each in predictors.values()])
     answers = np.asarray(values, dtype=float)
@@ -378,12 +383,13 @@ def regression(
 def _conjugate(
     values: Array, design: Array, person: Ints, ratios: Array
 ) -> tuple[Array, Array, Array]:
-    """Return centre and width of every coefficient's t distribution, and the log evidence.
+    """Return centre and scale of the t distribution of every coefficient, and the log evidence.
 
-    All three results are returned for each ratio of variances.
+    All three results are arrays over `ratios`, the ratios of the variance between users to the
+    residual variance.
 
-    With counts n, the inverse covariance of one user's rows is I - 11' k, k = ratio / (1 + n
-    ratio). Only sums over users are therefore needed.
+    The inverse covariance of the n rows of one user is I - 11' k, with k = ratio / (1 + n ratio).
+    Only sums over the rows of each user are therefore needed.
     """
     counts = np.bincount(person).astype(float)
     sums = np.stack([np.bincount(person, column) for column in (*design.T, values)], axis=1)

@@ -1,4 +1,4 @@
-"""Power of a planned study, by simulation of its deciding tests."""
+"""Power of a planned study, by simulation of the tests that decide its questions."""
 
 from itertools import combinations
 
@@ -11,31 +11,31 @@ from tissue.evaluation.statistics.sign_flips import largest_squared_t, pair_diff
 __all__ = ["EFFECT", "POPULATIONS", "POWER", "effect_names", "planned_people", "planned_power"]
 
 EFFECT = 1.0
-"""Effect of interest in standard deviations.
+"""Smallest effect of interest [standard deviations].
 
-For methods, the unit is the standard deviation of the differences within people between two
-methods. For groups, it is the standard deviation of the people of one group. The value was chosen
-in the range 0.5 to 2 as the smallest relevant effect. The paper's force errors of penalty and
-Koopman differ by 2.8 to 2.9 standard deviations (from its table of force errors, with the root mean
-square of the spreads of both columns).
+For methods, the unit is the standard deviation, over people, of the difference between two methods.
+For groups, it is the standard deviation of the people of one group. The value is a choice from the
+range 0.5 to 2. In the paper, the force errors of penalty and Koopman differ by 2.8 to 2.9 standard
+deviations. This follows from the table of force errors, with the root mean square of the standard
+deviations of both columns.
 """
 POWER = 0.8
-"""Power for which the number of people is planned (Cohen 1988, section 2.4)."""
+"""Power for which the number of people in a study is planned (Cohen 1988, section 2.4)."""
 MOST_PEOPLE = 200
-"""Largest considered number of people per group. No registered effect needs so many people."""
+"""Largest number of people per group that is tried. No registered effect needs so many people."""
 POPULATIONS = 20_000
-"""Number of simulated studies for one value of the power.
+"""Number of simulated studies from which one value of the power is computed.
 
-At a level of 5 % divided by 54 tests, 19 of these studies exceed the critical value. The
-uncertainty of the critical value changes a power of 0.8 by 0.02 (standard deviation of 12
-repetitions), and a planned number of 35 people by up to 2.
+At a significance level of 5 % divided by 54 tests, 19 simulated studies without an effect exceed
+the critical value. The random error of this critical value changes a power of 0.8 by 0.02 (standard
+deviation of 12 repetitions), and a planned number of 35 people by up to 2.
 """
 
 
 def effect_names(**levels: int) -> list[str]:
-    """Return the names of main effects and interactions of factors, such as "group x method".
+    """Return the names of all main effects and interactions of factors, such as "group x method".
 
-    Factors with one level are left out.
+    ``levels`` holds the number of levels of each factor. Factors with one level are left out.
     """
     factors = [name for name, count in levels.items() if count > 1]
     return [
@@ -54,34 +54,36 @@ def planned_power(
     rng: np.random.Generator,
     effect: float = EFFECT,
 ) -> dict[str, float]:
-    """Return the power of each deciding test of one metric on one task for an effect of interest.
+    """Return the power of each test of one metric on one task, for an effect of a given size.
 
-    One method, one group, or one method in one group differs by ``effect`` from all others. All
-    others are equal. The unit of the effect is the standard deviation of differences within people
-    between two methods, or of people's means in a group. Values are normal with equal spreads.
+    For the test of methods, one method differs by ``effect`` from all others, which are equal. For
+    groups, one group differs, and for the interaction, one method in one group. The unit of
+    ``effect`` is explained at `EFFECT`. Values are normal with equal standard deviations.
 
     The power is the share of simulated studies whose largest t exceeds the critical value. The
-    critical value is the quantile 1 - alpha of simulated studies without an effect. Sign flips
-    would need 20 / alpha flips for each study. At alpha = 5 %, their power is 0.01 to 0.02 lower.
+    critical value is the quantile 1 - alpha of the largest t in simulated studies without an
+    effect. A study itself uses sign-flip tests, but their simulation would need 20 / alpha flips
+    for each study. At alpha = 5 %, the power of sign-flip tests is 0.01 to 0.02 lower than the
+    returned power.
 
     Parameters
     ----------
     people
-        People in a group. The effect refers to means over a person's trials, so the number of
-        trials has no influence.
+        Number of people in a group. The effect refers to means over the trials of a person, so the
+        number of trials has no influence.
     groups, methods
         Number of groups and number of methods.
     alpha
-        Share of false alarms of one test, after correction.
+        Significance level of one test, after the correction for several tests.
     rng
-        Generator of the simulated studies.
+        Random generator of the simulated studies.
     effect
-        Effect in standard deviations.
+        Size of the effect in standard deviations.
 
     Returns
     -------
     dict[str, float]
-        Power by test, without tests that need more people, groups or methods.
+        Power by name of the test. Tests that need more people, groups or methods are left out.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def planned_people(
     rng: np.random.Generator,
     effect: float = EFFECT,
 ) -> dict[str, int]:
-    """Return the smallest number of people per group with a power of 0.8, by test.
+    """Return the smallest number of people per group for a power of 0.8, by name of the test.
 
     Parameters
     ----------
@@ -148,7 +150,7 @@ def _simulated_power(
     rng: np.random.Generator,
     effect: float,
 ) -> float:
-    """Return the share of simulated studies in which one test finds the effect."""
+    """Return the fraction of simulated studies in which one test detects the effect."""
     between = "group" in test
     # a person's mean is one value of unit variance
     levels = methods if "method" in test else 1
@@ -169,21 +171,22 @@ def _simulated_power(
 def _wishart_factors(
     shape: tuple[int, ...], levels: int, degrees: int, rng: np.random.Generator
 ) -> Array:
-    """Draw matrices whose products with their transposes are sums of squares of normal residuals.
+    """Draw random matrices A for which A Aᵀ has a Wishart distribution.
 
     Parameters
     ----------
     shape
         Shape of the draws.
     levels
-        Number of independent values of unit variance.
+        Number of rows of A. A Aᵀ is distributed like the sums of squares and products of this
+        number of independent normal variables with unit variance.
     degrees
-        Degrees of freedom.
+        Degrees of freedom of the Wishart distribution.
 
     Returns
     -------
     Array
-        Shape (*shape, levels, columns).
+        Matrices A, shape (*shape, levels, columns).
     """
     if degrees < levels:
         return rng.standard_normal((*shape, levels, degrees))

@@ -1,8 +1,10 @@
-"""Tests by sign flips. The decisions of a study follow from these tests.
+"""Sign-flip tests: permutation tests that change the signs of differences at random.
+
+The decisions of a study follow from these tests.
 
 The tests compare all pairs of levels or groups by t statistics, each with its own standard error.
-Unlike F tests and permutation tests, tests by sign flips are valid for methods and groups that
-differ in spread.
+Unlike F tests and permutations of labels, sign flips are valid for methods and groups with
+different variances.
 """
 
 from dataclasses import dataclass
@@ -24,20 +26,20 @@ __all__ = [
 ]
 
 FLIPS = 19_999
-"""Number of sign flips of a test.
+"""Number of random sign flips of a test.
 
-A whole study has 54 planned tests, and each decides at p = 0.0009. A p of this size has a standard
-error of 0.0002.
+A complete study has 54 planned tests. Each test therefore decides at p = 0.0009, the level of 5 %
+divided by 54. With this number of flips, a p value of this size has a standard error of 0.0002.
 """
 FLIPS_OF_RATES = 199
-"""Number of sign flips of a test that is repeated on thousands of data sets.
+"""Number of random sign flips of a test that is repeated on thousands of data sets.
 
-With 199 flips, a level of 5 % is exact.
+With 199 flips, a significance level of 5 % is met exactly.
 """
 BLOCK = 2_000_000
-"""Number of values that are in memory at once, 16 MB."""
+"""Largest number of values that are in memory at once (16 MB)."""
 SMALLEST = 1e-12
-"""Lower bound of a variance relative to the mean square, above the rounding error of both."""
+"""Lower bound of a variance, divided by the mean square. It is above the rounding error of both."""
 EQUAL = 1e-9
 """Relative difference below which two statistics count as equal.
 
@@ -52,16 +54,17 @@ class SignTest:
     Attributes
     ----------
     statistic, p
-        Largest absolute t over all pairs, and the share of flips whose largest t is at least as
-        large.
+        Largest absolute t over all pairs, and its p value: the fraction of flips whose largest t is
+        at least as large.
     differences, errors
-        Mean difference of each pair with its standard error, shape (pairs,).
+        Mean difference of each pair, and its standard error, each of shape (pairs,).
     pair_p
-        Share of flips whose largest t reaches the pair's t, shape (pairs,). These p values hold for
-        all pairs together (Westfall and Young 1993).
+        p value of each pair: the fraction of flips whose largest t over all pairs is at least the t
+        of this pair, shape (pairs,). These p values are corrected for the comparison of all pairs
+        (Westfall and Young 1993).
     critical
-        Absolute t that is reached with a probability of 5 %. ``differences ± critical * errors``
-        are simultaneous 95 % intervals.
+        Absolute t that the largest t of a flip reaches with a probability of 5 %. ``differences ±
+        critical * errors`` are simultaneous 95 % intervals.
     """
 
     statistic: float
@@ -73,7 +76,11 @@ class SignTest:
 
 
 def pair_differences(count: int) -> Array:
-    """Return the weights of all pairs of levels, later minus earlier, shape (pairs, count)."""
+    """Return the weights of the differences between all pairs of `count` levels.
+
+    The weights have shape (pairs, count). In each pair, the earlier level is subtracted from the
+    later level.
+    """
     pairs = list(combinations(range(count), 2))
     weights = np.zeros((len(pairs), count))
     for row, (first, second) in enumerate(pairs):
@@ -85,8 +92,8 @@ def pair_differences(count: int) -> Array:
 def pair_scores(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
     """Compute the differences of every user between all pairs of levels of one effect.
 
-    Parameters and shapes are those of :func:`effect_scores`. An interaction gives differences of
-    differences. Without chosen factors, the score is a user's mean.
+    Parameters and shapes are those of :func:`effect_scores`. For an interaction, the scores are
+    differences of differences. Without chosen factors, the score is the mean of the user.
     """
     return effect_scores(
         values,
@@ -98,14 +105,15 @@ def pair_scores(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) 
 
 
 def _compared(means: Array, variances: Array, *, between: bool) -> tuple[Array, Array]:
-    """Return the differences to be tested and their variances, each of shape (..., pairs).
+    """Return the tested differences and their variances, each of shape (..., pairs).
 
     Parameters
     ----------
     means, variances
-        Mean of the users of each group and its variance, shape (..., groups, scores).
+        Mean over the users of each group, and variance of this mean, each of shape (..., groups,
+        scores).
     between
-        Compare groups; if not, take the mean over groups of equal weight.
+        If true, compare groups. If false, return the mean over groups, with equal weights.
     """
     count = means.shape[-2]
     if not between:
@@ -121,9 +129,11 @@ def largest_squared_t(means: Array, variances: Array, *, between: bool) -> Array
     Parameters
     ----------
     means, variances
-        Mean of the users of each group and its variance, shape (..., groups, scores).
+        Mean over the users of each group, and variance of this mean, each of shape (..., groups,
+        scores).
     between
-        Compare groups; if not, test the mean over groups of equal weight against zero.
+        If true, compare groups. If false, test the mean over groups (with equal weights) against
+        zero.
     """
     differences, squared_errors = _compared(means, variances, between=between)
     return (differences**2 / squared_errors).max(axis=-1)
@@ -137,14 +147,14 @@ def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
     scores
         Shape (..., users, scores).
     groups
-        Group of every user, shape (users,), two users or more each.
+        Group of every user, shape (users,). Each group has at least two users.
     signs
-        Shape (flips, users).
+        Signs, 1 or -1, shape (flips, users).
 
     Returns
     -------
     tuple of Array
-        Both of shape (..., flips, groups, scores).
+        Means and variances, each of shape (..., flips, groups, scores).
     """
     means = []
     variances = []
@@ -162,7 +172,7 @@ def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
 
 
 def _flipped(scores: Array, groups: Ints, *, between: bool) -> Array:
-    """Return the values whose signs are flipped: the scores, or the residuals about group means.
+    """Return the values whose signs are flipped: scores, or residuals about the group means.
 
     Residuals are used if groups are compared.
     """
@@ -172,20 +182,20 @@ def _flipped(scores: Array, groups: Ints, *, between: bool) -> Array:
 
 
 def _signs(count: int, users: int, rng: np.random.Generator) -> Array:
-    """Return random signs, shape (count, users)."""
+    """Return random signs, 1 or -1, shape (count, users)."""
     return np.where(rng.integers(2, size=(count, users)) == 1, 1.0, -1.0)
 
 
 def flipped_p(measured: Array, flipped: Array) -> Array:
-    """Return the share of flipped statistics that reach the measured statistic (Edgington 1995).
+    """Return the p value: the fraction of flips that reach the measured statistic (Edgington 1995).
 
     Parameters
     ----------
     measured
-        Shape (...).
+        Measured statistics, shape (...).
     flipped
-        Statistics after sign flips, shape (..., flips). The measured statistic counts as one more
-        flip.
+        Statistics after sign flips, shape (..., flips). The measured statistic counts as an
+        additional flip.
     """
     reached = (flipped >= measured[..., None] * (1.0 - EQUAL)).sum(axis=-1)
     return (1.0 + reached) / (flipped.shape[-1] + 1.0)
@@ -199,31 +209,32 @@ def sign_test(
     rng: np.random.Generator,
     flips: int = FLIPS,
 ) -> SignTest:
-    """Test differences within users, or between groups, by sign flips of whole users.
+    """Test differences within users, or between groups, by sign flips.
 
-    The statistic is the largest absolute t over all pairs. Each t has its own standard error, from
-    the variance within each group (Welch 1938).
+    A flip changes the signs of all scores of a user together.
 
-    Without an effect, and with symmetric errors, the differences of a user are equally likely with
-    the opposite sign. Flips of all scores of a user at once then give an exact test within users,
-    whatever the spreads and correlations of the methods. Groups are compared by flips of the
-    residuals about their means (Wu 1986; Liu 1988, the wild bootstrap), which is exact only in
-    large groups.
+    The statistic is the largest absolute t over all pairs. Each t has its own standard error,
+    computed from the variances within the groups (Welch 1938).
+
+    If there is no effect and errors are symmetric, the differences of a user are equally likely
+    with the opposite signs. The test within users is then exact, whatever the variances and
+    correlations of the methods. Groups are compared by flips of the residuals about the group means
+    (wild bootstrap, Wu 1986; Liu 1988). This test is exact only in the limit of large groups.
 
     Parameters
     ----------
     scores
-        Scores of :func:`pair_scores`, shape (users, scores). Scores of several metrics may be
-        joined.
+        Scores by :func:`pair_scores`, shape (users, scores). Scores of several metrics may be
+        joined along the second axis.
     groups
-        Group of every user, 0 to G - 1, shape (users,), two users or more each.
+        Group of every user, 0 to G - 1, shape (users,). Each group has at least two users.
     between
-        Compare groups; if not, test the mean of the scores over groups of equal weight against
-        zero.
+        If true, compare groups. If false, test the mean of the scores over groups (with equal
+        weights) against zero.
     rng
-        Generator of the signs.
+        Random generator of the signs.
     flips
-        Number of flips.
+        Number of random sign flips.
     """
     ones = np.ones((1, len(groups)))
     means, variances = _moments(scores, groups, ones)
@@ -258,20 +269,19 @@ def sign_test_p(
     rng: np.random.Generator,
     flips: int = FLIPS_OF_RATES,
 ) -> Array:
-    """Return the p values of :func:`sign_test` over many data sets.
+    """Return the p value of :func:`sign_test` for each of many data sets.
 
     Parameters
     ----------
     scores
-        Shape (data sets, users, scores).
+        Scores by :func:`pair_scores`, shape (data sets, users, scores).
     groups, between, rng, flips
-        As in :func:`sign_test`. Signs are drawn once for a block of data sets, not for each data
-        set.
+        As in :func:`sign_test`. The same signs are used for a block of data sets.
 
     Returns
     -------
     Array
-        Shape (data sets,).
+        p values, shape (data sets,).
     """
     ones = np.ones((1, len(groups)))
     held = _flipped(scores, groups, between=between)

@@ -1,4 +1,4 @@
-"""F tests of a design with groups of users and factors within users, for one metric or several."""
+"""F tests of a design with groups of users and factors within users, for one or more metrics."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,19 +26,21 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Strata:
-    """F tests over populations.
+    """F tests of one effect.
+
+    The values may come from several populations. Arrays then have one entry per population.
 
     Attributes
     ----------
     F, p
-        F statistic and its p value, with the shape of the populations.
+        F statistic and p value, one for each population.
     error_square
-        Mean square in the denominator of F.
+        Mean square of the error, which is the denominator of F.
     degrees
         Degrees of freedom of numerator and denominator.
     epsilon, corrected_p
-        Greenhouse and Geisser's (1959) measure of sphericity, and p with the degrees of freedom
-        multiplied by this measure. The measure is 1 if sphericity holds.
+        Measure of sphericity by Greenhouse and Geisser (1959), and p value with the degrees of
+        freedom multiplied by this measure. The measure is 1 if the contrasts are spherical.
     """
 
     F: Array
@@ -66,28 +68,28 @@ def effect_scores(
     contrasts: Callable[[int], Array],
     mean_weight: Callable[[int], float],
 ) -> Array:
-    """Compute the scores of every user on contrasts of one effect within users.
+    """Compute the scores of every user: contrasts of the levels of an effect within users.
 
     Parameters
     ----------
     values
-        Cell means, shape (..., users, levels). The number of levels is the product of `sizes`, with
-        the last factor fastest.
+        Cell means, shape (..., users, levels). The last axis has all combinations of the levels of
+        the factors; the last factor changes fastest.
     sizes
-        Levels of each factor.
+        Number of levels of each factor.
     chosen
-        Factors in the effect.
+        Indices of the factors in the effect.
     contrasts
-        Function from the number of levels of a factor in the effect to the weights of its
-        contrasts, shape (contrasts, levels).
+        Function that returns the weights of contrasts, shape (contrasts, levels), for a number of
+        levels. It is applied to the factors in the effect.
     mean_weight
-        Function from the number of levels of a factor outside the effect to the weight of each
-        level.
+        Function that returns the equal weight of each level, for a number of levels. It is applied
+        to the factors outside the effect.
 
     Returns
     -------
     Array
-        Shape (..., users, contrasts).
+        Scores, shape (..., users, contrasts).
     """
     parts = [
         contrasts(size) if index in chosen else np.full((1, size), mean_weight(size))
@@ -97,10 +99,10 @@ def effect_scores(
 
 
 def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
-    """Compute the scores of every user on orthonormal contrasts of one effect within users.
+    """Compute the scores of every user on orthonormal contrasts of an effect within users.
 
     Parameters and shapes are those of :func:`effect_scores`. Without chosen factors, the score is
-    a user's mean multiplied by the square root of the number of levels.
+    the mean of the user multiplied by the square root of the number of levels.
     """
     return effect_scores(
         values,
@@ -120,26 +122,27 @@ def strata(
     *,
     between: bool,
 ) -> Strata:
-    """Test one effect against the variation between users in its stratum.
+    """Test one effect by an F test against the variation of its scores between users.
 
-    In a balanced design with normal effects of users, of users by factor and of trials, these are
-    the exact tests that a mixed model approximates. The variation includes interactions of users
-    with methods.
+    This variation is the error term (stratum) of the effect, and includes interactions of users
+    with methods. A mixed model approximates this test. The test is exact in a balanced design with
+    normal effects of users, of users by factor and of trials.
 
     Parameters
     ----------
     values
         Cell means, shape (..., users, levels).
     groups
-        Group of every user, 0 to G - 1, shape (users,); users outnumber groups.
+        Group of every user, 0 to G - 1, shape (users,). There must be more users than groups.
     sizes
-        Levels of each factor within users.
+        Number of levels of each factor within users.
     chosen
-        Factors within users that are in the effect; at least one unless `between`.
+        Indices of the factors within users that belong to the effect. At least one, unless
+        `between` is true.
     between
-        True if the effect involves the group: the group alone if `chosen` is empty, otherwise the
-        interaction of the effect with the group. If false, the mean of the effect over groups of
-        equal weight is tested against zero.
+        If true, the effect of the group is tested if `chosen` is empty, otherwise the interaction
+        of the group with the chosen factors. If false, the effect of the chosen factors, as the
+        mean over groups with equal weights, is tested against zero.
     """
     scores = scores_of(values, sizes, chosen)
     contrasts = scores.shape[-1]
@@ -174,12 +177,12 @@ def strata(
 
 @dataclass(frozen=True)
 class Pillai:
-    """Pillai's trace over populations, and its F test.
+    """Pillai's trace and its F test, for one or more populations.
 
     Attributes
     ----------
     trace, F, p
-        Trace, F statistic and its p value, with the shape of the populations.
+        Trace, F statistic and p value of F, one for each population.
     degrees
         Degrees of freedom of F.
     """
@@ -191,16 +194,17 @@ class Pillai:
 
 
 def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
-    """Compute Pillai's trace and its F test over many populations (Pillai 1955).
+    """Compute Pillai's trace and its F test, for one or more populations (Pillai 1955).
 
     Parameters
     ----------
     scores
-        Shape (..., users, columns).
+        Scores of users on contrasts of all metrics, shape (..., users, columns).
     groups
         Group of every user, shape (users,).
     between
-        Compare groups; if not, test the mean over groups of equal weight against zero.
+        If true, compare groups. If false, test the mean over groups (with equal weights) against
+        zero.
     """
     counts = np.bincount(groups)
     means = group_means(scores, groups)
@@ -237,24 +241,25 @@ def multivariate(
     Parameters
     ----------
     scores
-        One row per user, shape (users, columns).
+        Scores of users on contrasts of all metrics, shape (users, columns).
     groups
         Group of every user, 0 to G - 1, shape (users,).
     between
-        Compare groups; if not, test the mean of the columns over groups of equal weight against
-        zero.
+        If true, compare groups. If false, test the mean of the columns over groups (with equal
+        weights) against zero.
     question
-        Question of the test, for the sentence.
+        Question of the test, for the returned result.
 
     Returns
     -------
     HypothesisTest
-        Pillai's trace, the most robust of the four statistics (Olson 1974).
+        F test of Pillai's trace, the most robust of the four multivariate statistics (Olson 1974).
 
     Raises
     ------
     InputError
-        If there are too few users for the columns, or one column is a multiple of another.
+        If there are too few users for the number of columns, or one column is a linear combination
+        of others.
     """
     counts = np.bincount(groups)
     width = scores.shape[1]

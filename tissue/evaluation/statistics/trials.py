@@ -29,23 +29,24 @@ KEYS = (*KEY, "seed", "failure")
 class Cells:
     """Means of one metric over the trials of each user at each level.
 
-    These means are the unit that tests of a study compare.
+    The tests of a study compare these means.
 
     Attributes
     ----------
     metric
         Name of the metric, with its unit.
     values
-        Mean over a user's trials, shape (users, levels).
+        Mean over the trials of a user at a level, shape (users, levels). A level is a combination
+        of the levels of `factors`.
     counts
-        Trials behind each mean, shape (users, levels).
+        Number of trials in each mean, shape (users, levels).
     groups
-        Index into `group_names`, shape (users,).
+        Group of every user, as an index into `group_names`, shape (users,).
     users
         Label of every user.
     factors
-        Names of the crossed factors within users, and their levels. Along the axis `levels`, the
-        last factor changes fastest.
+        Crossed factors within users: name and levels of each factor. Along the axis of the levels,
+        the last factor changes fastest.
     dropped
         Users that are left out because all their trials at one of the levels failed.
     """
@@ -72,19 +73,22 @@ class TrialTable:
     Attributes
     ----------
     task, group, user, method
-        Labels, shape (rows,). Equal labels in two groups denote two users.
+        Labels of each row, shape (rows,). Equal user labels in two groups denote two different
+        users.
     trial, seed
         Number of the trial within its task, group and user, and the seed that reproduces the trial,
         shape (rows,).
     failure
-        Empty, or the reason of a failed trial, whose metrics are NaN.
+        Reason of the failure, shape (rows,). Empty for a row that did not fail. The metrics of a
+        failed row are NaN.
     metrics
-        Values of each metric, shape (rows,). The name of a metric includes its unit.
+        Values of each metric by name, each of shape (rows,). The name of a metric includes its
+        unit.
 
     Raises
     ------
     InputError
-        If a trial is given twice, or a metric of a trial that did not fail is not finite.
+        If a row occurs twice, or a metric of a row that did not fail is not finite.
     """
 
     task: Text
@@ -126,7 +130,7 @@ class TrialTable:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
-        """Return a table of rows that hold the keys and metrics by name.
+        """Return a table of rows, each of which contains keys and metrics by name.
 
         A row may omit the key `failure`. A row with a failure may omit metrics.
         """
@@ -144,7 +148,8 @@ class TrialTable:
     def write_csv(self, path: Path) -> None:
         """Write the table as CSV.
 
-        The same trials give the same bytes, and the values can be read back bit by bit.
+        Equal tables give files with equal bytes. All digits of the values are written, so that
+        exactly the same values can be read back.
         """
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
@@ -161,7 +166,7 @@ class TrialTable:
 
     @cached_property
     def failed(self) -> int:
-        """Number of rows that failed."""
+        """Number of rows with a failure."""
         return int((self.failure != "").sum())
 
     def where(self, **chosen: str | Sequence[str]) -> "TrialTable":
@@ -176,7 +181,7 @@ class TrialTable:
         return self._rows(kept)
 
     def values(self, metric: str) -> Array:
-        """Return one metric over the rows, NaN where a trial failed."""
+        """Return the values of a metric in all rows; a value is NaN if the row failed."""
         if metric not in self.metrics:
             raise InputError(
                 "metric", f"be one of {', '.join(self.metrics)}", metric, "choose one of those"
@@ -184,7 +189,7 @@ class TrialTable:
         return self.metrics[metric]
 
     def people(self) -> Text:
-        """Return the label of the user of every row, preceded by the group, shape (rows,)."""
+        """Return the group and the user of every row as one label, shape (rows,)."""
         return np.char.add(np.char.add(self.group, "/"), self.user)
 
     def complete(self) -> "TrialTable":
@@ -204,12 +209,13 @@ class TrialTable:
         return self._rows(whole & np.isin(names, kept))
 
     def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
-        """Return the means of a metric over each user's trials, by the factors within a user.
+        """Return the means of a metric over the trials of each user, by factors within users.
 
         Raises
         ------
         InputError
-            If a group has fewer than two users left, or the metric is constant.
+            If a group has fewer than two users with trials at all levels, or the metric is
+            constant.
         """
         values = self.values(metric)
         kept = self.failure == ""

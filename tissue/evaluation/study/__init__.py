@@ -1,1 +1,1 @@
-"""Complete evaluation by one command: tasks, groups and methods over many trials, and a report."""
+"""Evaluation study by one command: many trials of tasks, groups and methods, and a report."""

@@ -1,4 +1,4 @@
-"""Report sections on the case studies: needle, reaming and drilling."""
+"""Report sections on the three case studies: needle, reaming and drilling."""
 
 from dataclasses import replace
 from itertools import product
@@ -36,22 +36,23 @@ from tissue.scene.registry import GROUPS
 __all__ = ["case_sections", "median_interval", "travel_by_people"]
 
 TEETH = ("carious", "sound")
-"""Specimens of the drilling task.
+"""Names of the two specimens of the drilling task.
 
-The errors of the two specimens differ by more than the errors of different methods.
+They are reported separately, because the errors of the two specimens differ more than the errors of
+different methods.
 """
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
-    """Return the case studies that the folder holds."""
+    """Return a report section for each case study with trials in the folder."""
     makers = {"needle": needle_section, "reaming": _reaming, "drilling": _drilling}
     tables = {task: case_table(folder, task) for task in makers}
     return [makers[task](table, seed) for task, table in tables.items() if table is not None]
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Report tracking error in newtons at the reamer, distance from the path, and torque steps."""
+    """Report force error at the reamer, distance from the path, and discrimination of torques."""
     force = CASES["reaming_rms_N"]
     rows = []
     for method in methods_of(table):
@@ -138,7 +139,7 @@ def _drilling(table: TrialTable, seed: int) -> Section:
 def travel_by_people(needle: TrialTable, method: str) -> Array:
     """Return the median of each person's travel after the puncture [mm], shape (people,).
 
-    The travel is infinite if the person did not notice the puncture.
+    The travel of a trial is infinite if the person did not notice the puncture.
     """
     part = needle.where(method=method)
     travel = np.where(part.values("noticed") > 0.0, part.values("excess_mm"), inf)
@@ -149,12 +150,12 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Return the median and its interval of at least 95 %, by ranks.
+    """Return the median, and the ends of its 95 % interval by ranks.
 
-    Values may be infinite. The interval reaches from the k-th smallest value to the k-th largest
-    value. The number k is the largest for which a binomial variable (n, 0.5) lies below k with a
-    probability of at most 2.5 %. For fewer than six values no such interval exists, and the result
-    is infinite.
+    Values may be infinite. The interval extends from the k-th smallest to the k-th largest of the n
+    values. Let X be a binomial variable with n draws of probability 0.5. k is the largest number
+    for which X < k has a probability of at most 2.5 %. The coverage is therefore at least 95 %. For
+    fewer than six values there is no such interval, and infinite ends are returned.
     """
     ordered = np.sort(values)
     rank = int(binom.ppf(0.025, len(ordered), 0.5))
@@ -165,9 +166,9 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
-    """Report travel by group and method, noticed punctures, and discrimination.
+    """Report the needle's travel after the puncture, noticed punctures, and discrimination.
 
-    The discrimination is that of the capsule and the parenchyma.
+    The discrimination is that of the forces of capsule and parenchyma.
     """
     rows = []
     groups = (each for each in GROUPS if each in table.group)
@@ -219,7 +220,7 @@ def needle_section(table: TrialTable, seed: int) -> Section:
 
 
 def _difference(task: str) -> str:
-    """Return the reason why no figure of a task is compared with the paper."""
+    """Return a sentence with the reason why no result of a task is compared with the paper."""
     return f"No figure here is compared with the paper's: {TASKS[task].differs}."
 
 
@@ -228,9 +229,9 @@ def _travel_text(travel_mm: float) -> str:
 
 
 def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
-    """Return median travel over people and share of noticed punctures by method.
+    """Return the median travel over people and the fraction of noticed punctures by method.
 
-    The result is given as text, as a sentence with the range over methods, and as a picture.
+    The three results are a text, a sentence with the range over methods, and a picture.
     """
     found = []
     medians = []

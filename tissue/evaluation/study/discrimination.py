@@ -1,7 +1,8 @@
 """Discrimination of two forces at the skin.
 
-The module computes levels over trials, sensitivity d', right answers, and changes of d' and of
-right answers.
+The module computes the levels of the two forces over trials, the sensitivity d', and the fraction
+of right answers. For each method, it also computes the changes of d' and of right answers relative
+to plain scaling.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -48,31 +49,35 @@ __all__ = [
 ]
 
 PEOPLE = 200
-"""Number of simulated people per group who compare forces. No method was tuned to these people."""
-PLAIN = "koopman"
-"""Method of plain scaling, the baseline of the other methods."""
-WIDEST = 12
-"""Largest number of letters in a line below a group of bars."""
-LEAST_D = 0.5
-"""Sensitivity under plain scaling below which no relative change is given.
+"""Number of simulated people per group who compare forces.
 
-For a smaller sensitivity, a change in percent would be a division by almost zero. At 0.5, only 64 %
-of the answers are right.
+No method was tuned to these people.
+"""
+PLAIN = "koopman"
+"""Method that scales forces by a constant (plain scaling). Other methods are compared with it."""
+WIDEST = 12
+"""Largest number of letters in a line of an axis label of the chart."""
+LEAST_D = 0.5
+"""Smallest sensitivity d' under plain scaling for which a relative change is reported.
+
+For a smaller sensitivity, the change in percent would be a division by almost zero. At a d' of 0.5,
+only 64 % of the answers are right.
 """
 CHANGES = (("change of d′", 2), ("in %", 1), ("change of right, points", 1))
-"""Names and digits of the columns on changes."""
+"""Name of each column with a change, and number of its decimal digits."""
 
 
 @dataclass(frozen=True)
 class Felt:
-    """Statistics of the force at the skin over the trials of several people.
+    """Mean and scatter of the force at the skin over the trials of each person.
 
     Attributes
     ----------
     means_N
-        Mean of each person's trials [N], shape (people,).
+        Mean force over the trials of each person [N], shape (people,).
     squares_N2
-        Sums of squared differences of a person's trials from their mean [N2], shape (people,).
+        Sum over the trials of each person of the squared difference from the mean of this person
+        [N2], shape (people,).
     free
         Number of trials of each person minus one, shape (people,).
     """
@@ -83,10 +88,10 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
-        """Return the statistics of trials by person.
+        """Compute the statistics of each person from the forces of trials [N], shape (n,).
 
-        `person`, shape (n,), holds the index of the person of each trial, which is below
-        ``count``.
+        `person`, shape (n,), is the index of the person of each trial. ``count`` is the number of
+        people.
 
         Every person has at least one trial.
         """
@@ -96,12 +101,12 @@ class Felt:
         return cls(means, np.asarray(squares, dtype=np.float64), trials - 1.0)
 
     def of(self, who: Ints) -> "Felt":
-        """Return the forces of selected people. A person may occur several times."""
+        """Return the statistics of the people with the indices `who`, which may repeat."""
         return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
 
     @property
     def stimulus(self) -> Stimulus:
-        """Mean over people, and scatter over one person's trials."""
+        """Stimulus with the mean over people, and the scatter between trials of one person."""
         return Stimulus(
             self.means_N.mean(),
             np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0)),
@@ -112,26 +117,26 @@ class Felt:
 class FeltPair:
     """Two forces at the skin that each person compares.
 
-    Differences between the levels of different people do not count as scatter.
+    Differences between the mean forces of different people do not count as scatter.
 
     Attributes
     ----------
     less, more
-        Forces on the softer specimen and forces on the stiffer specimen, for the same people.
+        Forces that the same people feel on the softer specimen and on the stiffer specimen.
     """
 
     less: Felt
     more: Felt
 
     def of(self, who: Ints) -> "FeltPair":
-        """Return the pair of selected people. A person may occur several times."""
+        """Return the forces of the people with the indices `who`, which may repeat."""
         return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
-        """Return the sensitivity d' and chance of a right answer of each observer, shape (n,) each.
+        """Return sensitivity d' and probability of a right answer by observer, each shape (n,).
 
-        If the stiffer specimen has the smaller force at the skin, people who judge by force are
-        wrong, and d' is below zero.
+        If the force at the skin is smaller on the stiffer specimen, people who judge by force
+        answer wrongly, and d' is negative.
         """
         first = self.less.stimulus
         second = self.more.stimulus
@@ -141,11 +146,12 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Return changes relative to plain scaling as value, low and high, shape (3, 3).
+    """Return the changes of d' and of right answers relative to plain scaling, shape (3, 3).
 
-    The rows are d', d' in percent, and right answers in percentage points, each computed from means
-    over observers. For the 95 % intervals, each person of the trials is left out in turn, under
-    both methods (jackknife, Efron 1982). The intervals use Student's t.
+    The rows are the change of d', the change of d' in percent, and the change of right answers in
+    percentage points. All are changes of means over the observers. The columns are the value and
+    the ends of its 95 % interval. For the interval, each person of the trials is left out in turn,
+    under both methods (jackknife, Efron 1982). The interval uses Student's t.
     """
     from scipy.stats import t
 
@@ -172,8 +178,8 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 def specimens(part: TrialTable) -> FeltPair | None:
     """Return the forces at the skin on the first two specimens of a task, the softer first.
 
-    Only people with trials on both specimens are included. The result is None if there is no such
-    person, or if nobody has two trials on one of the specimens.
+    Only people with trials on both specimens are used. The result is None if there is no such
+    person, or if there is a specimen on which nobody has two trials.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
     forces = part.values("skin_N")[chosen]
@@ -195,16 +201,19 @@ def sides(needle: TrialTable) -> FeltPair | None:
 
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
-    """Return the share of right answers of simulated people by group [%]."""
+    """Return the percentage of right answers of simulated people, by expertise group."""
     return {group: 100.0 * pair.felt_by(people_of(group, seed))[1].mean() for group in GROUPS}
 
 
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Return the pair of forces. The same people feel both forces.
+    """Return the statistics of two forces that the same people feel.
 
-    The result is None if the forces have no scatter.
+    Each argument holds forces [N] and the people who felt them.
+
+    The result is None if the scatter of one of the forces is unknown, because nobody has two
+    trials.
     """
     names = np.unique(less[1])
     first, second = (
@@ -215,7 +224,7 @@ def _pair(
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
-    """Report sensitivity d' and right answers for every pair, group and method.
+    """Report sensitivity d' and right answers for every pair of forces, group and method.
 
     The changes relative to plain scaling are included.
     """
@@ -273,7 +282,7 @@ def people_of(group: str, seed: int) -> SimulatedObservers:
 
 
 def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
-    """Return the trials of a case study that did not fail, or None."""
+    """Return those trials of a case study that did not fail; None if there are no such trials."""
     try:
         table = folder.table(task).complete()
     except InputError:
@@ -282,7 +291,10 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 
 def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str], str]:
-    """Return the findings and the main finding from the changes by pair, group and method."""
+    """Return sentences with all findings, and a sentence with the main finding.
+
+    The findings are computed from the changes, keyed by pair of forces, group and method.
+    """
     headline = ""
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being "
@@ -316,7 +328,7 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
 
 
 def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
-    """Draw right answers by pair and method: means and ranges over groups."""
+    """Draw right answers by pair of forces and method, as means and ranges over groups."""
     names = list(dict.fromkeys(row["what"] for row in rows))
     shown: dict[tuple[int, str], list[float]] = {}
     for row in rows:

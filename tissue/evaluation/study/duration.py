@@ -1,4 +1,4 @@
-"""Estimate of the time that the trials of a study take."""
+"""Estimate of the computing time of the trials of a study."""
 
 import os
 from collections.abc import Callable, Collection, Iterable
@@ -14,24 +14,24 @@ from tissue.system.progress import duration_text
 __all__ = ["COSTS", "cost", "expected_text", "probe_s"]
 
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
-"""Processor time of one method of a trial divided by the time of `probe_s`, by task.
+"""Processor time of a trial with one method, divided by the time that `probe_s` returns, by task.
 
-Measured by ``python tests/bench/bench_study.py --costs`` with one trial of six methods. On a busy
-machine, the probe varied from 0.25 to 0.48 s. The value of reaming is 1.49 times the value of
-drilling. This is the ratio of their processor times in docs/performance.md.
+The values were measured by ``python tests/bench/bench_study.py --costs`` with one trial of six
+methods. On a busy machine, the time of the probe varied from 0.25 to 0.48 s. The value of reaming
+is 1.49 times the value of drilling, which is the ratio of their processor times in
+docs/performance.md.
 """
 REFERENCE_COST = 3.2
-"""Time of a reference trial divided by the time of a usual trial of one method.
+"""Time of a trial of the reference variant, divided by the time of a usual trial with one method.
 
-The ratio is 3.7 for T1, 4.8 for T2 and 2.6 for T3. It is 3.2 for the sum of the times of these
-tasks.
+The ratio is 3.7 for T1, 4.8 for T2 and 2.6 for T3. For the summed times of these tasks, it is 3.2.
 """
 PROBE_S = 0.5
-"""Simulated time of the probe [s]."""
+"""Simulated time of the short simulation in `probe_s` [s]."""
 
 
 def probe_s(clock: Callable[[], float] = perf_counter) -> float:
-    """Return the time of a short simulation on this machine [s], the unit of `COSTS`."""
+    """Measure the wall time of a short simulation on this machine [s], the unit of `COSTS`."""
     scene = changed(
         load_scene("wall"), {"device.renderer": "penalty", "coupling.stiffness_N_m": 200.0}
     )
@@ -43,7 +43,7 @@ def probe_s(clock: Callable[[], float] = perf_counter) -> float:
 
 
 def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
-    """Return the time of trials divided by the time of `probe_s`."""
+    """Return the processor time of trials, divided by the time that `probe_s` returns."""
     total = 0.0
     for key in keys:
         each = COSTS[key.task] * len(methods_of_trial(plan, key))
@@ -52,7 +52,7 @@ def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
 
 
 def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> str:
-    """Return the expected time of trials on this machine as a sentence."""
+    """Return a sentence on the expected time of trials on this machine."""
     # two processes on two cores are twice as fast as one process
     seconds = probe_s() * cost(plan, keys) / min(workers, os.cpu_count() or 1)
     about = "" if seconds < 60.0 else "about "

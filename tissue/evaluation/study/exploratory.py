@@ -1,4 +1,4 @@
-"""Figures of an older study, printed as exploratory next to those of the registered study."""
+"""Results of an older study, shown as exploratory next to the results of the registered study."""
 
 import csv
 from pathlib import Path
@@ -17,16 +17,17 @@ from tissue.evaluation.study.section import (
 __all__ = ["exploratory_section", "read_trials"]
 
 TABLE = "trials.csv"
-"""Table of the compared tasks in the folder of a study."""
+"""Name of the file with the trials of the compared tasks, in the folder of a study."""
 
 
 def read_trials(folder: Path) -> TrialTable:
-    """Read the table of an older study, of any version of tissue.
+    """Read the successful trials of an older study, which any version of tissue may have written.
 
     Raises
     ------
     InputError
-        If the folder holds no table of trials, or one that cannot be read.
+        If the folder contains no table of trials, or the table cannot be read or has no successful
+        trial.
     """
     path = folder / TABLE
     try:
@@ -43,9 +44,9 @@ def read_trials(folder: Path) -> TrialTable:
 
 
 def exploratory_section(table: TrialTable, old: TrialTable, name: str) -> Section:
-    """Compare the compared metrics of a study with those of an older study.
+    """List the metrics in `COMPARED` of a study next to those of an older study.
 
-    Nothing is tested. The intervals are intervals of means over people.
+    No hypothesis is tested. The values are means over people with 95 % intervals.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ def exploratory_section(table: TrialTable, old: TrialTable, name: str) -> Sectio
 
 
 def _text(part: TrialTable, metric: str) -> str:
-    """Return mean and interval of a metric as text, empty without values."""
+    """Return mean and interval of a metric as text; empty if there are no values."""
     if not len(part) or metric not in part.metrics:
         return ""
     mean, low, high = interval_by_users(part, metric)

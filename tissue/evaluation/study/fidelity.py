@@ -1,6 +1,6 @@
-"""Report sections on errors, latency, task metrics, sensitivity and reference error.
+"""Report sections on force errors, latency, task metrics, sensitivity and reference error.
 
-The errors are force errors.
+The sensitivity is the effect of changed parameters on the force errors.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,18 +52,18 @@ RATIOS = {
     "ratio_unscaled": "by the exponent alone / %",
     "ratio_silent": "without any change / %",
 }
-"""Columns on ratios of intensity."""
+"""Column name of each metric on ratios of perceived intensity."""
 UNRESOLVED = 0.05
-"""Share of unresolved rows above which the report marks the excess as not meaningful.
+"""Fraction of unresolved rows above which the report calls the excess error not meaningful.
 
-In an unresolved row, the force error is below the smallest possible error.
+In an unresolved row, the force error does not exceed the lower bound of the error.
 """
 APART = 0.24
-"""Distance between the marks of two tasks of one variant, relative to the line spacing."""
+"""Vertical distance between the marks of two tasks for a variant, divided by the line spacing."""
 
 
 def force_section(table: TrialTable) -> Section:
-    """Compare the normalised force error of every method and task with the published error.
+    """Report force errors by task and method, next to the published errors.
 
     Parameters
     ----------
@@ -119,10 +119,10 @@ def force_section(table: TrialTable) -> Section:
 
 
 def _unresolved(table: TrialTable) -> list[str]:
-    """Name the tasks in which the smallest possible error is not a bound.
+    """Return a sentence on the tasks in which the smallest possible error is not a lower bound.
 
-    The smallest possible error is not a bound if the tool takes a different path than under a
-    perfect force.
+    The smallest possible error is the error of a perfect force through the same device. It is not a
+    lower bound if the tool takes a different path than with the perfect force.
     """
     above = []
     for task in tasks_of(table):
@@ -140,7 +140,10 @@ def _unresolved(table: TrialTable) -> list[str]:
 
 
 def _left_over(table: TrialTable) -> list[str]:
-    """Report the remaining force error with prediction, and ratio error with perception."""
+    """Return sentences on the force error with prediction, and on the ratio error with perception.
+
+    The errors are divided by the errors without prediction, or without perception.
+    """
     remarks = []
     parts = parts_of(table)
     for metric, first, second, what in (
@@ -173,7 +176,7 @@ def _points(
 ) -> bytes:
     """Draw metrics with 95 % intervals over users, one panel for each metric.
 
-    `metrics` holds the label and the factor of each metric by its name.
+    `metrics` has the axis label and the scale factor of each metric, by the name of the metric.
 
     Published force errors are drawn as diamonds.
     """
@@ -199,7 +202,7 @@ def _points(
 def _published_errors(
     tasks: Sequence[str], parts: Iterable[tuple[str, str]]
 ) -> dict[tuple[int, str], Figure]:
-    """Return the published force errors by the index of the task and the method."""
+    """Return the published force errors, keyed by the index of the task and the method."""
     figures = {
         (tasks.index(task), method): published(task, FORCE_ERROR[task].get(method))
         for task, method in parts
@@ -208,7 +211,7 @@ def _published_errors(
 
 
 def latency_section(table: TrialTable) -> Section:
-    """Report the lag of the played force behind a perfect prediction.
+    """Report the lag of the played force behind a perfectly predicted force.
 
     Failed trials are left out.
     """
@@ -234,7 +237,7 @@ def latency_section(table: TrialTable) -> Section:
 
 
 def task_section(table: TrialTable) -> Section:
-    """Report time, position error and smoothness, and the published position error.
+    """Report time, smoothness and position error of the tasks, and the published position error.
 
     Failed trials are left out.
     """
@@ -276,7 +279,7 @@ def task_section(table: TrialTable) -> Section:
 
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
-    """Report the ratio of the force errors of Koopman and penalty, with one parameter changed."""
+    """Report the force error of koopman divided by that of penalty, for each changed parameter."""
     tasks = folder.plan().compared
     base = [
         each
@@ -323,7 +326,7 @@ def _percent(ratio: float) -> str:
 
 
 def reference_section(folder: StudyFolder) -> Section | None:
-    """Report the error of the reference against the finest model on the same motion."""
+    """Report the error of the reference force against the force of the finest model."""
     errors: dict[str, list[float]] = {}
     for trial in folder.trials(variant=REFERENCE):
         errors.setdefault(trial.key.task, []).extend(
@@ -347,9 +350,9 @@ def reference_section(folder: StudyFolder) -> Section | None:
 
 
 def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
-    """Return the ratio of mean force errors by task.
+    """Return the mean force error of koopman divided by that of penalty, by task.
 
-    Only trials in which no method failed are used.
+    Only trials in which neither of the two methods failed are used.
 
     The ratio is NaN if there is no such trial.
     """
@@ -370,9 +373,9 @@ def _as_texts(tasks: Sequence[str], ratios: Array) -> dict[str, str]:
 
 
 def _picture(found: Mapping[str, Array], tasks: Sequence[str], usual: Array) -> bytes:
-    """Draw the ratios by variant with one colour for each task.
+    """Draw the ratios of force errors by variant, with one colour for each task.
 
-    Lines show the ratios of the study itself.
+    Dotted lines show the ratios of the study itself, without a changed parameter.
     """
     # 0.32 inches a line, 1.2 for axis and label
     figure, (axes,) = drawing(9.0, 0.32 * len(found) + 1.2)

@@ -1,4 +1,4 @@
-"""Folder of a study: its plan, one file per trial, and the tables of its trials."""
+"""Folder of a study: the plan, a file for each trial, and tables of all trials."""
 
 import gc
 import json
@@ -37,10 +37,10 @@ __all__ = ["StudyFolder", "run_study"]
 
 
 FORMAT = 2
-"""Version of a study's folder."""
+"""Version of the format of a study folder."""
 PLAN = "study.json"
 KIND = "study"
-"""Kind of output in the marker of the folder."""
+"""Kind of output that the marker file of the folder names."""
 TABLES = ("trials.csv", *(f"{name}.csv" for name, task in TASKS.items() if task.case))
 
 
@@ -49,14 +49,16 @@ READ_TRIAL = TypeAdapter(Trial)
 
 @dataclass(frozen=True)
 class Stamp:
-    """Origin recorded in a trial's file.
+    """Origin of a trial, as recorded in its file.
 
     Attributes
     ----------
     plan_sha256, code_sha256
-        Hashes of the registered plan and of the code of the run. Empty if the file records none.
+        Hashes of the registered plan and of the code with which the trial was run. Empty if the
+        file has no such hash.
     whole
-        True if the content is unchanged, or if the trial has no recorded hash.
+        True if the content of the file agrees with its recorded hash, or if the file has no such
+        hash.
     """
 
     plan_sha256: str
@@ -68,8 +70,8 @@ class Stamp:
 class StudyFolder:
     """Study on disk.
 
-    Every trial is a separate file, written at once and completely, so that a study can be stopped
-    at any moment. A truncated file counts as missing.
+    Every trial has its own file, which appears only when it is complete. A study can therefore be
+    stopped at any moment. A truncated file counts as missing.
 
     Parameters
     ----------
@@ -81,11 +83,12 @@ class StudyFolder:
         self.path = path
 
     def begin(self, plan: Plan) -> list[str]:
-        """Create the folder or continue a study; return sentences on problems.
+        """Create the folder, or prepare to continue its study; return sentences on problems.
 
-        All trials of an existing folder must be in the plan. The plan is registered: ``plan.toml``
-        is written before ``study.json``, which holds its hash. A wider plan is registered in
-        addition to the earlier one.
+        If the folder contains a study, the plan must contain all trials of the study's plan. The
+        plan is registered: ``plan.toml`` is written first, and then ``study.json`` with the hash of
+        the plan. If the plan contains more trials than the earlier plan, it is registered in
+        addition to it.
 
         Raises
         ------
@@ -113,9 +116,9 @@ class StudyFolder:
 
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
-        """Lock the folder against other processes while the block runs trials.
+        """Lock the folder against other processes while a ``with`` block runs trials.
 
-        See `begin` for sentences and errors.
+        The block receives the sentences of `begin`. See `begin` for the errors.
         """
         self._require_same(plan)
         folder = OwnedFolder(self.path, KIND, ())
@@ -130,7 +133,7 @@ class StudyFolder:
             folder.release()
 
     def _require_same(self, plan: Plan) -> list[Registration]:
-        """Refuse a folder with another study or other files; return its registered plans."""
+        """Check that the folder is empty or contains this study; return the registered plans."""
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):
@@ -165,21 +168,24 @@ class StudyFolder:
         return []
 
     def plan(self) -> Plan:
-        """Return the plan.
+        """Return the plan of the study.
 
         Raises
         ------
         InputError
-            If there is no plan, or the plan has another version.
+            If the folder contains no plan, or the plan of another version of tissue.
         """
         return self._begun()[0]
 
     def registrations(self) -> list[Registration]:
-        """Return the registered plans, newest last. Raises the errors of `plan`."""
+        """Return the registered plans, the newest last.
+
+        Raises the errors of `plan`.
+        """
         return self._begun()[1]
 
     def _begun(self) -> tuple[Plan, list[Registration]]:
-        """Return the plan and its registrations."""
+        """Return the plan and the registered plans."""
         path = require_regular(self.path / PLAN)
         try:
             held = read_json(path.read_text("utf-8"))
@@ -211,7 +217,7 @@ class StudyFolder:
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
-        """Return the origin recorded in a trial's file."""
+        """Return the origin of a trial, as recorded in its file."""
         try:
             held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
@@ -248,28 +254,28 @@ class StudyFolder:
         _write(self._file(trial.key), content | {"sha256": content_sha256(content)})
 
     def forget_failures(self) -> None:
-        """Remove the trials in which a method failed."""
+        """Delete the files of trials in which a method failed."""
         for trial in self.trials(variant=None):
             if trial.failed:
                 self._file(trial.key).unlink()
 
     def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
-        """Yield the existing trials in the plan's order.
+        """Yield the trials that have a complete file, in the order of the plan.
 
-        An empty `variant` selects the trials of the study itself, a name the trials of one
-        variant. None selects all trials.
+        With an empty `variant`, only the trials of the study itself are returned. With the name of
+        a variant, only trials of this variant are returned. With None, all trials are returned.
         """
         for key in self.plan().all_trials():
             if variant in (None, key.variant) and (trial := self.read(key)) is not None:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Return the table of the study's own trials of selected tasks.
+        """Return the table of the trials of some tasks, without trials of variants.
 
         Raises
         ------
         InputError
-            If there is no such trial.
+            If there is no trial of these tasks.
         """
         rows = [
             {
@@ -294,7 +300,7 @@ class StudyFolder:
         return TrialTable.from_rows(rows)
 
     def write_tables(self) -> None:
-        """Write ``trials.csv`` with the tasks that are compared, and a file for each case study."""
+        """Write ``trials.csv`` with all compared tasks, and a table for each case study."""
         families: dict[str, list[str]] = {}
         there = {trial.key.task for trial in self.trials()}
         for task in (each for each in self.plan().tasks if each in there):
@@ -308,14 +314,14 @@ class StudyFolder:
 
 
 def _is_row(row: Row) -> bool:
-    """Return whether a row has the name of a method, and numbers or the sentence of its failure."""
+    """Return whether a row has a method, and apart from it only numbers or a failure."""
     return "method" in row and all(
         isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items()
     )
 
 
 def _write(path: Path, content: Mapping[str, object]) -> None:
-    """Write JSON so that a reader never sees an incomplete file."""
+    """Write a JSON file at once, so that a reader never sees an incomplete file."""
     write_text(path, json.dumps(content, indent=1))
 
 
@@ -328,24 +334,25 @@ def run_study(
     retry: bool = False,
     report: Progress = silent,
 ) -> StudyFolder:
-    """Run the missing trials of a plan and write the tables of all trials.
+    """Run the missing trials of a plan, and write the tables of all trials.
 
-    The tables are sorted, so that they do not depend on the workers, their number or interruptions.
-    A lost worker is replaced and its trials are run again. A trial that always ends its worker is
-    kept as failed.
+    The tables are sorted, so they do not depend on the number of workers or on interruptions. If a
+    worker process is lost, it is replaced and its trials are run again. A trial that repeatedly
+    ends its worker is recorded as failed.
 
     Parameters
     ----------
     plan
         Plan of the study.
     out
-        Folder of the study. A folder with a part of the study is continued.
+        Folder of the study. If the folder contains a part of the study, only the missing trials are
+        run.
     workers
-        Number of processes. Default: one per core. A scheduler has its own workers. With a
-        scheduler, this number limits only the number of submitted trials.
+        Number of worker processes. Default: one per core. A scheduler has its own workers; this
+        number then only limits how many trials are submitted at once.
     scheduler
-        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
-        processes.
+        Address of a Dask scheduler that runs the trials, ``tcp://HOST:PORT`` or
+        ``tls://HOST:PORT``. Default: processes on this machine.
     retry
         Run failed trials again.
     report
@@ -354,8 +361,8 @@ def run_study(
     Raises
     ------
     InputError
-        If the folder holds another study, no scheduler answers, or workers are lost again and
-        again.
+        If the folder contains another study, the scheduler does not answer, or workers are lost
+        again and again.
     """
     # more processes than any machine has cores: a typing error
     count = int(
@@ -384,10 +391,10 @@ def run_study(
 
 
 def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
-    """Return the completed share of a study's work.
+    """Return the completed fraction of the work of a study.
 
-    Every progress report contains this share, because the remaining time is estimated from its
-    growth. The share of a continued study does not begin at zero.
+    Every progress report contains this fraction, because the remaining time is estimated from its
+    increase. In a study that is continued, the fraction does not start at zero.
     """
     return 1.0 - cost(plan, missing) / cost(plan, plan.all_trials())
 
@@ -400,7 +407,7 @@ def _run_trials(
     scheduler: str | None,
     report: Progress,
 ) -> None:
-    """Run the missing trials of a plan and write each when it is finished."""
+    """Run the missing trials of a plan, and write each trial when it is finished."""
     total = len(list(plan.all_trials()))
     waiting = dict.fromkeys(missing)
 
@@ -418,13 +425,13 @@ def _run_trials(
 
 
 def _failed(plan: Plan, key: TrialKey, failure: str) -> Trial:
-    """Return a trial that failed under every method."""
+    """Return a trial in which every method failed."""
     rows: list[Row] = [{"method": method, "failure": failure} for method in plan.methods]
     return Trial(key, trial_seed(plan, key), tuple(rows), 0.0)
 
 
 def _in_worker(plan: Plan, key: TrialKey) -> Trial:
-    """Run a trial in a process that does nothing else."""
+    """Run a trial in a worker process, which runs nothing else."""
     trial = run_trial(plan, key)
     _keep_what_stays()
     return trial
@@ -434,7 +441,7 @@ def _in_worker(plan: Plan, key: TrialKey) -> Trial:
 def _keep_what_stays() -> None:
     """Exclude modules and kernels from garbage collection in all further runs.
 
-    These objects exist until all trials are done.
+    These objects are needed until the process ends.
     """
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""Tasks and methods of a study, its plan, and the seed of every trial."""
+"""Tasks, methods and plan of a study, and the seed of every trial."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Metrics that are tested, one by one and together."""
+"""Metrics that are tested, each alone and all together."""
 DIRECTIONS = {
     "force_error": -1,
     "ratio_error": -1,
@@ -37,28 +37,31 @@ DIRECTIONS = {
     "acceleration_change_m_s2": -1,
     "time_s": -1,
 }
-"""Metrics of the composite index and their directions: -1 where lower is better."""
+"""Metrics of the composite index, each with its direction: -1 if a lower value is better."""
 USERS = 10
-"""Number of people in a group. Trials are assigned to them in turn."""
+"""Number of simulated people in a group.
+
+The trials of a group are assigned to these people in turn.
+"""
 LATENCY_MS = 4
 """Latency of the loop in every trial [ms]. The mean in the paper is 4.3 ms."""
 REFERENCE = "reference"
-"""Variant in which the reference itself is compared with the finest model."""
+"""Name of the variant that compares the reference force with the force of the finest model."""
 SENSITIVITY_TRIALS = 6
 REFERENCE_TRIALS = 2
 """Number of trials of each task in the reference variant.
 
-`SENSITIVITY_TRIALS` is the number in each other variant.
+`SENSITIVITY_TRIALS` is the number of trials of each task in every other variant.
 
-Reference trials take longest, so there are few.
+Trials of the reference variant take longest, so there are few of them.
 """
 MIDDLE = "intermediate"
-"""Group of the people with whom the variants are run."""
+"""Expertise group of the people with whom all variants are run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A task on a built-in scene.
+    """Task of a study, on a built-in scene.
 
     Attributes
     ----------
@@ -67,20 +70,19 @@ class Task:
     scene
         Name of the scene.
     changes
-        Changes of the scene, by dotted key. The changes leave out all parts without effect on the
-        force, and make the run short enough for thousands of trials.
+        Changes of the scene, by dotted key. The changes switch off parts without effect on the
+        force, and make a run short enough for thousands of trials.
     specimens
-        Specimens. Each person gets all of them in turn. The first two are compared in the
-        discrimination.
+        Changes of the scene for each specimen, by dotted key. Each person gets all specimens in
+        turn. The discrimination compares the first two.
     extremes
-        Specimens softer and harder than all others. The study of sensitivity runs them. Empty for a
-        case study.
+        A softer and a harder specimen, for the variants of the tissue. Empty for a case study.
     wanted_mm
-        Target path of the tool, corner by corner [mm]. Default: the path of the motion.
+        Corners of the target path of the tool [mm]. Default: the path of the motion.
     most
-        Maximum number of trials for each group of people.
+        Largest number of trials for each expertise group.
     differs
-        Difference from the task of the same name in the paper. If there is a difference, results of
+        Difference from the corresponding task in the paper. If there is a difference, results of
         the task are not compared with the paper. Empty if the task satisfies all conditions that
         the paper states. The paper states no geometry, tool or path.
     """
@@ -103,7 +105,7 @@ class Task:
 def _scaled(
     nominal: Mapping[str, float], shares: Sequence[float]
 ) -> tuple[Mapping[str, object], ...]:
-    """Return one specimen for each share: the nominal numbers multiplied by the share."""
+    """Return one specimen for each factor in `shares`: all nominal values times the factor."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
 
@@ -204,8 +206,9 @@ TASKS = {
 }
 """Tasks by name.
 
-Specimens differ by 30 % in stiffness. The bone of the first specimen has 60 % of the density of the
-bone of the second. Reaming has at most 60 trials, two for each person.
+The stiffness of the specimens of T1 and T2 is 0.7, 1 and 1.3 times the usual stiffness. The bone
+density of the specimens of T3 is 0.6, 1 and 1.1 times the usual density. Reaming has at most 60
+trials, two for each person.
 """
 METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},
@@ -215,20 +218,20 @@ METHODS: dict[str, Mapping[str, object]] = {
     "koopman-online": {"renderer": "proxy", "prediction": "koopman-online"},
     "koopman-perception": {"renderer": "proxy", "prediction": "koopman"},
 }
-"""Built-in methods of computing the force at a contact.
+"""Settings of the built-in methods that compute the force, by name of the method.
 
-The last method is calibrated to the person of the trial. Every other registered predictor is a
-method too, with the name of the predictor; see `method_settings`.
+The last method also scales the force for the person of the trial. Every other predictor is a method
+too, with the name of the predictor; see `method_settings`.
 """
 PERSONAL = ("koopman-perception",)
-"""Methods that scale the force for the person."""
+"""Methods that scale the force for the perception of the individual person."""
 
 
 def method_settings(method: str) -> Mapping[str, object]:
-    """Return the settings of a method by dotted key of a scene.
+    """Return the scene settings of a method, by dotted key.
 
-    A method is one of `METHODS` or the name of a predictor, built in or registered. A predictor is
-    combined with the renderer ``proxy``.
+    `method` is a key of `METHODS`, or the name of a built-in or registered predictor. A predictor
+    is combined with the renderer ``proxy``.
 
     Raises
     ------
@@ -244,7 +247,9 @@ def method_settings(method: str) -> Mapping[str, object]:
 
 @dataclass(frozen=True)
 class Variant:
-    """Change of one parameter. All other values of the study, including seeds, are kept.
+    """Variant of a study with one changed parameter.
+
+    All other values, including the seeds, are those of the study.
 
     Attributes
     ----------
@@ -255,7 +260,8 @@ class Variant:
     pace
         Factor on the speed of the hand.
     extreme
-        Index into `Task.extremes` of the specimen that replaces the usual specimens.
+        Index of the specimen in `Task.extremes` that replaces the usual specimens. None to keep the
+        usual specimens.
     """
 
     parameter: str
@@ -281,7 +287,7 @@ VARIANTS = {
     "pace-slow": Variant("pace", "0.7 of the usual", {}, pace=0.7),
     "pace-fast": Variant("pace", "1.4 of the usual", {}, pace=1.4),
 }
-"""Variants of five parameters, each with a low and a high value.
+"""Variants by name: five parameters, each with two values.
 
 The variants are run with people of the group in `MIDDLE`.
 """
@@ -289,16 +295,18 @@ The variants are run with people of the group in `MIDDLE`.
 
 @dataclass(frozen=True, order=True)
 class TrialKey:
-    """Key of a trial. A trial is run once with each method.
+    """Key of a trial.
+
+    A trial is run once with each method.
 
     Attributes
     ----------
     task, group
         Task and expertise group.
     trial
-        Number within task and group.
+        Number of the trial within its task and group.
     variant
-        Name of the variant. Empty in the study itself.
+        Name of the variant. Empty for a trial of the study itself.
     """
 
     task: str
@@ -313,23 +321,26 @@ class TrialKey:
 
     @property
     def specimen(self) -> int:
-        """Number of the specimen in its task.
+        """Index of the specimen in `Task.specimens`.
 
-        Specimens are crossed with people: a person gets all specimens in turn, and people begin
-        with different specimens.
+        Every person gets all specimens in turn, and different people begin with different
+        specimens.
         """
         return (self.trial // USERS + self.user) % len(TASKS[self.task].specimens)
 
     @property
     def name(self) -> str:
-        """Name of the trial's file. The same name selects the trial for a single run."""
+        """Name of the trial's file.
+
+        The same name selects the trial for a single run.
+        """
         return f"{self.task}-{self.group}-{self.trial:04d}" + f"-{self.variant}" * bool(
             self.variant
         )
 
     @classmethod
     def named(cls, name: str) -> "TrialKey":
-        """Return the trial of a name such as ``T1-novice-0007``.
+        """Return the key of the trial with a name such as ``T1-novice-0007``.
 
         Raises
         ------
@@ -354,21 +365,23 @@ class Plan:
     Attributes
     ----------
     seed
-        Seed of the study. The seed of a trial follows only from this seed and the key of the trial.
+        Seed of the study. The seed of a trial depends only on this seed and on the key of the
+        trial.
     trials
-        Trials for each task and group.
+        Number of trials for each task and group.
     tasks, groups
-        Compared tasks and groups.
+        Tasks and expertise groups of the study.
     methods
-        Compared methods: names of `METHODS`, or of registered predictors. The coupling stiffness of
-        a trial is stable with all of them, so it depends on this choice.
+        Compared methods: keys of `METHODS`, or names of predictors. The coupling stiffness of a
+        trial is stable with all of these methods, so it depends on this choice.
     sensitivity
-        If true, a few trials are repeated with one changed parameter, and against the finest model.
+        If true, a few trials are repeated in all variants: with one changed parameter, and in
+        comparison with the finest model.
 
     Raises
     ------
     InputError
-        If there is no trial, or a name is unknown.
+        If a number is out of range, or a name is unknown or given twice.
     """
 
     seed: int = 0
@@ -403,7 +416,10 @@ class Plan:
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
-        """Yield all trials with groups and tasks in turn, so that a stopped study is balanced."""
+        """Yield the keys of all trials.
+
+        Groups and tasks alternate, so that a study that is stopped early is balanced.
+        """
         for trial in range(self.trials):
             for task in self.tasks:
                 for group in self.groups:
@@ -422,7 +438,7 @@ class Plan:
     def holds(self, other: "Plan") -> bool:
         """Return whether this plan contains all trials of another plan.
 
-        If so, the folder of the other plan can be continued.
+        If so, this plan can continue the study in the folder of the other plan.
         """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
@@ -431,16 +447,25 @@ class Plan:
         )
 
     def rng(self, key: TrialKey) -> np.random.Generator:
-        """Return the generator of a trial. A variant has the generator of its original trial."""
+        """Return the random generator of a trial.
+
+        In a variant, a trial has the same generator as in the study itself.
+        """
         place = (list(TASKS).index(key.task), GROUPS.index(key.group), key.trial)
         return seeded(self.seed, *place)
 
     def person(self, key: TrialKey) -> np.random.Generator:
-        """Return the generator of the person of the trial, the same in every task."""
+        """Return the random generator of the person of a trial.
+
+        A person has the same generator in every task.
+        """
         # 1000 separates people from the streams of trials, which begin with the index of a task
         return seeded(self.seed, 1000, GROUPS.index(key.group), key.user)
 
 
 def seeded(seed: int, *place: int) -> np.random.Generator:
-    """Return an independent random generator for a seed and the integers of a place."""
+    """Return a random generator for a seed and some integers.
+
+    Generators for different integers are independent.
+    """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=place))

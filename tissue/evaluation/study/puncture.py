@@ -1,29 +1,32 @@
 """Excess travel of a needle after a puncture, for a hand that pushes with a rising force.
 
-The hand stops after its reaction time.
+The hand stops one reaction time after it has noticed the puncture.
 
 The needle's tip starts 0.05 mm outside an organ that lies below z = 0. A hand pushes the tip along
 -z through a device. The force of the hand rises at ``rate_N_s``
 (`tissue.haptics.hand.pushing.PushingHand`). The positions of the hand's aim a, the device s and the
-tip z are measured along the push. Hand and device are one mass, M = m_device + m_hand, between the
-grip's spring and damper on one side and the motor on the other. The coupling's spring k_c connects
-the tip to the device, and the organ pulls the tip with P(z)::
+tip z are measured along the push. Hand and device are modelled as one mass, M = m_device + m_hand.
+The spring and the damper of the grip connect this mass to the aim, and the motor of the device acts
+on the mass. The spring k_c of the coupling connects the tip to the device, and the organ resists
+the tip with the force P(z)::
 
     M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
 
-f is the force k_c (s - z) after prediction, low-pass, latency and the device's lag. The reflex is a
-share of K_0 (a - s) one reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches the
-puncture force. From then on the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
-friction * (z - u). P adds viscous * (z - u) z' to this force, see
-`tissue.models.needle.model.Insertion`. The stop begins one reaction time after the hand has noticed
-the puncture by the drop of the force. **Excess travel** = largest z from the puncture on - z at the
-puncture.
+K_0 and b_hand are stiffness and damping of the grip. f is the force k_c (s - z) after prediction,
+low-pass, latency and the lag of the device. The reflex is a fraction of the value that K_0 (a - s)
+had one reflex time before. The deflection of the organ is u, and the inserted length of the needle
+is z - u. Until the puncture, u = z and P = a1 u + a2 u|u|. The membrane is punctured when P reaches
+the puncture force. Then the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
+friction * (z - u). P is then this force plus viscous * (z - u) z', see
+`tissue.models.needle.model.Insertion`. The hand notices the puncture by the drop of the force. It
+begins to stop one reaction time later. **Excess travel** is the largest z from the puncture on,
+minus z at the puncture.
 
-The excess travel has three parts. The first part is the release of the springs without any delay.
-For the tip, it is dF / k_c, where dF is the drop of P. For the device, it is more than dF / K_0
-because of the inertia of the device. No hand can prevent this part. The second part is the motion
-of the aim until the stop, da/dt times the delay. The third part is the response of the aim to the
-sudden advance of the device. The third part occurs in the part of the delay beyond the reaction
+The excess travel has three parts. The first part is the immediate relaxation of the springs. The
+tip advances by dF / k_c relative to the device, where dF is the drop of P. The device advances by
+more than dF / K_0, because of its inertia. No hand can prevent this part. The second part is the
+motion of the aim until the stop, da/dt times the delay. The third part is the response of the aim
+to the sudden advance of the device. It occurs in that part of the delay that exceeds the reaction
 time.
 """  # noqa: E501 a table
 
@@ -49,33 +52,38 @@ from tissue.simulation.simulate import TICK_S, RunObserver, simulate
 __all__ = ["NOTICED", "RATE_N_S", "pierce"]
 
 RATE_N_S = 1.0
-"""Rise of the pushing force [N/s].
+"""Rate of increase of the pushing force [N/s].
 
-The value is assumed: a capsule of 2.3 N is punctured after some seconds, at about 5 mm/s.
+The value is assumed. With this value, a capsule with a puncture force of 2.3 N is punctured after
+several seconds, at about 5 mm/s.
 """
 AFTER_S = 0.6
-"""Duration of a run after the stop [s]. It covers a submovement and the ringing of the grip."""
+"""Time that a run continues after the hand begins to stop [s].
+
+This time covers a submovement and the decay of the oscillation of the grip.
+"""
 LONGEST_S = 12.0
-"""Time within which a push must have punctured the membrane [s]."""
+"""Largest duration of a run [s]. The membrane must be punctured within this time."""
 NOTICED = "the hand notices a puncture"
-"""Event of a run at the time when the hand notices the puncture.
+"""Text of the event of a run when the hand notices the puncture.
 
 The hand stops one reaction time later.
 """
 
 
 def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RATE_N_S) -> Run:
-    """Push a scene's needle through its first membrane.
+    """Simulate a hand that pushes the needle of a scene through the first membrane.
 
     Parameters
     ----------
     scene
-        Scene with a needle on a device. Its path gives the start, the direction, and the depth at
-        which a push without a stop ends. Its hand, device, latency, predictor and seed are used.
+        Scene with a needle on a device. The first two points of its path define the start, the
+        direction, and the depth at which a push without a stop ends. Hand, device, latency,
+        predictor and seed of the scene are used.
     kappa, offset_N
-        Threshold of the person for forces, see `FeltDrop`.
+        Weber fraction and low-force term [N] of the person's threshold, see `FeltDrop`.
     rate_N_s
-        Rise of the force [N/s].
+        Rate of increase of the pushing force [N/s].
 
     Raises
     ------
@@ -109,7 +117,7 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
 
 
 class _Bystander(RunObserver):
-    """Observer of a run that ends the run after the stop of the hand, or at a depth [m]."""
+    """Run observer that ends a run after the stop of the hand, or at a travel of the device."""
 
     def __init__(self, hand: PushingHand, length_m: float) -> None:
         self.hand = hand
@@ -126,5 +134,5 @@ class _Bystander(RunObserver):
         return index * TICK_S < hand.stop_s + AFTER_S and hand.advance_m < self._length
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Return the time at which the hand noticed the puncture."""
+        """Return the event that the hand noticed the puncture, with its time [s]."""
         return [(self.hand.noticed_s, NOTICED)] if self.hand.noticed_s < inf else []

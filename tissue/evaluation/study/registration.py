@@ -1,7 +1,7 @@
 """Registration of a study's plan.
 
-The registration holds the text of the plan with tests and power, the hash of this text, and the
-hash of the code that runs the study.
+A registration records the text of the plan, including tests and power, and the hash of this text.
+The hash of the code is recorded in the file of each trial.
 """
 
 import json
@@ -51,12 +51,18 @@ __all__ = [
 
 PLAN_FILE = "plan.toml"
 Registration = dict[str, str | int]
-"""Registered plan: ``file``, ``sha256`` and ``trials_before``, the number of earlier trials.
+"""Registered plan.
+
+The entry ``file`` is the name of its file, ``sha256`` the hash of this file, and ``trials_before``
+the number of trials in the folder before the registration.
 """
 STREAM = 2000
-"""Key of the random generator of planned powers. Trials and people have keys below 1001."""
+"""Key of the random generator for planned powers.
+
+The generators of trials and people have keys below 1001.
+"""
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
-"""Units of the tested metrics. The names of other metrics end with their unit."""
+"""Units of the tested metrics. The name of any other metric ends with its unit."""
 DESCRIBED = (
     "least_error: least force error that the device's encoder allows, 1",
     "latency_ms: residual latency, ms, nearer to zero is better",
@@ -72,7 +78,7 @@ DESCRIBED = (
     "noticed: share of punctures that are noticed, 1, more is better",
     "composite index of the metrics by weights from their own spread, more is better",
 )
-"""Metrics that are reported with intervals and not tested."""
+"""Descriptions of the metrics that are reported with intervals, but not tested."""
 EXCLUSIONS = (
     "no trial that did not fail is excluded, and no value is an outlier",
     "a trial that failed under a method leaves that method's row out, with the sentence of "
@@ -95,9 +101,9 @@ HEAD = """\
 def register(
     folder: Path, plan: Plan, held: list[Registration], *, trials: int
 ) -> list[Registration]:
-    """Write the plan and its hash; return all registrations, newest last.
+    """Write the file of a plan; return all registrations including that of this plan, newest last.
 
-    An earlier plan is kept under another name.
+    The file of an earlier plan is kept under another name.
 
     Parameters
     ----------
@@ -106,9 +112,9 @@ def register(
     plan
         Plan to register.
     held
-        Registrations so far.
+        Earlier registrations.
     trials
-        Number of trials that the folder holds.
+        Number of trials in the folder.
     """
     kept = list(held)
     path = folder / PLAN_FILE
@@ -132,12 +138,12 @@ def register(
 
 
 def registered(content: Mapping[str, Any]) -> list[Registration]:
-    """Return the registrations in the content of a study.json.
+    """Return the registrations in the content of a file ``study.json``.
 
     Raises
     ------
     TypeError, KeyError
-        If the content has another form.
+        If the content does not have the expected form.
     """
     return [
         {
@@ -150,12 +156,12 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
 
 
 def require_unchanged(folder: Path, held: list[Registration]) -> None:
-    """Refuse registered plans that were edited or removed.
+    """Check that no file of a registered plan was edited or removed.
 
     Raises
     ------
     InputError
-        If a plan's file does not have the recorded hash.
+        If the file of a plan does not have the recorded hash.
     """
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
@@ -169,7 +175,7 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes; empty if the file cannot be read."""
+    """Return the SHA-256 of a file; empty if the file cannot be read."""
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -179,18 +185,19 @@ def file_sha256(path: Path) -> str:
 def content_sha256(content: Mapping[str, object]) -> str:
     """Return the SHA-256 of a trial's content.
 
-    The hash detects accidental edits, but not edits by a person who computes the hash again.
+    The hash detects accidental edits. It does not detect edits by a person who also replaces the
+    hash.
     """
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 
 def planned_tests(plan: Plan) -> list[str]:
-    """Return the tests that the report of a plan makes, as task and question.
+    """Return the tests in the report of a planned study, each as task and question.
 
     An example is ``T1 force_error: method``.
 
-    The tests are: every effect on every compared metric on every task, then all metrics together by
-    multivariate analysis, then each metric over all tasks.
+    For each task, every effect on every compared metric is tested, then all metrics together.
+    Finally, every effect on each metric is tested over all tasks.
     """
     groups = len(plan.groups)
     methods = len(plan.methods)
@@ -210,7 +217,10 @@ def planned_tests(plan: Plan) -> list[str]:
 # powers take some seconds
 @lru_cache(maxsize=16)
 def plan_text(plan: Plan) -> str:
-    """Return the plan as TOML, with the same text for the same plan and version of tissue."""
+    """Return the text of a plan as TOML.
+
+    Equal plans have equal texts in the same version of tissue.
+    """
     tests = planned_tests(plan)
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
@@ -280,9 +290,9 @@ def plan_text(plan: Plan) -> str:
 
 
 def _powers(plan: Plan, people: int, alpha: float) -> dict[str, dict[str, float] | dict[str, int]]:
-    """Return the powers with and without correction, and the number of people for a power of 0.8.
+    """Return the powers with and without correction, and the people needed for a power of 0.8.
 
-    `alpha` is the share of false alarms of one test after correction.
+    `alpha` is the significance level of one test after the correction for several tests.
     """
     design = (len(plan.groups), len(plan.methods))
     rng = seeded(plan.seed, STREAM)

@@ -1,4 +1,4 @@
-"""Report of a study: sections as one HTML file that needs no other file, and as CSV."""
+"""Report of a study: one HTML file with all sections and pictures, and tables as CSV."""
 
 import tomllib
 from collections import Counter
@@ -51,13 +51,13 @@ __all__ = ["found_section", "registration_section", "sections_of", "write_report
 
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 HEADLINES = ("registration", "force", "discrimination", "case-needle", "latency")
-"""Sections whose main findings begin the report, the most important first."""
+"""Names of the sections whose main findings are listed first in the report, in this order."""
 MOST_HEADLINES = 4
 PICTURES = ("force", "discrimination", "case-needle", "tasks", "sensitivity", "pairs")
-"""Sections whose pictures begin the report, the most important first."""
+"""Names of the sections whose pictures are shown first in the report, in this order."""
 MOST_PICTURES = 3
 NAMED = 5
-"""Largest number of names that a row of the table lists."""
+"""Largest number of names that are listed in a cell of a table or in a sentence."""
 Difference = tuple[str, str, str]
 """Kind, object and detail of a difference from the registered plan."""
 TISSUES = {
@@ -66,9 +66,9 @@ TISSUES = {
     "reaming": (("cutting", "bone"), ("perception", "torque")),
     "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
 }
-"""Constants of tissues and senses from the cited sources that a task adds to the report.
+"""Tables of cited constants of tissues and senses that the report lists for each task.
 
-For T1 and T2, only the scene states the stiffness.
+T1 and T2 have no entry, because their stiffness is set in the scene.
 """
 PARAMETER = ("of", "parameter", "value", "range", "confidence", "source")
 STUDY = (
@@ -78,22 +78,22 @@ STUDY = (
     ("spread of the logarithm of pace, trials", WITHIN_SPREAD, "", "L", "assumed"),
     ("numbers given to forces in a calibration", NUMBERS, "", "L", "assumed"),
 )
-"""Parameters of the study itself: name, value, range, confidence and source."""
+"""Parameters of the study itself, each with name, value, range, confidence and source."""
 
 
 def write_report(
     path: Path, *, exploratory: Path | None = None, report: Progress = silent
 ) -> tuple[Path, list[str]]:
-    """Write ``report/index.html`` and its tables into a study's folder.
+    """Write the report ``report/index.html`` and its tables into the folder of a study.
 
-    Return the path of the report and its first sentences.
+    Return the path of the report, and the sentences of its first three sections.
 
     Parameters
     ----------
     path
         Folder of the study.
     exploratory
-        Folder of an older study, whose figures are printed next to those of the study.
+        Folder of an older study, whose results are shown next to the results of this study.
     report
         Called with the progress.
 
@@ -164,11 +164,11 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 
 
 def found_section(sections: Sequence[Section]) -> Section:
-    """Return the first section.
+    """Return the first section of the report, which summarises the other sections.
 
-    The first section holds at most five sentences and three pictures of the other sections.
+    It contains the main findings and the most important pictures of the other sections.
 
-    The last sentence states how many figures agree with the published figures.
+    The last sentence states how many results agree with the published results.
     """
     named = {each.name: each for each in sections}
     headlines = [named[name].headline for name in HEADLINES if name in named]
@@ -181,7 +181,10 @@ def found_section(sections: Sequence[Section]) -> Section:
 
 
 def _agreement(sections: Sequence[Section]) -> str:
-    """Return the number of figures with a published value, and the figures that disagree."""
+    """Return a sentence with the number of results that agree with published values.
+
+    The sentence also lists the results that do not agree.
+    """
     compared = 0
     apart = []
     for section in sections:
@@ -199,7 +202,7 @@ def _agreement(sections: Sequence[Section]) -> str:
 
 
 def _overview(folder: StudyFolder) -> Section:
-    """Report completed, missing and failed trials, and their parameters."""
+    """Report tasks and scenes, numbers of trials, and reasons of failures."""
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
@@ -237,7 +240,7 @@ def _overview(folder: StudyFolder) -> Section:
 
 
 def _describe(task: str) -> str:
-    """Return the changes of a task's scene as text."""
+    """Return the scene of a task, with its changes and specimens, as text."""
     changes, *specimens = (
         ", ".join(
             f"{name} {'left out' if value is None else value}" for name, value in each.items()
@@ -251,14 +254,14 @@ def _describe(task: str) -> str:
 
 
 def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Section:
-    """List the differences from the registered plan.
+    """List the differences of the study from the registered plan.
 
     Parameters
     ----------
     folder
         Folder of the study.
     tests
-        Report sections on tests. Empty if nothing is compared.
+        Report sections on hypothesis tests. Empty if nothing is compared.
     """
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
@@ -288,7 +291,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
 
 
 def _plans(folder: StudyFolder) -> Iterator[Difference]:
-    """Yield plans that were edited, removed, or registered after the first trial."""
+    """Yield registered plans that were edited, removed, or registered after the first trial."""
     for each in folder.registrations():
         name = str(each["file"])
         if (got := file_sha256(folder.path / name)) != each["sha256"]:
@@ -331,7 +334,7 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
 
 
 def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
-    """Yield trials with another seed, plan or code than registered, or with changed files."""
+    """Yield trials with changed files, another seed or no registered plan, and changed code."""
     plans = {str(each["sha256"]) for each in folder.registrations()}
     stamps = {trial.key: folder.stamp(trial.key) for trial in kept}
     if names := [key.name for key, stamp in stamps.items() if not stamp.whole]:
@@ -354,7 +357,7 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
 
 
 def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference]:
-    """Yield planned tests that are missing, unplanned tests, and methods that were left out."""
+    """Yield planned tests that were not made, unplanned tests, and methods left out of tests."""
     try:
         plan = tomllib.loads(
             (folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8")
@@ -377,20 +380,20 @@ def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference
 
 
 def _unordered(test: str) -> tuple[str, frozenset[str]]:
-    """Return the name of a test with its factors in a fixed order."""
+    """Return the name of a test, and its factors as a set, so that their order is ignored."""
     what, _, factors = test.rpartition(": ")
     return what, frozenset(factors.split(" x "))
 
 
 def _named(names: Sequence[str], mark: str = ", ") -> str:
-    """Return the number of names and the first names, as text."""
+    """Return the number of names and the first `NAMED` of them, as text."""
     return f"{len(names)}: {mark.join(names[:NAMED])}{f'{mark}...' * (len(names) > NAMED)}"
 
 
 def _parameters(plan: Plan) -> Section:
-    """List the parameters with value, range and source.
+    """List the parameters of a study with value, range, confidence and source.
 
-    The parameters of the scenes are listed in the overview.
+    The changes of the scenes are listed in the overview instead.
     """
     rows = [("study", *map(str, each)) for each in STUDY]
     for method in plan.methods:

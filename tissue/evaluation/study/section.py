@@ -1,4 +1,4 @@
-"""Building blocks of a study's report: sections, published figures, text and pictures."""
+"""Building blocks of the report of a study: sections, published results, texts and pictures."""
 
 import csv
 import io
@@ -60,7 +60,7 @@ CHOSEN_AFTER = (
     "usual density, where in earlier studies the hand moved the burr one to one in bone of 90 %, "
     "and the sensitivity to force was 0.12",
 )
-"""Choices of the study that were made with knowledge of an earlier version's figures.
+"""Choices in the study that were made after results of earlier versions of the study were known.
 
 No other such choices are known.
 """
@@ -68,7 +68,10 @@ No other such choices are known.
 
 @dataclass(frozen=True)
 class Figure:
-    """Published mean with its standard deviation, which is zero if none was published."""
+    """Published mean and standard deviation.
+
+    The standard deviation is zero if none was published.
+    """
 
     mean: float
     spread: float = 0.0
@@ -78,7 +81,7 @@ class Figure:
 
 
 PRINTED = ("penalty", "koopman", "koopman-perception")
-"""Methods with published force errors."""
+"""Methods for which the paper has force errors."""
 FORCE_ERROR = {
     task: dict(zip(PRINTED, map(Figure, means, spreads), strict=True))
     for task, means, spreads in (
@@ -87,17 +90,23 @@ FORCE_ERROR = {
         ("T3", (9.5, 4.2, 2.8), (2.4, 1.2, 0.8)),
     )
 }
-"""Normalised L2 error of force [%] in the paper.
+"""Published normalised L2 errors of the force [%], by task and method.
 
-The columns of the paper are raw, Koopman-adjusted and perceptual.
+The paper calls the three methods raw, Koopman-adjusted and perceptual.
 """
 POSITION_ERROR_MM = {"T1": Figure(0.71, 0.12), "T2": Figure(0.63, 0.10), "T3": Figure(0.85, 0.15)}
-"""Position error [mm] in the paper."""
+"""Published position errors [mm], by task."""
 CASES = {"reaming_rms_N": Figure(2.5), "torque_step_Nm": Figure(0.08)}
-"""Published results of the case studies. The published error of reaming is an upper bound."""
+"""Published results of the case studies.
+
+The published error of reaming is an upper bound.
+"""
 
 ROUNDED = 0.05
-"""Relative tolerance of a published figure without a spread, for the rounding of two digits."""
+"""Relative tolerance of a published value without a standard deviation.
+
+It covers the rounding to two digits.
+"""
 COLOURS = {
     "penalty": "#999999",
     "energy": "#E69F00",
@@ -108,7 +117,7 @@ COLOURS = {
 }
 """Colours of the built-in methods (Okabe and Ito 2008)."""
 OTHER_COLOURS = ("#D55E00", "#000000", "#F0E442")
-"""Colours of other methods, in the order in which a picture shows them."""
+"""Colours of all other methods, in the order in which a picture shows these methods."""
 
 
 @dataclass(frozen=True)
@@ -118,19 +127,19 @@ class Section:
     Attributes
     ----------
     name
-        Short name, also the name of the CSV file of the table.
+        Short name. The CSV file of the table has this name too.
     title
         Title for the reader.
     sentences
-        Findings, computed from the data.
+        Sentences with the findings, computed from the data.
     table
-        Rows by the name of the column. A row may leave out columns.
+        Rows of the table, each with its entries by name of the column. A row may omit columns.
     picture
         PNG picture. May be empty.
     headline
         Main finding in one sentence, for the first section of the report.
     gallery
-        PNG pictures by title, in addition to the picture of the section.
+        Further PNG pictures by title.
     """
 
     name: str
@@ -143,17 +152,17 @@ class Section:
 
     @property
     def header(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """Names of the columns of the table."""
         return tuple(dict.fromkeys(name for row in self.table for name in row))
 
     @property
     def rows(self) -> tuple[tuple[str, ...], ...]:
-        """Entries of the table, empty where a row has no entry."""
+        """Entries of the table by row and column. An omitted entry is an empty text."""
         header = self.header
         return tuple(tuple(row.get(name, "") for name in header) for row in self.table)
 
     def write_csv(self, folder: Path) -> str:
-        """Write the table and return the name of its file; empty without a table."""
+        """Write the table as CSV; return the name of the file, or an empty text without a table."""
         if not self.table:
             return ""
         name = f"{self.name}.csv"
@@ -168,8 +177,8 @@ class Section:
 def spread(values: Array, digits: int = 2) -> str:
     """Return mean and standard deviation as text.
 
-    The text does not use the sign ±, because the mean minus the standard deviation can be below
-    zero even if no value is.
+    The text does not use the sign ±, because the mean minus the standard deviation can be negative
+    even if no value is negative.
     """
     return f"{values.mean():.{digits}f} (SD {_deviation(values):.{digits}f})"
 
@@ -179,10 +188,10 @@ def _deviation(values: Array) -> float:
 
 
 def _agreement(ours: Array, paper: Figure) -> str:
-    """Return the agreement of two means.
+    """Compare the mean of values with a published mean; return the result as text.
 
-    The text is "agrees" if the means differ by less than the standard deviation of their
-    difference. Otherwise the text is the ratio of the means.
+    The text is "agrees" if the means differ by at most the root of the sum of both squared standard
+    deviations. Otherwise, it states the ratio of the means.
     """
     reach = np.hypot(_deviation(ours), paper.spread or ROUNDED * paper.mean)
     if abs(ours.mean() - paper.mean) <= reach:
@@ -191,14 +200,14 @@ def _agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
-    """Return columns with the published figure and the agreement; empty without a figure."""
+    """Return table entries with a published value and the agreement; empty without a value."""
     if paper is None:
         return {}
     return {f"paper {unit}": str(paper), "against paper": _agreement(ours, paper)}
 
 
 def published(task: str, figure: Figure | None) -> Figure | None:
-    """Return a published figure of a task, or None if the paper's task differs from this task."""
+    """Return a published value of a task, or None if the task in the paper differs from it."""
     return None if TASKS[task].differs else figure
 
 
@@ -208,13 +217,13 @@ def tasks_of(table: TrialTable) -> list[str]:
 
 
 def methods_of(table: TrialTable) -> list[str]:
-    """Return the methods that have trials: first the methods in `METHODS`, then other methods."""
+    """Return the methods that have trials, first those in `METHODS`, then all others."""
     others = sorted(set(table.method.tolist()) - set(METHODS))
     return [*(each for each in METHODS if each in table.method), *others]
 
 
 def colours_of(methods: Iterable[str]) -> dict[str, str]:
-    """Return the colours of methods by name."""
+    """Return the colour of each method, by name."""
     methods = list(methods)
     others = [each for each in methods if each not in COLOURS]
     return {
@@ -224,20 +233,20 @@ def colours_of(methods: Iterable[str]) -> dict[str, str]:
 
 
 def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
-    """Return the trials by task and method."""
+    """Divide a table of trials by task and method."""
     pairs = product(tasks_of(table), methods_of(table))
     return {(task, method): table.where(task=task, method=method) for task, method in pairs}
 
 
 def interval_by_users(table: TrialTable, metric: str) -> Interval:
-    """Return the mean of a metric over users' means, with its 95 % interval."""
+    """Return the mean of a metric over the means of users, with its 95 % interval."""
     _, person = np.unique(table.people(), return_inverse=True)
     means = np.bincount(person, table.values(metric)) / np.bincount(person)
     return signed_interval(means)
 
 
 def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, list[Axes]]:
-    """Return an empty figure of a size in inches, and its axes."""
+    """Return an empty figure with a row of axes; width and height are in inches."""
     figure = Drawing(figsize=(width, height), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, columns))
     for each in axes:
@@ -253,18 +262,19 @@ def grouped_points(
 ) -> None:
     """Draw one point with an interval for each group and method.
 
-    The published figures are drawn as diamonds.
+    Published values are drawn as diamonds.
 
     Parameters
     ----------
     axes
         Axes for the points.
     groups
-        Labels of the groups along the axis.
+        Labels of the groups along the x axis.
     points
-        Value, low and high end by the group's index and the method.
+        Value, and lower and upper end of the interval, keyed by the index of the group and the
+        method.
     papers
-        Published figures by the group's index and the method.
+        Published values, keyed by the index of the group and the method.
     """
     methods = list(dict.fromkeys(method for _, method in points))
     colours = colours_of(methods)
@@ -287,7 +297,7 @@ def grouped_points(
 
 
 def legend(figure: Drawing, axes: Axes) -> None:
-    """Add a legend of selected axes above the figure, where it covers no curve."""
+    """Add the legend of axes above the figure, where it covers no curve."""
     figure.legend(
         *axes.get_legend_handles_labels(),
         loc="outside upper center",

@@ -1,6 +1,6 @@
-"""Report sections on the statistics of a study.
+"""Report sections on hypothesis tests and other statistics of a study.
 
-The sections cover tests, effect sizes, composite index, regression and power.
+The sections contain tests, effect sizes, the composite index, a regression and the power.
 """
 
 from collections import Counter
@@ -27,17 +27,17 @@ from tissue.evaluation.study.section import Section, drawing, image, methods_of,
 __all__ = ["statistics_sections", "tests_sections"]
 
 LOOSE = 0.06
-"""Rate of false alarms of a test at 5 % above which the report calls the test too liberal.
+"""Rate of false alarms above which the report calls a test with a level of 5 % too liberal.
 
-For the deciding tests, a rate of (5 ± 1) % is accepted on data like those of the study
+For the tests that decide, a rate of (5 ± 1) % is accepted on data like those of a study
 (`tests/bench/bench_null.py`).
 """
 Outcome = tuple[str, HypothesisTest]
-"""Task, or "all", and a test."""
+"""Name of a task, or "all" for all tasks together, and a test."""
 
 
 def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections that need several people per group, or the reason why they are absent."""
+    """Return the sections on statistics, or a section with the reason why nothing can be tested."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -57,9 +57,11 @@ def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Sec
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Test every metric on every task, then all metrics together.
+    """Return the sections with the hypothesis tests of a study.
 
-    The sizes of effects are reported with a picture.
+    Every metric is tested on every task, all metrics of a task are tested together, and every
+    metric is tested over all tasks. The sections list the tests, the comparisons of pairs with
+    effect sizes, and the assumptions.
     """
     found: list[MetricComparison] = []
     outcomes: list[Outcome] = []
@@ -102,9 +104,10 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """Return a task's trials without methods that have the same metric as another method.
+    """Return trials without methods that give the same values of a metric as an earlier method.
 
-    The differences between two such methods have no spread, so they cannot be tested.
+    The differences between two such methods do not vary, so they cannot be tested. A sentence on
+    each omitted method is returned too.
     """
     kept: list[str] = []
     left_out = []
@@ -122,14 +125,14 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
 
 
 def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
-    """Return whether a metric is the same under two methods, to a thousandth of its spread."""
+    """Return whether a metric is equal under two methods, to 0.1 % of its standard deviation."""
     first, second = (table.where(method=each).values(metric) for each in (one, other))
     both = np.isfinite(first) & np.isfinite(second)
     return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
 
 
 def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
-    """List all tests, with p values that are corrected over the family of tests."""
+    """List all tests, with p values that are corrected for the number of tests."""
     p_values = corrected([each.p for _, each in outcomes])
     rows = [
         {
@@ -172,7 +175,7 @@ def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
 
 
 def _pairs(found: Sequence[MetricComparison]) -> Section:
-    """List the tests of all pairs by sign flips and by Tukey, and effect sizes."""
+    """List the tests of all pairs by sign flips and by Tukey's test, and effect sizes."""
     rows = [
         {
             "task": each.task,
@@ -204,7 +207,7 @@ def _pairs(found: Sequence[MetricComparison]) -> Section:
 
 
 def _sizes_picture(sizes: Sequence[tuple[str, Effect]]) -> bytes:
-    """Draw Cohen's d with intervals, one per line, on a scale for large and small values."""
+    """Draw Cohen's d of each pair with its interval, one pair per line."""
     # 0.24 inches a line, 1 for axis and label
     figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
     for line, (_, size) in enumerate(sizes):
@@ -247,7 +250,7 @@ def _assumptions(outcomes: Sequence[Outcome]) -> Section:
 
 
 Content = tuple[list[str], list[dict[str, str]]]
-"""Sentences and table of a section."""
+"""Sentences of a section, and rows of its table."""
 
 
 def _interval(effect: Effect, form: str) -> dict[str, str]:
@@ -255,7 +258,7 @@ def _interval(effect: Effect, form: str) -> dict[str, str]:
 
 
 def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Report the composite index of each method and its weights."""
+    """Report the composite index of each method, and the weights of the metrics."""
     index = composite_index(table, DIRECTIONS, rng=rng)
     rows = [
         {"what": "weight", "name": each.name} | _interval(each, ".3f") for each in index.weights
@@ -272,7 +275,7 @@ def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def _regression(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Report the regression of task error on force error and latency: slopes by task."""
+    """Report the regression of the position error on force error and latency, by task."""
     rows = []
     remarks = []
     for task in tasks_of(table):
@@ -288,7 +291,7 @@ def _regression(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def _power(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Report the error rates of the tests with resampled users, by task, question and test."""
+    """Report the error rates of the tests by task and question, estimated with resampled users."""
     rows = []
     remarks = [
         "The rates are of tests at 5 %, with people drawn again from this study, for the force "

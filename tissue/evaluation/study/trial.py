@@ -1,4 +1,7 @@
-"""Trial of a study: the same person, specimen and noise with every method, and the metrics."""
+"""Trial of a study and its metrics.
+
+Person, specimen and random numbers are the same with every method.
+"""
 
 import re
 import tempfile
@@ -55,16 +58,16 @@ __all__ = [
 ]
 
 Row = dict[str, str | float]
-"""Name of a method with its metrics, or with the sentence of its failure."""
+"""Row of a table: the name of a method with its metrics, or with the reason of its failure."""
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Spread of the logarithm of pace between trials of one person; assumed.
+"""Standard deviation of the logarithm of pace between trials of one person (assumed).
 
-`PACE_SPREAD` is the spread between people; assumed too.
+`PACE_SPREAD` is the standard deviation between people (assumed too).
 """
 NUMBERS = 24
-"""Number of forces that a person rated in the calibration, the default of a session."""
+"""Number of forces that a person rates in the calibration: the default of a calibration session."""
 PLAIN = Variant("", "", {})
 
 
@@ -78,11 +81,11 @@ class Trial:
     key
         Key of the trial.
     seed
-        Seed of the scenes of the trial.
+        Seed of the scenes in the trial.
     rows
-        For each method its name and its metrics, or the sentence of its failure.
+        One row for each method, see `Row`.
     took_s
-        Wall time [s].
+        Wall time of the trial [s].
     """
 
     key: TrialKey
@@ -92,11 +95,11 @@ class Trial:
 
     @property
     def failed(self) -> bool:
-        """True if a method failed in the trial."""
+        """True if at least one method failed in the trial."""
         return any("failure" in row for row in self.rows)
 
     def values(self, metric: str) -> dict[str, float]:
-        """Return a metric of all methods that have this metric, by the name of the method."""
+        """Return a metric by name of the method, without methods that have no such metric."""
         return {str(row["method"]): float(row[metric]) for row in self.rows if metric in row}
 
 
@@ -107,16 +110,16 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        The scene under each method. The coupling stiffness is the smallest of the stiffnesses
-        chosen for the methods. This stiffness is stable with all methods, so their forces can be
-        compared.
+        Scene for each method. All scenes have the same coupling stiffness: the smallest of the
+        stiffnesses chosen for the methods. This stiffness is stable with all methods, so the forces
+        of the methods can be compared.
     specimen
         Number of the specimen.
     person
-        Person of the trial with the true parameters. The scene with perception uses only the
-        calibrated parameters of this person.
+        Person of the trial, with the true perceptual parameters. A method that scales the force for
+        the person uses only the calibrated parameters of this person.
     pace
-        Factor on the speed of a path, or on the rise of a force.
+        Factor on the speed along the path, or on the rate of increase of a pushing force.
     """
 
     scenes: Mapping[str, Scene]
@@ -128,9 +131,9 @@ class TrialScene:
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
     """Run a trial under every method of its plan.
 
-    If a method fails, its row holds a sentence on the failure, and the other methods are still
-    run. A single call gives the same result as the study: ``run_trial(Plan(seed=0),
-    TrialKey.named("T1-novice-0007"))``.
+    If a method fails, its row contains the reason, and the other methods are still run. A single
+    call such as ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))`` gives the same result
+    as the whole study.
     """
     started = perf_counter()
     rows: list[Row] = []
@@ -147,9 +150,9 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Return the names of trials by method and sentence of a failure.
+    """Return the names of failed trials, by the method with the reason of the failure.
 
-    Sentences that differ only in the time of the failure count as equal.
+    Reasons that differ only in the time of the failure count as equal.
     """
     found: dict[str, list[str]] = {}
     for trial in trials:
@@ -161,7 +164,7 @@ def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
 
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
-    """Return the seed of a trial's scenes."""
+    """Return the seed of the scenes in a trial."""
     # the first number of the trial's generator, as in `trial_scene`
     return int(plan.rng(key).integers(2**62))
 
@@ -172,7 +175,7 @@ def error_sentence(error: Exception) -> str:
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
-    """Return the scenes of a trial and its person; write the person's calibration to a file."""
+    """Return scenes and person of a trial; write the calibration of the person to `observer`."""
     rng = plan.rng(key)
     person = plan.person(key)
     task = TASKS[key.task]
@@ -217,34 +220,34 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
 # the cache size limits the memory; a scene that was dropped is computed again with the same result
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
-    """Return the chosen ratio of device force to tool force of a scene on the study's device.
+    """Return the force scale that is chosen for a scene on the device of the study.
 
-    The smallest scale over a task's specimens is used for all of them. With a separate scale for
-    each specimen, all specimens would feel the same.
+    A trial uses the smallest scale of all specimens of its task. With a separate scale for each
+    specimen, all specimens would feel the same.
     """
     return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
 
 def _all_specimens(task: str) -> list[Scene]:
-    """Return the scenes of a task with each of its specimens."""
+    """Return the scene of a task with each of its specimens."""
     usual = TASKS[task]
     return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
 
 def _stiffness_N_m(scene: Scene) -> int:
-    """Return the chosen stiffness of a scene, rounded down [N/m].
+    """Return the coupling stiffness that is chosen for a scene [N/m], rounded down.
 
-    The search for the critical stiffness is cached. The critical stiffness does not depend on
-    specimen, seed, pace and person. For a person with a force map, the cached result is divided by
-    a factor of the map.
+    The search for the critical stiffness is cached, because the result does not depend on specimen,
+    seed, pace and person. If the force is scaled for a person, the cached result is divided by a
+    factor of the scaling.
     """
     return floor(judged_loop(loop_settings(scene)).stiffness_N_m)
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
-    """Return a person and the person's calibration from rated numbers.
+    """Draw a person; return the true parameters and their estimates by a calibration.
 
-    The thresholds of the calibration are exact.
+    The calibration estimates Stevens' law from rated forces. All other parameters are exact.
     """
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
@@ -260,10 +263,10 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 
 
 def methods_of_trial(plan: Plan, key: TrialKey) -> tuple[str, ...]:
-    """Return the methods of a trial.
+    """Return the methods that are run in a trial.
 
-    Variants are run only with the methods penalty and koopman. The reference variant is run with
-    one method.
+    Variants are run only with the methods penalty and koopman, and the reference variant only with
+    penalty. If the plan contains none of these, its first method is used.
     """
     if not key.variant:
         return plan.methods

@@ -1,4 +1,4 @@
-"""Metrics of one run of a study: errors of force and position, time, smoothness and intensity."""
+"""Metrics of a run in a study: errors of force, position and intensity, time and smoothness."""
 
 from itertools import pairwise
 from math import inf, isfinite
@@ -20,39 +20,44 @@ from tissue.simulation.simulate import TICK_S
 __all__ = ["intensity_ratios", "measured", "path_distances_mm"]
 
 ARRIVED_MM = 2.0
-"""Distance of the device from the path's end within which a task counts as done [mm].
+"""Largest distance of the device from the end of the path at which a task counts as done [mm].
 
-A trembling hand does not stay exactly at the end.
+The distance is not zero, because a trembling hand does not stay exactly at the end.
 """
 LEAST_N = 1e-3
-"""Force below which nothing is felt [N]. It replaces smaller forces in a logarithm."""
-TOUCHES = 0.05
-"""Share of a trial's largest force above which a contact is used.
+"""Smallest force that can be felt [N].
 
-At the beginning and end of a contact, ratios of forces have no meaning.
+Smaller forces are replaced by this force before a logarithm is taken.
+"""
+TOUCHES = 0.05
+"""Fraction of the largest force in a trial above which a tick counts as contact.
+
+Ticks with smaller forces are ignored, because ratios of forces are not meaningful at the beginning
+and the end of a contact.
 """
 WINDOW_S = 0.1
-"""Time over which a person averages a force; `integration_s` in perception.toml."""
+"""Time over which a person averages a force [s]: `integration_s` in perception.toml."""
 
 
 def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict[str, float]:
-    """Compute the metrics of a run, by name with their unit.
+    """Compute the metrics of a run, by name of the metric with its unit.
 
     Parameters
     ----------
     run
-        Run by a hand on a device.
+        Run in which a hand moves a device.
     task
-        Name of the task. Some tasks have special metrics.
+        Name of the task. The needle and reaming tasks have additional metrics.
     person
         Person who feels the force.
     wanted_mm
-        Target path of the tool, corner by corner [mm], shape (corners, 3).
+        Corners of the target path of the tool [mm], shape (corners, 3).
 
     Raises
     ------
     InputError
-        If the tool touched nothing, or the required event of the task did not happen.
+        If the tool touched nothing or too briefly, or a needle did not puncture the capsule before
+        the hand stopped.
     """
     trace = run.trace
     played, ideal, nearest, _ = motor_forces(run, ideal_force_N(run, cores=1))
@@ -101,11 +106,12 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run) -> dict[str, float]:
-    """Return the needle's travel after the capsule's puncture, and the force before and after it.
+    """Return the travel of a needle after the puncture of the capsule, and forces at the skin.
 
-    A puncture that the person does not notice is a result and not a failure. ``noticed`` is then 0,
-    and the travel is the travel until the end of the trial, which is a lower bound. If the hand
-    stops before the puncture, there is no puncture to measure.
+    The forces are means over `WINDOW_S` before and after the puncture. If the person does not
+    notice the puncture, the trial does not fail, and ``noticed`` is 0. The travel is then the
+    travel until the end of the trial, which is a lower bound. If the hand stops before the
+    puncture, InputError is raised.
     """
     puncture = next((time for time, what in run.events if "capsule" in what), inf)
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
@@ -128,7 +134,7 @@ def _pierced(run: Run) -> dict[str, float]:
 
 
 def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
-    """Return the torque of a reamer while it cuts."""
+    """Return mean and scatter of the torque of a reamer in contact [N m]."""
     torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
     windows = [
         part.mean()
@@ -140,19 +146,21 @@ def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
 def intensity_ratios(
     skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer
 ) -> dict[str, float]:
-    """Return the error of ratios of intensity, and the errors of three comparison forces.
+    """Return the errors of intensity ratios for the played force and three comparison forces.
 
-    The error is the spread of ln S(F) - ln S_ref(F_ideal) over windows of a tenth of a second that
-    lie entirely in contact. S is Stevens' law. A spread of 0.1 is a ratio error of a tenth, and 0
-    is perfect. A common factor has no effect, because it cannot be separated from a person's use of
-    numbers. The exponents are the true exponents of the simulated people.
+    The error is the standard deviation of ln S(F) - ln S_ref(F_ideal) over windows of 0.1 s that
+    lie entirely in contact. S is the intensity that the person perceives by Stevens' law, and S_ref
+    the intensity that the reference observer perceives. The exponents are the true exponents. An
+    error of 0.1 is a ratio error of a tenth, and 0 is perfect. A common factor has no effect,
+    because it cannot be separated from a person's use of numbers.
 
     Returns
     -------
     dict
-        Spread for the force at the skin, and for three comparison forces. These are a perfect force
-        through the same encoder steps, felt by the reference person; the ideal force with only this
-        person's exponent; and a constant force.
+        Errors of four forces. ``ratio_error`` is the error of the force at the skin.
+        ``ratio_floor`` is that of a perfect force through the same encoder steps, felt by the
+        reference observer. ``ratio_unscaled`` is that of the ideal force, felt by this person.
+        ``ratio_silent`` is that of a constant force.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)
@@ -182,7 +190,7 @@ def intensity_ratios(
 
 
 def path_distances_mm(tip_mm: Array, path_mm: Array) -> Array:
-    """Return the distance of tips from a path of straight legs [mm], shape (n,)."""
+    """Return the distance of tip positions from a path of straight legs [mm], shape (n,)."""
     nearest = np.full(len(tip_mm), np.inf)
     for start, end in pairwise(path_mm):
         leg = end - start

@@ -4,10 +4,10 @@ With W, a contact solve needs no unknowns inside the body (Duriez et al. 2006, I
 Comput. Graph. 12:36). W is read from one factor of K and kept on disk. If this would need too much
 memory, W is computed by back-substitutions.
 
-The touchable unknowns t are eliminated last, after the other unknowns r. The last block of ``K = L
-L^T`` then is the Schur complement ``S = K_tt - K_tr K_rr^-1 K_rt = L_tt L_tt^T``, and ``W = S^-1``.
-No back-substitution is needed. With 36,000 unknowns, of which 1,350 are touchable,
-back-substitutions take twenty times as long.
+The touchable unknowns t are eliminated last, after the other unknowns r. In ``K = L L^T``, the last
+block of L then is the factor of the Schur complement: ``S = K_tt - K_tr K_rr^-1 K_rt = L_tt
+L_tt^T``. The compliance is ``W = S^-1``. No back-substitution is needed. With 36,000 unknowns, of
+which 1,350 are touchable, back-substitutions take twenty times as long.
 """
 
 from collections import OrderedDict, deque
@@ -55,8 +55,8 @@ def surface_compliance_m_N(
 ) -> Array:
     """Return W [m/N] from the cache, or compute it from a factor.
 
-    W is the compliance of the touchable nodes. It is bitwise symmetric, shape (3t, 3t), with x, y,
-    z node by node.
+    W is the compliance of the t touchable nodes, shape (3t, 3t), and is bitwise symmetric. Its rows
+    and columns are x, y, z node by node.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def surface_compliance_m_N(
 def _found(
     solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None
 ) -> Array:
-    """Return W [m/N] by back-substitutions, symmetric, shape (3t, 3t)."""
+    """Compute the symmetric matrix W [m/N], shape (3t, 3t), by back-substitutions."""
     rows = components_of(touchable)
     matrix = np.empty((len(rows), len(rows)))
 
@@ -122,14 +122,14 @@ def _found(
 
 
 def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> Array:
-    """Return W in a reduced basis [m/N], symmetric, shape (3t, 3t).
+    """Return the symmetric matrix W in a reduced basis [m/N], shape (3t, 3t).
 
     The basis is the proper orthogonal decomposition, in the energy norm, of the displacements for
     all unit forces on the touchable nodes. The Gram matrix of these displacements is W itself. The
     reduced compliance is W restricted to its largest eigenvalues, the best matrix of this rank
     (Eckart and Young 1936, Psychometrika 1:211). The omitted part of the compliance is mostly local
-    to the loaded nodes. Its blocks on the diagonal are added, like the residual flexibility for
-    omitted modes (MacNeal 1971, Comput. Struct. 1:581).
+    to the loaded nodes. The diagonal blocks of this part are added, like the residual flexibility
+    for omitted modes (MacNeal 1971, Comput. Struct. 1:581).
 
     Parameters
     ----------
@@ -219,11 +219,11 @@ class LazyCompliance:
                 self._changed.notify_all()
 
     def pour(self, matrix_m_N: Array) -> int:
-        """Write one newly computed node into a matrix of all touchable nodes, shape (3t, 3t).
+        """Write the blocks of one newly computed node into a matrix of all touchable nodes.
 
-        The method writes the blocks between this node and all computed nodes. The values of a block
-        are equal on every call. Other blocks stay unchanged. A call writes only one node, so a
-        tick is short.
+        The matrix has shape (3t, 3t). The method writes the blocks between this node and all
+        computed nodes. Other blocks stay unchanged. A block always gets the same values. A call
+        writes only one node, so that a tick is short.
 
         Returns
         -------
@@ -295,7 +295,7 @@ class LazyCompliance:
     def _find(self, node: int) -> None:
         """Compute the three columns of one node.
 
-        A factor releases the interpreter lock during the solve.
+        A solve with a factor releases the interpreter lock, so that other threads can run.
         """
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)

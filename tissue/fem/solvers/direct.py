@@ -117,7 +117,8 @@ class _Order:
     position
         Position of each unknown in the order of elimination, -1 for held unknowns, shape (3n,).
     starts
-        First position of each block, followed by f, shape (blocks + 1,).
+        First position of each block of unknowns that are eliminated together, with f at the end,
+        shape (blocks + 1,).
     sources, indices, indptr
         Entries of the ordered matrix, by column: positions of the entries in the stiffness, rows of
         the entries, and starts of the columns.
@@ -156,7 +157,7 @@ class _Order:
         return cls(ends, unknowns, position, starts, matrix.data, matrix.indices, matrix.indptr)
 
     def ordered(self, stiffness: bsr_array) -> csc_array:
-        """Return the stiffness of the free unknowns in the order of elimination, (f, f)."""
+        """Return the stiffness of the free unknowns in the order of elimination, shape (f, f)."""
         size = len(self.unknowns)
         values = stiffness.data.ravel()[self.sources]
         return csc_array((values, self.indices, self.indptr), shape=(size, size))
@@ -237,7 +238,7 @@ class DirectSolver:
         return moved.reshape(load_N.shape)
 
     def displacements_m(self, loads_N: Array) -> Array:
-        """Return displacements [m] under several loads [N], shapes (3n, k), without any check."""
+        """Return displacements [m] under k loads [N], both of shape (3n, k), without any check."""
         moved = np.zeros_like(loads_N)
         for start in range(0, loads_N.shape[1], TOGETHER):
             several = np.ascontiguousarray(loads_N[self._order.unknowns, start : start + TOGETHER])
@@ -264,7 +265,7 @@ class DirectSolver:
         return found
 
     def columns(self, unknowns: Ints) -> Array:
-        """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
+        """Return the displacements [m/N] under a unit force on each of k unknowns, shape (3n, k).
 
         Rows of held unknowns are zero.
         """
@@ -278,11 +279,11 @@ class DirectSolver:
         return found
 
     def compliance_between(self, nodes: Ints) -> Array:
-        """Compute the compliance between nodes [m/N], x, y, z node by node, shape (3k, 3k).
+        """Compute the compliance [m/N] between k nodes, shape (3k, 3k), x, y, z node by node.
 
         The compliance of held nodes is zero. For nodes that are eliminated last, the compliance is
-        read from the last block of the factor, which is the factor of their Schur complement. For
-        other nodes back-substitutions are computed.
+        read from the last block of the factor, which is the factor of the Schur complement of these
+        nodes. For other nodes back-substitutions are computed.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = components_of(nodes)

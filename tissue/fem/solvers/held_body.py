@@ -71,7 +71,7 @@ class ColumnSolver(Protocol):
     body: "HeldBody"
 
     def columns(self, unknowns: Ints) -> Array:
-        """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
+        """Return the displacements [m/N] under a unit force on each of k unknowns, shape (3n, k).
 
         Rows of held unknowns are zero.
         """
@@ -180,12 +180,12 @@ def components_of(nodes: Ints) -> Ints:
 
 
 def held_nodes(held: Flags) -> Flags:
-    """Return the mask of held components, shape (n, 3), for a mask of held nodes, (n,)."""
+    """Return the mask of held components, shape (n, 3), for a mask of held nodes, shape (n,)."""
     return np.repeat(held[:, None], 3, axis=1)
 
 
 def pointwise_graph(stiffness: bsr_array) -> csr_array:
-    """Return the nodes that share a cell, as a sparse matrix of shape (n, n)."""
+    """Return a sparse matrix with an entry for each pair of nodes in a cell, shape (n, n)."""
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
     return csr_array(

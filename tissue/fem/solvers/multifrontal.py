@@ -32,7 +32,7 @@ class Front:
     below
         Later unknowns that the elimination changes, in increasing order, shape (r,).
     children
-        Fronts whose changes are added to this front first.
+        Indices of the fronts whose changes are added to this front before its elimination.
     """
 
     start: int
@@ -49,7 +49,8 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
     lower
         Lower triangle of the matrix in order of elimination, shape (n, n).
     starts
-        First unknown of each block, followed by n, rising, shape (blocks + 1,).
+        Index of the first unknown of each block, in rising order, with n at the end, shape (blocks
+        + 1,).
     """
     marked = np.zeros(lower.shape[0], np.bool_)
     block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -70,9 +71,9 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
 
 
 FEW_RUNS = 16
-"""Largest number of pairs of runs (consecutive rows) for which a block is added pair by pair."""
+"""Largest number of pairs of a row run and a column run for which a block is added pair by pair."""
 SHORT = 6
-"""Mean number of rows in a run below which a block is added entry by entry.
+"""Mean number of rows in a run below which a block with more pairs is added entry by entry.
 
 A run is a group of consecutive rows. The values of `FEW_RUNS` and `SHORT` are not critical: for a
 liver with 51,795 unknowns, values of 1 to 64 and of 2 to 12 change the time by less than its
@@ -93,10 +94,11 @@ class Multifrontal:
         Symmetric positive definite matrix in order of elimination, shape (n, n). Only its lower
         triangle is read. The factor has the precision of the matrix, single or double.
     starts
-        First unknown of each block of unknowns that are eliminated together, followed by n, rising,
-        shape (blocks + 1,).
+        Index of the first unknown of each block, in rising order, with n at the end, shape (blocks
+        + 1,). The unknowns of a block are eliminated together.
     fronts
-        Fronts of another matrix with these blocks and the same pattern. Default: they are computed.
+        Fronts of another matrix with the same blocks and the same pattern. By default, the fronts
+        are computed.
 
     Raises
     ------
@@ -177,8 +179,8 @@ class Multifrontal:
     def _solved(self, lower: Array, right: Array, *, transposed: int = 0) -> Array:
         """Solve with a lower triangle, or with its transpose, for the shapes of `solve`.
 
-        For a single right-hand side another BLAS routine is used. It reads each entry once, and
-        takes 0.6 times as long as the routine for several right-hand sides.
+        For a single right-hand side another BLAS routine is used. This routine reads each entry
+        once, and takes 0.6 times as long as the routine for several right-hand sides.
         """
         if right.ndim == 1:
             return self._trsv(lower, right, lower=1, trans=transposed)
@@ -243,8 +245,8 @@ class _Rows:
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
     """Add a block to some rows and columns of a matrix in place.
 
-    The lower triangle of a square block is added; its upper triangle may be added too. Long runs of
-    rows are contiguous in memory, and are added run by run.
+    The lower triangle of a square block is added; the upper triangle may be added too. Runs of
+    consecutive rows are contiguous in memory, so long runs are added run by run.
     """
     if not block.size:
         return

@@ -32,7 +32,7 @@ COARSEST_NODES = 50
 With 10 to 400 aggregates, livers of 2505 and 16,523 nodes take 18 to 20 iterations.
 """
 WEAK = 0.05
-"""Coupling of two nodes, relative to their own stiffness, below which they are not aggregated.
+"""Coupling of two nodes, relative to their own stiffness, below which the two are not aggregated.
 
 Compared with aggregates over all couplings, this limit saves a third of the iterations.
 """
@@ -104,7 +104,7 @@ class MultigridSolver:
         )
 
     def columns(self, unknowns: Ints) -> Array:
-        """Return displacements of all unknowns [m/N] under unit forces on some, shape (3n, k).
+        """Return the displacements [m/N] under a unit force on each of k unknowns, shape (3n, k).
 
         Rows of held unknowns are zero.
 

@@ -1,6 +1,7 @@
-"""Uncertainty band of a run: loads and figures if the constants vary in their ranges.
+"""Uncertainty band of a run: loads and figures when the constants vary within their ranges.
 
-The module also computes the influence of each constant, and reads and writes the files of a band.
+A figure is a number that summarises a run, such as the peak force. The module also computes the
+influence of each constant on the figures, and reads and writes the files of a band.
 """
 
 import csv
@@ -66,15 +67,16 @@ MOST_FAILED = 0.1
 If more samples failed, the ends of a 90 % band would describe only the remaining samples.
 """
 SAME = 3e-3
-"""Tolerance of loads as a share of the largest load.
+"""Largest accepted difference between a run's and its band's loads, relative to the peak load.
 
-The tolerance covers the interpolation between nodes of chip thickness.
+The loads of a band are interpolated between tabulated chip thicknesses, which causes a small
+difference.
 """
 SOBOL_ROWS = 512
-"""Number of rows of each of the two samples from which the indices are computed.
+"""Number of rows of each of the two samples from which the Sobol indices are computed.
 
-In milling, 512 rows take 1 s. The largest difference of an index from its value with 8192 rows is
-0.03.
+For a milling run, the computation with 512 rows takes 1 s. The indices then differ by at most 0.03
+from the indices with 8192 rows.
 """
 
 
@@ -87,15 +89,15 @@ class Band:
     times_s
         Times of the ticks [s], shape (n,).
     nominal, quantiles
-        Loads on the tool at the nominal values of the constants, and the quantiles `LEVELS` of the
-        loads. The columns are `tissue.fitting.bands.sample_loads.CHANNELS`, the shapes (n, 8) and
-        (5, n, 8).
+        Loads on the tool at the nominal values of the constants, shape (n, 8), and quantiles of the
+        loads at the five `LEVELS`, shape (5, n, 8). The last axis follows
+        `tissue.fitting.bands.sample_loads.CHANNELS`.
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names of `tissue.fitting.bands.sample_loads`, and the figures of each sample, shape
-        (samples, figures). NaN where a sample does not have the figure, such as an event that does
-        not happen.
+        Names of the figures (see `tissue.fitting.bands.sample_loads.Figure`), and their values in
+        each sample, shape (samples, figures). A value is NaN if the sample does not have the
+        figure, for example the time of an event that does not happen.
     numbers
         Index of each sample in `files`, shape (samples,).
     files
@@ -136,9 +138,9 @@ def require_band(
     Raises
     ------
     InputError
-        If the number of samples is not between 16 and 65536, or an option has no effect. Workers
-        have no effect if the samples are not run, or with a scheduler. `each_run` has no effect for
-        a scene that always needs a run of each sample.
+        If the number of samples is not between 16 and 65536, or an option has no effect. `workers`
+        has no effect if the samples are not run, or if `scheduler` is given. `each_run` has no
+        effect for a scene that always needs a run of each sample.
     """
     rounded(asked)
     if workers is not None:
@@ -183,11 +185,12 @@ def band_of(
     workers
         Number of parallel processes, for scenes whose samples are separate runs.
     scheduler
-        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
-        processes.
+        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run the
+        samples instead of local processes.
     each_run
-        Run every sample, even if reweighing the recorded loads is enough. Needed for nonlinear
-        figures such as temperature and stress.
+        True to run every sample, even if the loads of all samples can be computed from the recorded
+        loads of one run. Needed for figures that are not linear in the constants, such as
+        temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
 
@@ -255,7 +258,7 @@ def _samples(
 
 
 def _about(ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...]) -> Summary:
-    """Return the constants, and the Sobol indices by figure and group.
+    """Return a summary of the constants, and of the Sobol indices by figure and group of constants.
 
     Figures that do not vary are left out.
     """
@@ -348,7 +351,7 @@ def require_same(band: Band, loads: Array) -> None:
     Parameters
     ----------
     loads
-        The run's force [N] and torque [N m] as the model gives them, shape (n, 6).
+        Force [N] and torque [N m] on the tool that the model computed in the run, shape (n, 6).
 
     Raises
     ------
@@ -373,9 +376,10 @@ def require_same(band: Band, loads: Array) -> None:
 OVER_TIME = "band.csv"
 SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
-"""Separator between the entries of a figure's name in the header of the samples.
+"""Separator between the parts of a figure's name in the header of the table of samples.
 
-The separator is not a dot, because a layer's name or a sentence may hold a dot.
+The separator is not a dot, because the name of a layer or the sentence of an event may contain a
+dot.
 """
 
 

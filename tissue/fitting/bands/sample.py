@@ -59,7 +59,8 @@ class Ranges:
     priors
         Prior of each constant. Every prior has a range.
     correlation
-        Correlation of the standard normal numbers behind the constants, shape (p, p).
+        Correlation of the standard normal numbers from which the constants are computed, shape (p,
+        p).
     """
 
     names: tuple[str, ...]
@@ -68,7 +69,7 @@ class Ranges:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of constants that are correlated with each other, directly or through others."""
+        """Indices of the constants in each group that is correlated, directly or indirectly."""
         labels = connected_components(self.correlation != 0.0, directed=False)[1]
         return tuple(
             tuple(np.flatnonzero(labels == label).tolist())
@@ -77,13 +78,13 @@ class Ranges:
 
     @cached_property
     def group_names(self) -> tuple[str, ...]:
-        """Names of each group, joined by `` + ``."""
+        """Name of each group: the names of its constants, joined by `` + ``."""
         return tuple(" + ".join(self.names[at] for at in group) for group in self.groups)
 
     def x(self, free: Array) -> Array:
-        """Return values of the constants for standard normal numbers, both of shape (n, p).
+        """Return the constants, shape (n, p), for standard normal numbers of the same shape.
 
-        The normal numbers are independent.
+        The normal numbers are independent. The constants are correlated as `correlation` describes.
         """
         z = free @ self._factor.T
         return np.column_stack([prior.x(z[:, at]) for at, prior in enumerate(self.priors)])
@@ -100,7 +101,7 @@ def ranges_of(
     table: str = "",
     further: Mapping[str, Prior] | None = None,
 ) -> Ranges:
-    """Return the constants with a range that a scene uses and does not set itself.
+    """Return the constants that a scene uses, that have a range, and that the scene does not set.
 
     Parameters
     ----------
@@ -109,9 +110,9 @@ def ranges_of(
     layers
         Layers of the scene's bone whose constants are returned.
     table
-        Beginning of the names of the constants that are returned.
+        Only constants whose names begin with this text are returned.
     further
-        Priors of further numbers that vary.
+        Priors of numbers that vary in addition to these constants, by name.
     """
     priors = {
         one.full: Prior.of(one.cited, one.full)
@@ -144,7 +145,7 @@ def normals(count: int, width: int, *, seed: int) -> Array:
     Raises
     ------
     InputError
-        If there are more columns than the sequence has.
+        If `width` exceeds the number of columns that a Sobol sequence supports.
     """
     if width > qmc.Sobol.MAXDIM:
         raise InputError(
@@ -171,7 +172,8 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 
     `x` has shape (p,).
 
-    The names have the form ``TABLE.MATERIAL.NAME``. Factors on densities are left out.
+    The names have the form ``TABLE.MATERIAL.NAME``. Factors on densities are left out, because they
+    are not constants of a material.
     """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {
@@ -183,7 +185,7 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 
 
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
-    """Return the TOML file of a sample.
+    """Return the text of the TOML file of a sample.
 
     A factor on the density is written as a comment, because no scene accepts it.
     """
@@ -197,7 +199,7 @@ def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
 
 
 def toml_tables(given: Mapping[str, Constant]) -> dict[str, dict[str, dict[str, Entry]]]:
-    """Return the tables of a file of constants, by the names ``TABLE.MATERIAL.NAME``."""
+    """Return the nested tables of a TOML file for constants with names ``TABLE.MATERIAL.NAME``."""
     tables: dict[str, dict[str, dict[str, Entry]]] = {}
     for full, one in given.items():
         table, material, name = full.split(".", 2)
@@ -213,20 +215,20 @@ def toml_tables(given: Mapping[str, Constant]) -> dict[str, dict[str, dict[str, 
 DRAWS = 400
 """Number of bootstrap draws for the ends of 90 % intervals.
 
-With this number, the probability of 5 % beyond each end has a standard error of 1 %.
+With 400 draws, the probability beyond each end, which should be 5 %, has a standard error of 1 %.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class SobolIndices:
-    """Indices of figures by groups.
+    """Sobol indices: influence of each group of constants on each figure.
 
     Attributes
     ----------
     first, total
         First-order and total indices, shape (groups, figures). NaN for a figure that does not vary.
     first_ends, total_ends
-        Ends of their 90 % intervals by bootstrap, shape (2, groups, figures).
+        Ends of the 90 % bootstrap intervals of `first` and `total`, shape (2, groups, figures).
     """
 
     first: Array
@@ -252,7 +254,8 @@ def sobol_indices(
     groups
         Columns of each group. Every column belongs to one group.
     count
-        Rows of A, a power of two; the function is called for count (groups + 2) rows.
+        Number of rows of A, a power of two. `figures` is evaluated for ``count * (groups + 2)``
+        rows in total.
     """
     width = sum(map(len, groups))
     both = normals(count, 2 * width, seed=seed)
@@ -291,9 +294,10 @@ If this share is smaller, more than a fifth of the variance is attributed to no 
 wrong constant.
 """
 RIDGES = 10.0 ** np.arange(-6, 3)
-"""Tried ridge parameters, relative to the unit variance of the polynomials.
+"""Ridge parameters that are compared, relative to the unit variance of the polynomials.
 
-The smallest parameter gives an interpolation, and the largest parameter almost a constant.
+With the smallest parameter the surrogate interpolates the runs. With the largest parameter it is
+almost constant.
 """
 FOLDS = 8
 """Number of parts for cross-validation.
@@ -301,17 +305,17 @@ FOLDS = 8
 The smallest band, with 16 runs, has two runs in each part.
 """
 REFITS = 100
-"""Number of bootstrap draws of a surrogate. Each draw needs a fit. See `DRAWS`."""
+"""Number of bootstrap draws of a surrogate: fewer than `DRAWS`, because each needs a fit."""
 
 
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[SobolIndices, Array]:
-    """Return the Sobol indices of figures and the share of each variance that the fit explains.
+    """Return the Sobol indices of figures, and the share of variance that a polynomial explains.
 
-    The share is evaluated on runs that are not used in the fit. The indices follow from a sum of
-    products of normalised Hermite polynomials up to degree two, whose coefficients are found by
-    ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
+    The polynomial is a sum of products of normalised Hermite polynomials up to degree two. Its
+    coefficients are found by ridge regression and give the indices (Sudret 2008, Reliab. Eng. Syst.
+    Saf. 93:964). The share is evaluated on runs that are not used in the fit.
 
     Parameters
     ----------
@@ -349,9 +353,9 @@ def surrogate_indices(
 
 
 def _terms(width: int) -> list[tuple[int, ...]]:
-    """Return the columns of each product: one column, squares and pairs.
+    """Return the columns that each polynomial term multiplies: one column, squares and pairs.
 
-    For a square, the column is named twice.
+    A square contains its column twice.
     """
     places = range(width)
     return [*((at,) for at in places), *((at, at) for at in places), *combinations(places, 2)]

@@ -91,7 +91,7 @@ class Reweighed:
         return ranges_of(self.record.scene, met, table="cutting.", further=further)
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
-        """Return cutting coefficients of each layer for values of the constants, shape (p,)."""
+        """Return the cutting coefficients of each layer for the constants `x`, shape (p,)."""
         cutting = self.record.scene.cutting
         changes = cutting.model_dump(exclude={"material"})
         held = sampled(self.record.scene.constants, self.ranges.names, x)
@@ -102,9 +102,10 @@ class Reweighed:
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """Return the factors of all unit loads, shape (samples, units).
+        """Return the factors by which all unit loads are multiplied, shape (samples, units).
 
-        The values `x` have shape (samples, p).
+        The constants `x` of the samples have shape (samples, p). The unit loads are those of
+        `tissue.simulation.load_record.LayerLoads`.
         """
         layers = len(self.record.layer_names)
         # without an image of densities, no sample changes them
@@ -118,7 +119,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return `tissue.fitting.bands.sample_loads.LOADS` of samples, shape (samples, 4)."""
+        """Return the figures `LOADS` for the constants `x` of samples, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -133,7 +134,7 @@ class Reweighed:
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
     def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
-        """Return quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
+        """Return quantiles of `CHANNELS` over the samples at each tick, shape (levels, n, 8)."""
         found = np.zeros((len(levels), len(self.record.times_s), len(CHANNELS)))
         for ticks, loads in self._blocks(self.weights(x)):
             found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
@@ -142,7 +143,7 @@ class Reweighed:
     def _blocks(self, weights: Array) -> Iterator[tuple[Ints, Array]]:
         """Yield blocks of loads, shape (samples, ticks, 6), and the indices of their ticks.
 
-        A block holds a few consecutive loaded ticks.
+        A block contains consecutive ticks with a load. Ticks without a load are left out.
         """
         # six loads of each sample and tick
         step = max(BLOCK // (6 * len(weights)), 1)
@@ -167,10 +168,10 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Return the prior of a density factor from the law in the notes of an image of densities.
+    """Return the prior of a density factor from a note on the law that converts CT to density.
 
-    The result is None if the image records no law. The law states its uncertainty for the median
-    density. The same relative uncertainty is applied to every voxel.
+    The result is None if the note describes no law. The note gives the median density and its 90 %
+    range. The relative range is applied to every voxel.
     """
     found = LAW.search(law)
     # a density that the scene states has no law and no band
@@ -181,9 +182,9 @@ def density_prior(law: str) -> Prior | None:
 
 
 Figure = tuple[str, ...]
-"""Name of a figure: its position in ``summary.json``, entry by entry.
+"""Name of a figure: the keys that lead to its value in ``summary.json``.
 
-The name of the time of an event consists of ``events``, the sentence of the event and ``time_s``.
+For the time of an event, the keys are ``events``, the sentence of the event and ``time_s``.
 """
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 """Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
@@ -206,7 +207,7 @@ LARGEST_PREFIX = "greatest_"
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
-    """Return the figures of a run.
+    """Return the numbers that summarise a run.
 
     The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
     An event is named by its sentence without numbers, and only its first occurrence counts. Events
@@ -264,7 +265,7 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
     Parameters
     ----------
     values
-        Shape (runs, figures), NaN where a run has no such figure.
+        Values of the figures, shape (runs, figures), NaN where a run does not have the figure.
     """
     found: Summary = {}
     for name, column in zip(names, values.T, strict=True):
@@ -287,28 +288,29 @@ def _by_level(values: Array) -> dict[str, float]:
 
 
 REACH = 0.9
-"""Smallest share of the runs from which a quantile at a tick may be computed.
+"""Smallest share of the runs that must last until a tick for quantiles to be computed there.
 
-The 5 and 95 % quantiles of fewer runs would describe only a part of them.
+With a smaller share, the 5 and 95 % quantiles would describe only a part of the runs.
 """
 
 
 def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
     """Compute the quantiles `LEVELS` of the loads at each tick.
 
-    A tick has quantiles if at least nine in ten runs reach it. The quantiles are computed from
-    these runs.
+    Runs may end at different ticks. A tick has quantiles if at least nine in ten runs last until
+    this tick. The quantiles are computed from these runs.
 
     Parameters
     ----------
     loads
         Loads of each run, shape (ticks of the run, channels).
     times_s
-        Times of the run at nominal constants, shape (n,). There are no quantiles beyond its end.
+        Times of the run at nominal constants [s], shape (n,). There are no quantiles beyond the end
+        of this run.
 
     Returns
     -------
-    Quantiles, shape (5, ticks, channels), and the span over which they are valid.
+    Quantiles, shape (5, ticks, channels), and a summary of the time span that they cover.
     """
     lengths = np.sort([len(each) for each in loads])
     reached = len(lengths) - np.searchsorted(lengths, np.arange(len(times_s)), side="right")
@@ -335,7 +337,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 
 
 Outcome = tuple[Array, dict[Figure, float]] | str
-"""Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
+"""Loads, shape (n, 8), and figures of a run; or the reason why the run failed."""
 
 
 @dataclass(frozen=True)
@@ -350,7 +352,7 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Run each file of materials, and yield its number and outcome when its run ends.
+    """Run a scene with each file of materials, and yield number and outcome when a run ends.
 
     Raises
     ------
@@ -385,9 +387,9 @@ def reruns(
 
 
 def _outcome(scene: Scene, compute: str, sample: tuple[int, str]) -> Outcome:
-    """Run the file of materials of a sample, and return the outcome or the reason of its failure.
+    """Run the scene with the constants of a sample, and return the outcome.
 
-    A sample consists of its number and its file.
+    `sample` contains the number of the sample and its file of materials.
     """
     with TemporaryDirectory(prefix="tissue-band-") as name:
         path = Path(name, "sample.toml")

@@ -52,7 +52,7 @@ OPENING_S = 10.0
 The slowest built-in adapter waits for 5 s.
 """
 ANSWER_S = 0.2
-"""Longest duration of a zero command that a second thread sends, or of closing the device [s].
+"""Longest duration of closing the device, or of a command of zero from a second thread [s].
 
 The second thread waits for a lock, for the command and for the close, at most this time for each of
 them. The sum of 0.6 s is less than `GIVE_UP_S`.
@@ -67,16 +67,17 @@ class SafeDevice:
 
     ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a normal
     end and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception, the force is
-    zero at once. If zero cannot be sent and the device has the method ``close``, the device is
-    closed. An exception of the device becomes a `DeviceError`.
+    zero at once. If the command of zero force fails and the device has the method ``close``, the
+    device is closed. An exception of the device becomes a `DeviceError`.
 
     A loop can receive ``held`` in place of the device. The device is then already entered. The loop
     does not leave the device, but ends with zero force. One ``with`` block can therefore hold a
     device for many runs.
 
     A device that is not ``in_process`` may block. Another thread must then call `stop_if_stuck`
-    frequently. This method sends zero if no command was given for `STALL_S`. It gives up the device
-    if a call lasts longer than `GIVE_UP_S`, or if opening the device lasts longer than `OPENING_S`.
+    frequently. This method commands zero force if no command was sent for `STALL_S`. It gives up
+    the device if a call lasts longer than `GIVE_UP_S`, or if opening the device lasts longer than
+    `OPENING_S`.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ class SafeDevice:
     entered
         True inside the ``with`` block.
     released
-        True if another thread has sent zero since the last timely read.
+        True if another thread has commanded zero force since the last timely read.
     slow_reads, slowest_read_s
         Number of reads that took longer than a tick, and duration of the longest of these reads
         [s].
@@ -210,7 +211,9 @@ class SafeDevice:
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Command force [N] and torque [N m] within the slew limits; return the played values.
+        """Send a force [N] and a torque [N m] to the device, within the slew limits.
+
+        Return the force and the torque that the device plays.
 
         Raises
         ------
@@ -256,7 +259,7 @@ class SafeDevice:
         return self._lost
 
     def release(self) -> None:
-        """Send zero from a second thread, or close the device if that fails."""
+        """Command zero force from a second thread; close the device if the command fails."""
         self._played = inf
         self.released = True
         self._releases += 1
@@ -320,7 +323,7 @@ class SafeDevice:
                 self._command(share * force, share * torque)
 
     def _zero(self) -> DeviceError | None:
-        """Command zero, or close the device if that fails; return the error."""
+        """Command zero force; if the command fails, close the device and return the error."""
         problem = None
         while not self._closed:
             try:
@@ -377,10 +380,10 @@ def run_held(work: Callable[[], None], held: SafeDevice) -> None:
     """Run ``work``, the loop of a device, and ensure that no force remains at the end.
 
     A device that may block runs in a second thread, because a blocked call cannot be interrupted.
-    The calling thread sends zero if the loop hangs. It gives up a device that does not answer, and
-    then no longer waits for ``work``. Ctrl-C ends the loop after the present tick. The same holds
-    for signals that ask the process to end, such as SIGTERM and the SIGHUP of a closed terminal.
-    The signal handlers are restored before this function returns.
+    The calling thread commands zero force if the loop hangs. It gives up a device that does not
+    answer, and then no longer waits for ``work``. Ctrl-C ends the loop after the present tick. The
+    same holds for signals that ask the process to end, such as SIGTERM and the SIGHUP of a closed
+    terminal. The signal handlers are restored before this function returns.
 
     Raises
     ------

@@ -43,7 +43,10 @@ and would not be detected. With weight 0.25 the share is 0.57.
 """
 ROUGH = 0.5
 SMOOTH = 0.05
-"""Share of rough samples below which a signal is valid again; above `ROUGH`, it is noise."""
+"""Share of rough samples below which a signal is valid again.
+
+A signal with a share above `ROUGH` is noise.
+"""
 SHORTEST_S = 2e-3
 """Lower bound of the time span of three samples in `Roughness` [s].
 
@@ -147,9 +150,9 @@ PLAIN = {float, int, np.float64}
 HALF_TURN = 1e-3
 """Difference between 1 and the x component of a quaternion that means a half-turn about x.
 
-A first orientation with a smaller difference is reported, because a device that gives w first
-starts with it. The tolerance allows for a rotation of 5 degrees, because a device may start near
-its zero orientation.
+A device that gives w as the first component starts near such an orientation. Therefore, a first
+orientation with a smaller difference is reported. The tolerance allows for a rotation of 5 degrees,
+because a device may start near its zero orientation.
 """
 UNIT = " (positions must be in metres)"
 """Hint in messages about a motion that is too fast or too far for a hand.
@@ -207,7 +210,8 @@ class SampleGuard:
     Attributes
     ----------
     share
-        Share of the force that is played now, 0 to 1.
+        Factor, 0 to 1, by which the last valid force is multiplied in this tick. It is below 1
+        while the force fades or returns.
     events
         Time [s] and a sentence for every change between valid and invalid samples, and for every
         change of the kind of fault. Only the first 200 changes are listed.
@@ -281,7 +285,7 @@ class SampleGuard:
     def limit_force(
         self, force_N: Array | None, torque_Nm: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return the force and torque to play now.
+        """Return the force and the torque that the device must play in this tick.
 
         If the force is None, or if force or torque is not finite, the last force fades in this
         tick.
@@ -403,7 +407,7 @@ def _repaired(sample: Sample) -> Sample:
 
 
 def _capped(vector: Array, limit: float) -> Array:
-    """Return a vector, shortened to a largest length."""
+    """Return a vector, shortened to the length `limit` if it is longer."""
     size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)
 

@@ -70,8 +70,9 @@ class Plant:
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
         """Attach the plant to a linear hand; if all values are zero, release the plant.
 
-        The spring is attached at position zero. Its pull towards the hand's target position is part
-        of the external force that `advance` receives.
+        The hand's spring pulls the plant towards position zero. If the hand's target position is
+        not zero, pass the stiffness times the target position to `advance`, as a part of the
+        external force.
         """
         self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
 
@@ -247,7 +248,7 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _limited(self, wanted: Array, limit: float) -> Triple:
-        """Return a vector, shortened to a largest length."""
+        """Return a vector, shortened to the length `limit` if it is longer."""
         x, y, z = np.asarray(wanted).tolist()
         size = sqrt(x * x + y * y + z * z)
         if not isfinite(size):

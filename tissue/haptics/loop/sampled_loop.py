@@ -66,8 +66,8 @@ class WallLoop:
         Time between two forces at the device [s]. For a device that is slower than the loop, it is
         the time between two samples of the device.
     delay_s
-        Delay from the sample to the force, in addition to the zero-order hold [s]; any real number
-        of ticks.
+        Delay from the sample to the force, in addition to the zero-order hold [s]. It need not be a
+        whole number of ticks.
     model_ticks
         Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at
         1 kHz.
@@ -362,8 +362,8 @@ def motor_lag_ticks(loop: WallLoop) -> float:
     """Return the delay of a linearly increasing force from its sample to the motor [ticks].
 
     The delay is a sum of four parts: p / (1 - p) ticks of the low-pass y += (1 - p) (u - y), the
-    delay of the loop, half a tick of the hold, and 1 / (2 pi f) seconds of the amplifier with
-    bandwidth f.
+    delay of the loop, half a tick of the zero-order hold, and 1 / (2 pi f) seconds of the amplifier
+    with bandwidth f.
     """
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     return (1.0 - gain) / gain + loop.delay_s / loop.tick_s + 0.5 + _amplifier_ticks(loop)
@@ -418,9 +418,10 @@ def mean_over_ticks_N(force_N: Array) -> Array:
 
 
 def force_later_N(force_N: Array, ticks: float) -> Array:
-    """Return for each tick the force [N] ``ticks`` later, shape (n, 3), interpolated linearly.
+    """Return, for each of n ticks, the force at a later time [N], shape (n, 3).
 
-    After the end, the last force is used.
+    The later time is ``ticks`` after the tick; forces between ticks are interpolated linearly.
+    After the end of ``force_N``, the last force is used.
     """
     at = np.arange(len(force_N))
     return np.column_stack([np.interp(at + ticks, at, axis) for axis in force_N.T])

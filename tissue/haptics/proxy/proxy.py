@@ -138,7 +138,7 @@ class ContactField:
     def distance(self, points_m: Array) -> tuple[Array, Array]:
         """Return the distances of points to the nearest solid [m], and the outward directions.
 
-        For n points, shape (n, 3), the shapes are (n,) for distances and (n, 3) for directions. The
+        For points of shape (n, 3), the distances have shape (n,) and the directions (n, 3). The
         distances are exact for solids. For voxels, the distance to the contact surface is accurate
         to first order within half a voxel of this surface. Farther away, the distance is a lower
         bound and the direction is (0, 0, 0).
@@ -204,8 +204,8 @@ class ToolShell:
     normals
         Outward unit normals, shape (n, 3); zero where a point has no normal.
     radius_m
-        Radius of a ball around every point [m]. For solids, the balls are exact. For voxels, only
-        the points are tested.
+        Radius of a ball around every point [m]. Contact with solids is computed exactly for these
+        balls. Contact with voxels is computed for the points only, as if the radius were zero.
     """
 
     points_m: Array
@@ -252,7 +252,7 @@ voxel. With steps of 2 voxels, they penetrate by up to 23 um. The tests allow 10
 """
 TOLERANCE_M = 1e-12
 TOLERANCE_VOXELS = 1e-3
-"""Steps below which the proxy has settled: `TOLERANCE_M` [m] and `TOLERANCE_VOXELS` [voxel].
+"""Length of a step below which the proxy has settled [voxel]; `TOLERANCE_M` is in metres.
 
 `TOLERANCE_M` is for exact solids, and allows for rounding. `TOLERANCE_VOXELS` is for voxels.
 """

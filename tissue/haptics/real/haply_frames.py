@@ -207,7 +207,7 @@ def service_address(address: str) -> tuple[str, str, int, str]:
 
 
 def problem_of(state: ServiceState) -> str:
-    """Return a sentence on why the device cannot be used; empty if it can be used."""
+    """Return the reason why the device cannot be used; an empty text if it can be used."""
     name = state.device_id
     ids = state.device_ids
     if not ids:

@@ -329,7 +329,10 @@ class BoneModel:
         self.carver.finish()
 
     def remaining(self) -> Bytes:
-        """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
+        """Return the amount of bone left in every voxel, from 0 to 255 (full voxel).
+
+        The array has the same shape as the voxel volume.
+        """
         return self.store.fraction()
 
 

@@ -121,7 +121,10 @@ class HeatedBone(MilledTissue):
         self._summary = self._remaining_figures()
 
     def remaining(self) -> Bytes:
-        """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
+        """Return the amount of bone left in every voxel, from 0 to 255 (full voxel).
+
+        The array has the same shape as the voxel volume.
+        """
         return self.milling.remaining()
 
     def summary(self) -> dict[str, object]:
@@ -142,7 +145,7 @@ class HeatedBone(MilledTissue):
             self._report_dose(self._is_behind())
 
     def _is_behind(self) -> Flags:
-        """Return the cells that hold bone which the tool has left behind, shape of the grid."""
+        """Return a mask of the grid's cells that contain bone behind the moving tool."""
         is_left: Flags = self.heat.field.filled > 0.0
         points = self.heat.cut_points_m
         if len(points) == 0:

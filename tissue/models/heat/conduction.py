@@ -284,7 +284,7 @@ class Conduction:
     Attributes
     ----------
     filled
-        Fraction of each cell that still holds material, shape of the grid.
+        Fraction of each cell that still holds material, an array with the shape of the grid.
     removed_J
         Heat carried away by removed material so far, relative to the temperature at the start [J].
     time_s
@@ -325,7 +325,10 @@ class Conduction:
 
     @property
     def rise_K(self) -> Singles:
-        """Temperature rise of every cell since the start [K], shape of the grid; 0 if empty."""
+        """Temperature rise since the start [K], with one value for each cell of the grid.
+
+        The value is 0 for an empty cell.
+        """
         return self._temperature[0].numpy()
 
     @property
@@ -334,7 +337,10 @@ class Conduction:
         return float((self.rise_K * self.filled * self._capacity_J_K).sum())
 
     def heat(self, power_W: Array) -> None:
-        """Set the heat power that each cell receives from now on [W], shape of the grid or flat."""
+        """Set the heat power [W] that each cell receives from now on.
+
+        The array has the shape of the grid, or is flat.
+        """
         self._power.assign(power_W.reshape(self.filled.shape).astype(np.float32))
 
     def plan(self, duration_s: float) -> int:

@@ -35,8 +35,8 @@ class Membrane:
     puncture_N
         Force of the tip at which the membrane breaks [N].
     hold_N
-        Force with which the edge of the hole holds the shaft [N], inwards or outwards. This elastic
-        force remains after the puncture.
+        Elastic force [N] of the edge of the hole on the shaft after the puncture. The force resists
+        both insertion and withdrawal of the shaft.
     """
 
     name: str

@@ -226,7 +226,7 @@ class SoftOrgan:
 
     @cached_property
     def body(self) -> HeldBody:
-        """Stiffness [N/m], capsule included, and supports.
+        """Body with the stiffness of organ and capsule [N/m], and with the supports.
 
         Raises
         ------
@@ -306,7 +306,7 @@ class SoftOrgan:
     def compliance(
         self, touchable: Ints, path: CompliancePath | None, *, basis_size: int, report: Progress
     ) -> tuple[Array, LazyCompliance | None]:
-        """Return the compliance of touchable nodes [m/N], and the object that fills it.
+        """Return the compliance of touchable nodes [m/N], and the object that computes its columns.
 
         See `compliance_of`. If `path` is None, the columns are computed from the organ's factor and
         kept for the next tool.

@@ -301,7 +301,10 @@ class ToothModel(MilledTissue):
         )
 
     def remaining(self) -> Bytes:
-        """Return the remaining tooth in every voxel, 255 = full, shape of the volume."""
+        """Return the amount of tooth left in every voxel, from 0 to 255 (full voxel).
+
+        The array has the same shape as the voxel volume.
+        """
         return self.milling.remaining()
 
     def _measure_pulp(self, motion: ToolMotion) -> None:

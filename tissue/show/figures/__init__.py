@@ -21,10 +21,10 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     ``force_torque`` is drawn for every run. The other pictures depend on the run:
 
     - ``bone_before_after`` and ``removed_depth`` for a tissue of voxels,
-    - ``section`` and ``force_depth`` for a rotating tool in a tissue of several layers that reports
-      more than volumes, such as a tooth,
+    - ``section`` and ``force_depth`` for a rotating tool in voxels of several layers, if the
+      tissue, such as a tooth, adds its own values to the trace,
     - ``section`` also for a scene with structures to keep clear of,
-    - ``press`` and ``held`` for a run with fields,
+    - ``press`` and ``held`` for a run with fields, such as the displacement of an organ,
     - ``played`` for a run with a device,
     - pictures that the registry of anatomies adds, such as ``insertion``.
 

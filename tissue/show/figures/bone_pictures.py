@@ -52,7 +52,10 @@ HEIGHTS_PX = 64, 170
 """Heights above and below the renderings [pixels]."""
 TILT_DEG = (36.0, 12.0)
 OPENED_DEG = (58.0, 12.0)
-"""Angles of the view from the tool's axis (downwards, sideways), for a whole and an opened bone."""
+"""Angles of the view from the tool's axis (downwards, sideways), for a bone that is cut open.
+
+`TILT_DEG` has the angles for a whole bone.
+"""
 DEEP = 0.5
 """Ratio of a cut's depth to its shorter side above which the bone is drawn opened.
 
@@ -127,7 +130,7 @@ class _View:
         )
 
     def opened(self, surface: "pyvista.PolyData") -> Flags:
-        """Return which triangles lie in the plane of the opened bone."""
+        """Return a mask of the triangles that lie in the plane at which the bone is cut open."""
         if self.plane is None:
             return np.zeros(surface.n_cells, dtype=bool)
         axis, place = self.plane
@@ -143,7 +146,9 @@ class _View:
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
-    """Draw the bone before the run by layer, and after the run by removed depth, with one camera.
+    """Draw the bone before the run, coloured by layer, and after it, coloured by removed depth.
+
+    Both pictures have the same camera.
 
     Returns
     -------
@@ -288,18 +293,20 @@ EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Line styles around the layers that a run exposed."""
 SMALL = 0.5
 AROUND = 0.4
-"""Largest share of the region that a cut may have to be drawn enlarged, and margin of the cut.
+"""Margin around a small cut in an enlarged map, relative to the longer side of the cut.
 
-The share applies along both axes.
+A cut is small if its extent along both axes is at most `SMALL` times the extent of the region.
 
-The margin is relative to the longer side of the cut.
+
+The map of a larger cut shows the whole region.
 """
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
-    """Return the shown extent of the map along both axes [mm].
+    """Return the drawn extent of the map of removed depth, (u0, u1, v0, v1) [mm].
 
-    The extent is the whole region, or the surroundings of a small cut.
+    u and v are the two axes of the map. The extent is the whole region, or the surroundings of a
+    small cut.
     """
     u0, u1, v0, v1 = depth.extent_mm
     cut = np.argwhere(depth.depth_mm > 0.0)
@@ -329,7 +336,7 @@ def _within(depth: DepthMap, shown: tuple[float, float, float, float]) -> tuple[
 
 @styled
 def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
-    """Draw the map of removed depth on the face that the tool enters."""
+    """Draw a map of the removed depth over the face of the bone that the tool enters."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

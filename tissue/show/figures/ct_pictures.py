@@ -58,12 +58,13 @@ NORMAL_MM = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Site and path in pictures of a bone.
+    """Site and toolpath to mark in pictures of a bone.
 
     Attributes
     ----------
     centre_mm
-        Site [mm, LPS], or middle of the bone; None if there is no such point.
+        Position of the site [mm, LPS]. Without a site, a point through which the slices are drawn,
+        such as the middle of the bone; None if there is no such point.
     normal
         Outward direction at the site; None if there is no site.
     points_mm
@@ -75,9 +76,9 @@ class Marks:
     points_mm: Array | None = None
 
     def arrow_mm(self, length_mm: float) -> Array:
-        """Return start and end of the arrow along the normal, shape (2, 3).
+        """Return start and end [mm] of the arrow from the site along the normal, shape (2, 3).
 
-        Without a normal, the shape is (0, 3).
+        Without a site, the result is empty, shape (0, 3).
         """
         if self.centre_mm is None or self.normal is None:
             return np.zeros((0, 3))
@@ -91,9 +92,10 @@ class Marks:
         axes
             Axes to draw on.
         projected
-            Function that returns the coordinates in the panel of points in space, shape (n, 2).
+            Function that projects points [mm], shape (n, 3), onto the panel and returns their
+            coordinates in the panel, shape (n, 2).
         length_mm
-            Length of the arrow.
+            Length of the arrow [mm].
         """
         if self.points_mm is not None:
             label = "path of the tip"
@@ -113,19 +115,21 @@ def draw_ct_slices(
     *,
     window_HU: tuple[float, float] = BONE_HU,
 ) -> None:
-    """Draw three slices of a CT to a file.
+    """Draw an axial, a coronal and a sagittal slice of a CT to a file.
 
     Parameters
     ----------
     image
         Grey values around the bone.
     outlines
-        Images of structures, keyed by name; the bone comes first. An image is above 0 inside its
-        structure. The image has the voxel grid of `image`, but may cover only a part of this grid.
+        Image of each structure to outline, keyed by name; the bone comes first. The values of each
+        image are positive inside its structure and negative outside. Each image has the voxel grid
+        of `image`, but may cover only a part of this grid.
     marks
-        Site and path. The slices intersect at the site.
+        Site and path to mark. The slices intersect at `marks.centre_mm`.
     window_HU
-        Hounsfield units from black to white. Images in other units use their own range.
+        Hounsfield units that are drawn black and white. An image in other units uses the range of
+        its own values.
     """
     from matplotlib.lines import Line2D
 
@@ -206,12 +210,13 @@ AROUND_ORGAN_MM = 10.0
 def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh) -> None:
     """Draw slices through the middle of the smallest part of an organ, with outlines.
 
-    The outlines show the meshed organ and the labels.
+    The outlines show the mesh of the organ and the labels of its parts.
 
     Parameters
     ----------
     masks
-        Masks with the shape of the image, keyed by name: the organ first, then its parts.
+        Mask of the organ and of each of its parts, same shape as `image.values`, keyed by name; the
+        organ comes first.
     mesh
         Tetrahedra of the organ in the frame of the image.
     """
@@ -235,10 +240,10 @@ def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh:
 
 
 def depth_below(vertices_m: Array, faces: Ints, image: Image) -> Image:
-    """Return the depth of an image's voxels below a surface [m], negative outside.
+    """Return the depth [m] of each voxel of an image below a closed surface, negative outside it.
 
-    Depths are exact in the bounding box of the surface and up to two voxels outside it. Elsewhere
-    the depth is -1 m. This is enough to draw the outline at depth 0.
+    Depths are exact inside the bounding box of the surface and up to two voxels outside the box.
+    Elsewhere the depth is -1 m. These depths suffice to draw an outline at depth 0.
     """
     axes = [
         o + s * np.arange(n)
@@ -255,7 +260,7 @@ def depth_below(vertices_m: Array, faces: Ints, image: Image) -> Image:
 
 
 def middle_of(image: Image, mask: Flags) -> Array:
-    """Return the centre of the marked voxels of an image [mm, LPS]."""
+    """Return the mean position [mm, LPS] of the voxels of an image that a mask contains."""
     places = np.argwhere(mask).mean(axis=0)
     return np.asarray(np.array(image.origin_mm) + np.array(image.spacing_mm) * places)
 
@@ -286,16 +291,17 @@ above.
 def draw_ct_bone(
     surface: Surface, path: Path, marks: Marks, *, density: Image | None, title: str
 ) -> str | None:
-    """Draw a bone to a file.
+    """Draw a bone from two directions to a picture file.
 
     Parameters
     ----------
     surface
-        Bone in the frame of its image.
+        Surface of the bone, in the frame of the image.
     marks
         Site and path.
     density
-        Apparent density [kg/m3]; None if it is not known.
+        Image of the apparent density [kg/m3], which colours the bone. None if the density is not
+        known.
 
     Returns
     -------
@@ -374,7 +380,7 @@ def draw_path_depth(surface: Surface, found: PathDepth, path: Path, *, normal: A
     Parameters
     ----------
     surface
-        Bone in the frame of its image.
+        Surface of the bone, in the frame of the image.
     found
         Points of the path and their depths; see `meshes.paths.toolpath.depth_along`.
     path
@@ -481,7 +487,7 @@ def draw_ct_histogram(
     threshold
         Value above which a voxel is bone; None if a label defines the bone.
     law
-        Density as a function of the value; None if no law is known.
+        Law for the density as a function of the voxel value; None if no law is known.
     """
     values = histogram.values
     low = max(RANGE_HU[0], float(values[0]))

@@ -76,7 +76,7 @@ DRAWING = RLock()
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function so that it draws in the style of the figures."""
+    """Decorate a drawing function so that it uses the matplotlib settings of all figures."""
 
     @wraps(draw)
     def drawn(*arguments: P.args, **options: P.kwargs) -> T:
@@ -90,7 +90,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 @styled
 def figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure that has no window."""
+    """Return an empty matplotlib figure that is not shown in a window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), dpi=DPI)
@@ -106,7 +106,7 @@ def panelled(
     layout: Literal["constrained", "compressed"] = "constrained",
     **options: Any,
 ) -> "tuple[Figure, NDArray[np.object_]]":
-    """Return a figure with a title, and its panels row by row.
+    """Return a figure with a title, and the array of its panels in order of rows.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def panelled(
 
 
 def legend_above(axes: "Axes", columns: int, handles: "list[Artist] | None" = None) -> None:
-    """Put the legend of a panel above it."""
+    """Put the legend of a panel above the panel."""
     # shares of the panel: on its upper edge, flush with its left one
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns)
 
@@ -135,8 +135,8 @@ def legend_above(axes: "Axes", columns: int, handles: "list[Artist] | None" = No
 def save(chart: "Figure", path: Path) -> None:
     """Write a figure as png, svg or pdf, according to the suffix of the file.
 
-    Equal figures give equal bytes. SVG and PDF keep lines and text as vectors. 3D drawings and
-    images in them have `VECTOR_DPI` pixels per inch.
+    Equal figures give files with equal bytes. In SVG and PDF files, lines and text are vectors. 3D
+    drawings and images in these files have `VECTOR_DPI` pixels per inch.
     """
     import matplotlib
 
@@ -161,7 +161,7 @@ def is_vector(path: Path) -> bool:
 
 
 def plain(panels: "Iterable[Axes]") -> None:
-    """Remove the upper and right frame of panels, and add a grid along y."""
+    """Remove the upper and right frame lines of panels, and add horizontal grid lines."""
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="y", color="0.92", linewidth=0.6)
@@ -170,9 +170,10 @@ def plain(panels: "Iterable[Axes]") -> None:
 
 
 def plain_numbers(axis: "Axis") -> None:
-    """Label a logarithmic axis with numbers instead of powers of ten.
+    """Label a logarithmic axis with plain numbers, such as 100 instead of 10^2.
 
-    An axis over many decades gets few numbers.
+    An axis over more than about three decades has labels only at 1, 10, 100 and so on. A shorter
+    axis also has labels at 2, 5, 20, 50 and so on.
     """
     from matplotlib.ticker import LogLocator
 
@@ -244,14 +245,17 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit of torques up to a value, and the factor from N m to this unit."""
+    """Return the unit in which torques up to a value are shown, and a factor.
+
+    The factor converts N m to this unit.
+    """
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Return red, green and blue of each layer.
+    """Return the colour of each layer as red, green and blue from 0 to 1, keyed by name.
 
-    Known layers have the same colour in every scene.
+    Layers with a common name, such as ``dentin``, have the same colour in every scene.
     """
     from matplotlib.colors import to_rgb
 
@@ -263,7 +267,8 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 def field_colours(low: float, high: float) -> str:
     """Return the name of the colour map for a field with a given range.
 
-    A range that begins above 0 belongs to a stress.
+    The map is for signed values if the range begins below 0. It is for stresses if the range begins
+    above 0, and for other fields if the range begins at 0.
     """
     if low < 0.0:
         return SIGNED
@@ -271,8 +276,9 @@ def field_colours(low: float, high: float) -> str:
 
 
 def field_words(*names: str) -> str:
-    """Return the words that field or column names share, with the unit, such as ``von Mises /
-    kPa``.
+    """Return the words that the labels of fields or columns share, and their unit.
+
+    An example is ``von Mises / kPa``.
     """
     words = [field_label(name)[0].split() for name in names]
     shared = [first for first, *others in zip(*words, strict=False) if set(others) <= {first}]
@@ -280,7 +286,10 @@ def field_words(*names: str) -> str:
 
 
 def depth_limit(depth: "DepthMap") -> float:
-    """Return the upper end of the scale of removed depth [mm]: the depth of the deepest column."""
+    """Return the upper end of the colour scale of removed depth [mm].
+
+    It is the largest depth in the map. If nothing was removed, it is 1 mm.
+    """
     cut = depth.depth_mm[depth.depth_mm > 0.0]
     # a colour scale needs a range: 1 um for rounding, and 1 mm without a cut
     return float(max(cut.max(), 1e-3)) if cut.size else 1.0

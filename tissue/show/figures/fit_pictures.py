@@ -43,7 +43,7 @@ FRAME = 1.0
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """Constant before and after a fit, as drawn in a picture.
+    """Constant before and after a fit, for a picture of the fit.
 
     Attributes
     ----------
@@ -52,12 +52,13 @@ class FittedConstant:
     unit
         Unit of the constant.
     cited, fitted
-        Median and ends of the 90 % interval, (low, value, high), before and after the fit.
+        Lower end of the 90 % interval, median, and upper end of the interval, before the fit
+        (`cited`) and after it (`fitted`).
     fitted_z, cited_z
-        The three fitted values, and the ends of the range before the fit, in standard deviations of
-        the prior.
+        The three values of `fitted`, and the two ends of `cited`, in standard deviations of the
+        prior.
     is_identified
-        True if the log narrows the range of the constant.
+        True if the measurement narrows the range of the constant.
     """
 
     label: str
@@ -75,7 +76,8 @@ def draw_measured(
 ) -> None:
     """Draw measured and simulated loads over time, with their residuals.
 
-    Forces and torques are drawn separately, with the residuals below.
+    A residual is a measured load minus the simulated load. Forces and torques have separate panels,
+    each with its residuals below.
 
     Parameters
     ----------
@@ -164,8 +166,9 @@ def draw_table(
 def draw_presses(
     depths_mm: Array, forces_N: Array, fitted_N: Array, path: Path, *, law: str
 ) -> None:
-    """Draw the median force of presses over depth, the range of 90 % of the presses, and the fitted
-    force.
+    """Draw the measured and the fitted force of presses over depth.
+
+    The measured force is drawn as the median of the presses, and as the range from 5 to 95 %.
 
     Parameters
     ----------
@@ -193,12 +196,15 @@ def draw_presses(
 
 @styled
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
-    """Draw the distribution of innovations with the assumed density, and the autocorrelations.
+    """Draw the distribution of the innovations, and autocorrelations of residuals and innovations.
+
+    An innovation is the noise that the noise model of the fit adds in one sample. The assumed
+    probability density is drawn over the distribution.
 
     Parameters
     ----------
     innovations
-        Standardised innovations, shape (n, channels); NaN where there is no measurement.
+        Innovations divided by their scale, shape (n, channels); NaN where there is no measurement.
     correlations
         Autocorrelation of residuals and of innovations for each lag, averaged over channels, shape
         (2, lags + 1).
@@ -236,9 +242,10 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 
 @styled
 def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: str = "log") -> None:
-    """Draw the 90 % intervals of constants before and after the fit, with their values.
+    """Draw medians and 90 % intervals of constants before and after a fit.
 
-    The axis is in standard deviations of the prior. `source` is the kind of measurement.
+    The horizontal axis is in standard deviations of the prior. `source` names the kind of
+    measurement in the text of the picture.
     """
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
@@ -296,16 +303,17 @@ WORDS = {
 
 @styled
 def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, title: str) -> None:
-    """Draw magnitude and components of force, and of torque if it is not zero, with uncertainty
-    bands.
+    """Draw force and torque over time with their uncertainty bands.
+
+    Magnitude and components are drawn in separate panels. Torque is left out if it is zero.
 
     Parameters
     ----------
     times_s
         Times [s], shape (n,).
     nominal
-        Loads at the nominal values of the constants: x, y, z and magnitude of force [N] and of
-        torque [N m], shape (n, 8).
+        Loads at the nominal values of the constants, shape (n, 8). The columns are x, y, z and
+        magnitude of the force [N], then x, y, z and magnitude of the torque [N m].
     quantiles
         5, 25, 50, 75 and 95 % quantiles of these loads, shape (5, n, 8).
     path
@@ -362,13 +370,14 @@ def draw_sobol(
 ) -> None:
     """Draw first-order and total Sobol indices with 90 % intervals.
 
-    The picture has one panel for each number in the summary of the run.
+    The picture has one panel for each number of the run's summary that has indices, such as the
+    peak force.
 
     Parameters
     ----------
     indices
-        ``first``, ``first_90``, ``total`` and ``total_90``, keyed by number of the summary and by
-        constant, as in ``summary.json``.
+        Values ``first``, ``first_90``, ``total`` and ``total_90`` of each number of the summary and
+        each constant, as in ``summary.json``. An example is ``indices[number][constant]["first"]``.
     path
         File to write.
     title

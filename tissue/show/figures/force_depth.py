@@ -39,10 +39,10 @@ The value is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands
 
 
 def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
-    """Return the rows of the first descent, from before the contact to the deepest point.
+    """Return the rows of the trace in which the tool first moves down into the tissue.
 
-    The rows start where the tool is `RISE_MM` above its first contact, and end before the tool
-    rises by `RISE_MM`.
+    The rows start where the tip is `RISE_MM` above its position at the first contact. They end at
+    the deepest point that the tip reaches before it rises again by more than `RISE_MM`.
 
     Parameters
     ----------
@@ -65,7 +65,10 @@ def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
 
 
 def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
-    """Return the names of the layers at tip positions before the run, shape (tips,)."""
+    """Return the name of the layer at each position of the tip before any cut, shape (n,).
+
+    `tips_mm` contains the positions [mm], shape (n, 3).
+    """
     volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
     # tips outside of the voxels are clipped to have an index, and get no layer
@@ -77,7 +80,7 @@ def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
 
 @styled
 def draw_force_depth(run: Run, path: Path) -> str | None:
-    """Draw force and other quantities of the tissue over the depth of the first descent.
+    """Draw force and other values of the tissue over depth while the tool first moves down.
 
     Parameters
     ----------
@@ -188,7 +191,10 @@ SIDE_BY_SIDE = 0.15
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force over tip depth, the parts of the force over time, and the punctures."""
+    """Draw the axial force on a needle over tip depth and over time, with the punctures.
+
+    Over time, the elastic, cutting and friction parts of the force are drawn too.
+    """
     trace = run.trace
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
@@ -251,10 +257,11 @@ LONGEST = 0.28
 def draw_wall(run: Run, path: Path) -> None:
     """Draw the paths of ball and device at a wall, and the force over the depth of the device.
 
-    The upper panel shows the paths along the wall and into it. The lower panel shows the force.
+    The upper panel shows the paths in a section perpendicular to the wall. The lower panel shows
+    the force.
 
-    The ball is drawn at its deepest position. In a run without a device, the force is drawn over
-    the depth of the ball.
+    The ball is drawn at the time of the largest force. In a run without a device, the force is
+    drawn over the depth of the ball.
     """
     from matplotlib.patches import Circle
 

@@ -49,10 +49,10 @@ width would look like stripes.
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return intervals of equal entries: first index, index after the last one, entry.
+    """Return intervals of equal entries as (first index, index after the last entry, entry).
 
-    An interval with fewer entries than `shortest` is joined with the previous interval; the first
-    interval is joined with the next one.
+    An interval with fewer entries than `shortest` is joined with the previous interval. If the
+    first interval is too short, it is joined with the next interval.
     """
     if not len(names):
         return []
@@ -72,7 +72,7 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the events without repetitions of the same text within `FLICKER_S`.
+    """Return events (time [s], text) without repetitions of a text within `FLICKER_S`.
 
     Numbers in the texts are ignored in the comparison.
     """
@@ -87,9 +87,9 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
-    """Return a numbered line for each of the first `MOST_EVENTS` events, and a last line.
+    """Return a numbered line of text for each of the first `MOST_EVENTS` events.
 
-    The last line has the number of remaining events. It is left out if there are none.
+    If there are more events, an additional last line has the number of remaining events.
     """
     lines = [
         f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)
@@ -99,7 +99,7 @@ def event_lines(events: list[tuple[float, str]]) -> list[str]:
 
 
 def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
-    """Return the lines of the events, broken to fit below a figure 8 inches wide."""
+    """Return the text of `event_lines`, broken into lines that fit below a figure 8 inches wide."""
     return [
         piece
         for line in event_lines(events)
@@ -110,7 +110,10 @@ def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
 def mark_events(
     panels: NDArray[np.object_], events: list[tuple[float, str]], *, listed: bool = True
 ) -> None:
-    """Draw a numbered line through all panels at each event, and list the events below."""
+    """Draw a numbered vertical line through all panels at each of the first `MOST_EVENTS` events.
+
+    If `listed` is True, the events are listed below the panels.
+    """
     low, high = panels[0].get_xlim()
     place = -np.inf
     lowered = 0
@@ -142,7 +145,7 @@ COMMANDED = 0.35
 
 @styled
 def draw_force_torque(run: Run, path: Path) -> None:
-    """Draw force, torque, removal rate and the path of the tool.
+    """Draw force, torque, removal rate and tip position over time.
 
     Torque is left out if it is zero. If nothing is removed, the contact area is drawn instead of
     the removal rate.
@@ -252,10 +255,11 @@ SATURATED = "#F0E442"
 
 @styled
 def draw_played(run: Run, path: Path) -> None:
-    """Draw device forces [N], intervals of compressed force, force changes, and positions of tool
-    and device [mm].
+    """Draw the forces at the device [N] and the positions of tool and device [mm] over time.
 
-    The force changes are shown in the interval with the largest change per millisecond.
+    Shading marks the times at which the force is compressed into the range of the device.
+
+    A separate panel enlarges the interval with the largest change of force per millisecond.
     """
     trace = run.trace
     held = run.scene.held

@@ -77,9 +77,11 @@ class _Shown:
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """Return the frame to draw, and the reason.
+    """Return the frame (saved field) of a press to draw, and a text with the reason.
 
-    It is the frame with the tool nearest to an inclusion, or with the largest displacement.
+    If the organ has an inclusion, the frame is the one in which the tool is nearest to the
+    inclusion. Otherwise it is the frame with the largest displacement. If nothing was displaced,
+    the frame is None.
     """
     pressed = [frame for frame in series.frames if _largest(frame) > 0.0]
     if not pressed:
@@ -96,15 +98,15 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
 
 
 def draw_press(run: Run, path: Path) -> str | None:
-    """Draw the deformed organ at the time of `moment_of_press`, whole and cut open at the tool.
+    """Draw the deformed organ in the frame of `moment_of_press`, whole and cut open at the tool.
 
     Parameters
     ----------
     run
-        A run with fields. The frames have a displacement at the nodes and von Mises stress in the
-        cells.
+        A run with fields. Each frame has a displacement at the nodes and the von Mises stress in
+        the cells.
     path
-        File.
+        File to write.
 
     Returns
     -------
@@ -259,8 +261,9 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(run: Run, path: Path) -> str | None:
-    """Draw the surface of an organ, with coloured triangles for held nodes and for nodes that can
-    be touched.
+    """Draw the surface of an organ, with colours for held and for touchable parts.
+
+    A triangle is coloured if all its nodes are held, or if the tool can touch all its nodes.
 
     Returns
     -------

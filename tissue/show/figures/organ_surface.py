@@ -48,9 +48,9 @@ Because of rounding, a point on the boundary itself may count as outside.
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData":
-    """Return the boundary of a mesh, curved between its nodes (Vlachos 2001).
+    """Return the boundary of a mesh as a smooth surface, curved between the nodes (Vlachos 2001).
 
-    The curvature follows the normals, except at sharp edges.
+    The surface is perpendicular to the normals at the nodes. Sharp edges stay sharp.
 
     Parameters
     ----------
@@ -114,7 +114,10 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
 
 
 def with_normals(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Return triangles with normals at their points; sharp edges stay sharp."""
+    """Return a surface with normals at its points.
+
+    The two sides of a sharp edge have separate points and normals.
+    """
     return surface.compute_normals(
         cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
     )
@@ -128,10 +131,12 @@ def section_cap(
     place_mm: Array,
     normal: Array,
 ) -> "pyvista.PolyData":
-    """Return the section inside a drawn boundary, with values in the point array `SHOWN`.
+    """Return the plane section of a mesh inside its drawn boundary, with values of a field.
 
-    Values of cells are averaged at the nodes, separately for each layer, so the edge of an
-    inclusion stays sharp.
+    The values are the point array `SHOWN`.
+
+    Before the interpolation, cell values are averaged at the nodes, separately for each layer. The
+    edge of an inclusion therefore stays sharp.
     """
     import pyvista
     from vtkmodules.vtkFiltersGeneral import vtkContourTriangulator
@@ -163,7 +168,10 @@ def section_cap(
 
 
 def at_nodes(mesh: "pyvista.DataSet", name: str) -> Singles:
-    """Return a field at the nodes: its nodal values, or the mean over the adjacent cells."""
+    """Return the values of a field at the nodes.
+
+    If the field is defined in the cells, its values are averaged over the cells around each node.
+    """
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
@@ -190,9 +198,11 @@ def _sampled(mesh: "pyvista.DataSet", places: Array) -> Array:
 
 
 def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Return the cells of the smallest layer that other layers enclose, such as a nodule.
+    """Return the indices of the cells of an inclusion, such as a nodule.
 
-    The result is empty if there is no such layer.
+    An inclusion is a layer whose bounding box lies inside the bounding box of the mesh. Of several
+    inclusions, the one with the fewest cells is returned. Without an inclusion, the result is
+    empty.
 
     Parameters
     ----------
@@ -216,12 +226,11 @@ def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
 def interpolate_in_layers(
     series: FieldSeries, values: Floats, place_m: Array, layer: NDArray[np.integer]
 ) -> Array:
-    """Interpolate values trilinearly between cell centres, using only cells of the layer of each
-    place.
+    """Interpolate cell values trilinearly at places, separately in each layer.
 
-    Cells of another layer or without a value are not used. If no cell of the eight around a place
-    can be used, the nearest cell of the layer is used. If the layer has no cell, the nearest cell
-    of any layer is used.
+    For each place, only cells that have a value and belong to the layer of this place are used. If
+    none of the eight cells around the place can be used, the nearest cell of the layer is used. If
+    the layer has no cell, the nearest cell of any layer is used.
 
     Parameters
     ----------

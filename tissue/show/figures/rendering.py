@@ -55,9 +55,9 @@ class Camera:
     Attributes
     ----------
     towards_eye, up
-        Perpendicular directions in the world.
+        Directions in the world to the eye and upward in the picture, perpendicular to each other.
     centre_mm
-        Point in the middle of the picture.
+        Point of the world in the middle of the picture [mm].
     height_mm
         Height of the picture in the world [mm].
     size
@@ -96,8 +96,9 @@ class Camera:
         )
 
     def pixels(self, points_mm: ArrayLike) -> Array:
-        """Return the pixel coordinates of points, right and down from the upper left corner, shape
-        (n, 2).
+        """Return the pixel coordinates of points, shape (n, 2).
+
+        The coordinates are counted to the right and down from the upper left corner.
         """
         axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
         right, upward = (
@@ -107,7 +108,11 @@ class Camera:
 
 
 def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
-    """Set the colour of each point or triangle: red, green and blue from 0 to 1, shape (n, 3)."""
+    """Set the colours of a surface, and return the surface.
+
+    `colours` contains red, green and blue from 0 to 1, shape (n, 3), for the n points or the n
+    triangles of the surface.
+    """
     data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
     # VTK draws bytes as they are; other numbers would go through a colour table
     data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
@@ -116,7 +121,7 @@ def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
 
 @dataclass(frozen=True)
 class Shaded:
-    """Figure of renderings side by side, ready for annotations.
+    """Figure with renderings side by side, to which annotations can be added.
 
     Attributes
     ----------
@@ -154,7 +159,7 @@ def draw_shaded(
         Function that returns painted surfaces with normals, and the camera of each surface. It is
         called once, while the drawing process starts.
     path
-        File.
+        File to write.
     annotate
         Function that adds legends, colour bars and marks to the figure.
     margins_px
@@ -265,7 +270,7 @@ LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def round_length(longest_mm: float) -> float:
-    """Return the largest round length up to a limit [mm]."""
+    """Return the largest round length, such as 1, 2, 5 or 10 mm, that is not above a limit [mm]."""
     return max(step for step in LENGTHS_MM if step <= max(longest_mm, LENGTHS_MM[0]))
 
 
@@ -289,7 +294,7 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
-    """Draw the world axes as the camera sees them."""
+    """Draw named arrows along the world axes, in the directions in which the camera sees them."""
     view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
     # arrows of length 0.8 and their names fit; up is wider, since z points up in most views
     axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")

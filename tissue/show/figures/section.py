@@ -62,8 +62,8 @@ class Section:
     Attributes
     ----------
     axes
-        World axes of the first and second index of the arrays, and world axis perpendicular to the
-        plane, 0 to 2.
+        Indices (0 to 2) of three world axes: the axes along the first and the second index of the
+        arrays, and the axis perpendicular to the plane.
     place_mm
         Coordinate of the plane along its normal [mm].
     row
@@ -71,7 +71,8 @@ class Section:
     extent_mm
         Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
     start, left
-        Content of the voxels before the first cut and at the shown time, 0 to 1, shape (nu, nv).
+        Filled fraction of each voxel before the first cut (`start`) and at the shown time (`left`),
+        0 to 1, shape (nu, nv). nu and nv are the numbers of voxels along the two axes.
     layer
         Layer of each voxel, shape (nu, nv).
     """
@@ -86,14 +87,16 @@ class Section:
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
-    """Return the plane through the deepest point so far.
+    """Return the section plane through the deepest point of the tool up to a row of the trace.
 
-    The plane contains the tool axis and the main direction of motion.
+    The plane is parallel to two world axes: the axis closest to the tool's axis, and, of the other
+    two axes, the one along which the tool moves farther.
 
     Returns
     -------
-    World axes (main direction of motion, closest to the tool's axis, perpendicular to the plane),
-    and coordinate of the plane [mm].
+    Indices of three world axes: the main direction of motion, the axis closest to the tool's axis,
+    and the axis perpendicular to the plane. In addition, the coordinate of the plane along the last
+    of these axes [mm].
     """
     axis, outward = facing(run.trace)
     tips = run.trace.vectors("tool", "mm")
@@ -109,9 +112,9 @@ def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
 
 
 def section_of(run: Run, row: int) -> Section:
-    """Return the section through the deepest point so far.
+    """Return the section through the deepest point of the tool up to a row of the trace.
 
-    The section contains the tool axis and the main direction of motion.
+    The section lies in the plane of `plane_of`.
 
     Parameters
     ----------
@@ -145,7 +148,7 @@ def section_of(run: Run, row: int) -> Section:
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
-    """Return the last frame with at least a tenth of the peak stress of the run.
+    """Return the last frame whose largest stress is at least a tenth of the peak stress of the run.
 
     The result is None if the run has no stress.
     """
@@ -159,9 +162,10 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
-    """Return the row of the trace and the fields for the section.
+    """Return the row of the trace and the frame of fields that the section shows.
 
-    The time is the last time under load. Without load, it is the time of the last cut.
+    The frame is `loaded_frame`, and the row is at its time. If no frame is loaded, the frame is
+    None and the row is the last row with contact, or the last row of the trace.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)
@@ -355,11 +359,11 @@ class Nearest:
     Attributes
     ----------
     name, distance
-        Name of the structure, and function that computes the distance from it.
+        Name of the structure, and function that computes the distance of points from the structure.
     tool_mm, structure_mm
-        Nearest points of tool and structure [mm], shape (3,).
+        Points of tool and structure that come nearest to each other [mm], shape (3,).
     least_mm
-        Distance of these points, negative inside the structure [mm].
+        Distance between these two points [mm], negative if the tool is inside the structure.
     until_s
         Time at which the tool left the simulated region [s]; later ticks do not count. None if the
         tool did not leave the region.
@@ -405,9 +409,9 @@ def nearest_places(run: Run) -> list[Nearest]:
 
 
 def kept_window(places: Sequence[Nearest], section: Section) -> Window:
-    """Return a window around the tissue of a section and the nearest point of each structure.
+    """Return an extent [mm] around the tissue of a section and the nearest point of each structure.
 
-    If there are no structures, the window is the whole section.
+    Without structures, the extent is that of the whole section.
     """
     tissue = np.argwhere(section.start > 0.0)
     u0, u1, v0, v1 = section.extent_mm

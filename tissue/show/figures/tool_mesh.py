@@ -81,7 +81,10 @@ def tool_surface(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyDat
 
 
 def turning_tool(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
-    """Return `tool_surface`, with an arrow in the sense of rotation around a rotating tool."""
+    """Return the surface of a tool, with an arrow above a rotating tool.
+
+    The arrow shows the sense of rotation.
+    """
     import pyvista
 
     surface = tool_surface(tool)
@@ -102,7 +105,10 @@ def turning_tool(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyDat
 
 
 def spin_arc_mm(tool: Tool) -> Array:
-    """Return an arc around the tip in the sense of rotation, in the frame of the tool [mm]."""
+    """Return points [mm], shape (n, 3), of an arc around the tip of a rotating tool.
+
+    The points are in the frame of the tool, and their order follows the rotation.
+    """
     turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
     # 15 % outside of the tool
     radius = 0.575 * tool.diameter_mm
@@ -110,9 +116,9 @@ def spin_arc_mm(tool: Tool) -> Array:
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
-    """Return the transform from a tool frame to the world [mm], shape (4, 4).
+    """Return the matrix from the frame of a tool to the world for points in mm, shape (4, 4).
 
-    The transform is computed from tip and quaternion (x, y, z, w).
+    The pose is given by the position of the tip and a quaternion (x, y, z, w).
     """
     from scipy.spatial.transform import Rotation
 
@@ -123,7 +129,10 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
 
 
 def row_at(trace: "Table", time_s: float) -> int:
-    """Return the row of a trace at a time."""
+    """Return the index of the first row of a trace at or after a time.
+
+    After the last row, the index of the last row is returned.
+    """
     times = trace["time_s"]
     # times from files are rounded: a tick at the moment itself counts
     return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
@@ -177,9 +186,10 @@ WALL_MESH_MM = 5.0
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a tool passes or presses [mm], keyed by the name of the face.
+    """Return drawn pieces [mm] of the infinite faces in a scene, keyed by the name of the face.
 
-    A scene with voxels or a mesh has no such faces.
+    A tool presses such a face, or passes through it. Examples are a virtual wall and the layers for
+    a needle. A scene with voxels or a mesh has no such faces.
     """
     if scene is None:
         return {}
@@ -189,7 +199,10 @@ def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
 
 
 def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return a wall, or the surface of a tissue, under all positions that the tool can reach."""
+    """Return a drawn piece [mm] of the face of a wall or of a tissue, keyed by its name.
+
+    The piece extends below all positions that the tool can reach.
+    """
     import pyvista
 
     path_mm = 1e3 * motion_of(scene).sweep_m()[:, :2]
@@ -213,7 +226,7 @@ def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a needle passes, keyed by layer."""
+    """Return drawn pieces [mm] of the infinite faces that a needle passes, keyed by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)

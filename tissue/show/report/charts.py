@@ -26,19 +26,21 @@ __all__ = [
 Record = dict[str, Any]
 """Values that JSON can contain."""
 LARGEST = 32767
-"""Number of steps on each side of zero of a quantised number of 16 bits."""
+"""Largest absolute value of a number that is encoded with 16 bits."""
 STEPS = 255
 """Number of steps of a colour: one byte, as many as a screen shows."""
 
 
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
-    """Encode integers, shape (rows,) or (rows, columns).
+    """Encode an array of integers, shape (rows,) or (rows, columns), as compressed text.
 
     Integers of 8 bits are unsigned. Integers of 16 and 32 bits are signed.
 
-    Differences between rows are wrapped around, and negative differences become odd numbers. The
-    high bytes of small differences, positive or negative, are therefore 0. All first bytes come
-    before all second bytes, column by column.
+    By default, the differences between consecutive rows are encoded. A difference that does not fit
+    into the bytes of an integer is wrapped around. Negative differences become odd numbers and the
+    others even numbers (zigzag code). The high bytes of small differences are therefore 0. Before
+    the compression, bytes are ordered by significance: the lowest bytes of all integers come first,
+    column by column.
     """
     rows = values if values.ndim == 2 else values[:, None]
     size = rows.dtype.itemsize
@@ -65,9 +67,12 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
 
 
 def packed_vectors(values: ArrayLike) -> Record:
-    """Encode numbers in 65,532 steps over the range of the widest column.
+    """Encode an array of numbers as integers of 16 bits, with one step size for all columns.
 
-    A number is decoded as ``low`` + ``step`` * (whole + 32767).
+    The step size is the range of the widest column divided by 65,532.
+
+    A number is decoded as ``low`` + ``step`` * (whole + 32767), where ``whole`` is the integer and
+    ``low`` belongs to the column.
 
     A value of 0 stays exactly 0.
     """
@@ -84,18 +89,18 @@ def packed_vectors(values: ArrayLike) -> Record:
 
 
 def packed_shares(values: ArrayLike) -> Record:
-    """Encode shares from 0 to 1 of a colour scale in steps of 1/255."""
+    """Encode positions on a colour scale, 0 to 1, in steps of 1/255."""
     return packed(
         np.rint(STEPS * np.clip(np.nan_to_num(np.asarray(values)), 0.0, 1.0)).astype(np.uint8)
     )
 
 
 def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """Encode a surface, and return the order of its points in the encoded surface.
+    """Encode a surface; also return the indices of its points in the order of encoding.
 
     Unused points are left out. Points are in the order in which triangles first use them. A corner
-    is encoded as the index of the next new point minus the index of the corner. The new point
-    itself is encoded as 0.
+    of a triangle is encoded as the number of points that earlier corners use, minus the index of
+    its point. A point that is used for the first time therefore has the code 0.
     """
     corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
     used, first, at = np.unique(corners, return_index=True, return_inverse=True)
@@ -118,7 +123,10 @@ HIDDEN = ("tool_q", "device_q")
 
 
 def columns(trace: Table) -> Record:
-    """Return the columns of the trace that vary, and the layer of largest contact."""
+    """Return the encoded columns of a trace that vary.
+
+    The layer of largest contact in each row is returned too.
+    """
     varying = [
         name
         for name in trace.columns
@@ -141,8 +149,8 @@ def columns(trace: Table) -> Record:
 def charts(trace: Table, scene: Scene | None) -> list[Record]:
     """Return the charts of a report.
 
-    The charts show force, torque, removal rate or contact area, force at a device, depth, and a
-    chosen column.
+    The charts show force, torque, force at a device, removal rate or contact area, depth, and one
+    column that the user of the report can choose.
     """
     shown, factor = torque_unit(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0))
     torque = ("torque", "Nm", f"torque / {shown}", factor)

@@ -29,7 +29,7 @@ CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
 def status_of(saved: SavedRun, text: Text) -> str:
-    """Return the description of the run, and a sentence if it is incomplete."""
+    """Return the description of the scene, and a sentence if the run is incomplete."""
     scene = saved.scene
     described = (
         f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
@@ -42,7 +42,7 @@ def status_of(saved: SavedRun, text: Text) -> str:
 
 
 def figures_of(saved: SavedRun, text: Text) -> str:
-    """Return cards with the figures of a complete run."""
+    """Return HTML cards with the key figures of a run; empty if the run is incomplete."""
     # the summary of an incomplete run has no figures
     if not saved.complete:
         return ""
@@ -54,7 +54,10 @@ def figures_of(saved: SavedRun, text: Text) -> str:
 
 
 def run_rows(summary: Summary) -> list[tuple[str, str]]:
-    """Return figures and their values as text, or the status of an incomplete run."""
+    """Return the names and values of a run's key figures as text.
+
+    For an incomplete run, the status and the problem are returned instead.
+    """
     if summary["status"] != "complete":
         rows = [("status", str(summary["status"]))]
         if problem := summary.get("problem"):
@@ -108,13 +111,16 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
-    """Return the section with heading, lines and PNG picture of an assessment."""
+    """Return the HTML section on an assessment, with its lines and its PNG picture."""
     shown = html_picture("trainee and reference over time", picture)
     return f"<h2>Assessment</h2>{html_list(lines, text)}{shown}"
 
 
 def events_table(summary: Summary, text: Text) -> str:
-    """Return the table of events, with buttons that go to the times of the events."""
+    """Return the HTML table of events.
+
+    A button in each row shows the run at the time of the event.
+    """
     rows = [
         (
             str(number),
@@ -127,14 +133,14 @@ def events_table(summary: Summary, text: Text) -> str:
 
 
 def notes_table(summary: Summary, text: Text) -> str:
-    """Return the table of the notes of the run."""
+    """Return the HTML table of the notes of a run."""
     notes = summary.get("notes", {})
     rows = [(text(str(name)), text(str(note))) for name, note in notes.items()]
     return _table(("of", "note"), rows)
 
 
 def materials_table(used: Sequence[Used], text: Text) -> str:
-    """Return the table of constants with value, range, source and confidence."""
+    """Return the HTML table of the constants used, with value, range, confidence and source."""
     if not used:
         return (
             "<p>This scene rests on no cited constant: what it is made of is stated in the scene "
@@ -159,7 +165,10 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """Return the scene as text, the commands that run the scene again, and versions."""
+    """Return the HTML sections with the scene, the commands to run it again, and the versions.
+
+    `versions` contains pairs of name and version, for programs and for the machine.
+    """
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = (
         f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as '
@@ -215,7 +224,7 @@ PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 def band_section(saved: SavedRun, text: Text) -> str:
-    """Return heading, table and pictures of the uncertainty band of a run.
+    """Return the HTML section on the uncertainty band of a run, with table and pictures.
 
     The result is an empty string if the run has no band.
     """
@@ -275,7 +284,11 @@ def _band_text(band: Summary) -> str:
 
 
 def band_lines(band: Summary) -> Iterator[str]:
-    """Yield sentences on a band: samples, figures with 90 % intervals, and left-out samples."""
+    """Yield sentences about an uncertainty band.
+
+    They state the number of samples, the 90 % intervals of figures, and the samples that are left
+    out.
+    """
     yield _band_text(band)
     for name, ends in band.items():
         if name.startswith(LARGEST_PREFIX):

@@ -79,8 +79,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder contains no run or damaged files, the file exists and `overwrite` is not set,
-        or trame-vtk is missing.
+        If the folder contains no run or damaged files, if the file exists and `overwrite` is not
+        set, or if trame-vtk is missing.
     """
     report = progress or silent
     folder = Path(folder)
@@ -286,10 +286,12 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
 
 
 def empty_scene(parts: int) -> str:
-    """Return a scene of empty parts with colours and normals, as a zip file in base64.
+    """Return a vtk.js scene of parts without points, as a zip file in base64.
 
-    A script in the browser adds the points. The empty scene is needed because vtk.js makes objects
-    only from a scene.
+    The parts have empty arrays of colours and normals.
+
+    A script in the browser adds the points later. The scene is needed because the viewer makes the
+    objects of vtk.js only from a scene.
     """
     record = json.loads(_own("scene.json"))
     (renderer,) = record["scene"]["dependencies"]

@@ -65,7 +65,7 @@ class Shown:
         self.points_mm: Array = np.zeros((0, 3))
 
     def see(self, points: Any) -> None:
-        """Add both corners of the box around points [mm] to the points that must be in view."""
+        """Add the lowest and the highest corner of the box around points [mm] to `points_mm`."""
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         if len(points):
             self.points_mm = np.vstack([self.points_mm, points.min(axis=0), points.max(axis=0)])
@@ -74,9 +74,10 @@ class Shown:
 def stage(saved: SavedRun) -> Record:
     """Return the record of the 3D view for the browser.
 
-    ``parts`` contains surfaces over time, and ``scales`` their colour scales. ``bounds`` contains
-    the box of each group of parts that must be in view [mm]. A run with ticks also has ``poses`` of
-    the tool, ``force`` and ``peak_row``.
+    ``parts`` contains surfaces over time, and ``scales`` their colour scales. ``bounds`` contains,
+    for each group of parts, the box that must be in view [mm]. If the trace has rows, the record
+    also contains the poses of the tool (``poses``), the scale of the force arrow (``force``), and
+    the row of the largest force (``peak_row``).
     """
     scene = saved.scene
     fields = saved_fields(saved)
@@ -184,7 +185,10 @@ The report contains a surface of the bone for each of these times.
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
-    """Return the bone at the saved times, coloured by removed depth and by layer, or None."""
+    """Return the surfaces of the bone at the saved times; None for a run without bone.
+
+    They can be coloured by removed depth and by layer.
+    """
     moments = list(_bone_moments(saved))
     if not moments:
         return None
@@ -279,9 +283,9 @@ def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) ->
 
 
 def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
-    """Return the deformed mesh, coloured by each of its fields, whole and cut open at a plane.
+    """Return the surfaces of the deformed mesh, whole and cut open at a plane, with its fields.
 
-    The plane is given by a normal and a point [mm].
+    The user can colour the surfaces by each field. The plane is given by a normal and a point [mm].
     """
     shown = Shown()
     first = fields.frames[0]

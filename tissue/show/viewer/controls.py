@@ -41,7 +41,8 @@ class LayerKeys:
     hidden
         Layers that are hidden at the start.
     hide
-        Function that is called with the hidden layers, now and after each change.
+        Function that is called with the hidden layers after each change, and at the start if layers
+        are hidden then.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ class LayerKeys:
             self.toggle(*hidden)
 
     def toggle(self, *names: str) -> None:
-        """Switch layers on or off."""
+        """Hide the given layers that are shown, and show those that are hidden."""
         self.hidden ^= frozenset(names)
         self._hide(self.hidden)
         self._plotter.render()
@@ -108,7 +109,7 @@ class ClipPlane:
         self._follow()
 
     def switch(self) -> None:
-        """Cut the mesh open, or show it whole again."""
+        """Cut the mesh open at the plane, or show the whole mesh again."""
         self._on = not self._on
         self._fields.cut(self._plane if self._on else None)
         self._plotter.render()
@@ -172,7 +173,7 @@ class PointRead:
     Attributes
     ----------
     reference_mm
-        Position of the point before loading [mm], or None.
+        Position of the point before loading [mm]; None while no point is marked.
     text
         Description of the point.
     """
@@ -197,9 +198,9 @@ class PointRead:
         fields.drawn.append(self.update)
 
     def click(self, x: int, y: int) -> bool:
-        """Mark the point under a pixel, and return True if there is a point.
+        """Mark the point of the mesh under a pixel; return False if there is no mesh.
 
-        The pixel is counted from the lower left.
+        `x` and `y` are counted in pixels from the lower left corner of the window.
         """
         actor = self._fields.actor
         found = None if actor is None else picked(self._plotter, actor, x, y)
@@ -277,9 +278,9 @@ class NameList:
             actor.prop.color = Color(CHOSEN if chosen else OTHER)
 
     def click(self, x: int, y: int) -> bool:
-        """Choose the name under a pixel, and return True if there is a name.
+        """Choose the name in the list under a pixel; return False if there is no name.
 
-        The pixel is counted from the lower left.
+        `x` and `y` are counted in pixels from the lower left corner of the window.
         """
         wide, tall = self._plotter.window_size
         # the title is row 0 of the list
@@ -298,7 +299,7 @@ SLOWEST_S = 4.0
 
 
 class Playback:
-    """Shown time, which the user or the playback changes.
+    """Time that is shown, which the user sets or a playback advances.
 
     Parameters
     ----------
@@ -323,14 +324,14 @@ class Playback:
         self._before_s = 0.0
 
     def play(self, playing: bool) -> None:
-        """Play or pause; at the end, play from the start."""
+        """Start or pause the playback; if the last time is shown, start from the first time."""
         self.playing = playing
         self._before_s = perf_counter()
         if playing and self.time_s >= self.span_s[1]:
             self.time_s = self.span_s[0]
 
     def advance(self) -> bool:
-        """Advance by the elapsed time; return whether the shown time has changed."""
+        """Advance the shown time by the elapsed time; return False while the playback is paused."""
         if not self.playing:
             return False
         now_s = perf_counter()
@@ -353,7 +354,7 @@ class PlaybackWidgets:
     show
         Function that is called with the time [s].
     slider
-        Left end, right end and height of the slider, relative to the window.
+        Left end, right end and vertical position of the slider, relative to the window.
     """
 
     def __init__(

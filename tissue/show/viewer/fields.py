@@ -45,7 +45,7 @@ class PointValues:
     Attributes
     ----------
     place_mm
-        Drawn position [mm], shape (3,).
+        Position [mm] at which the point is drawn, with the scaled displacement, shape (3,).
     values
         Field values, keyed by name.
     layer
@@ -58,7 +58,7 @@ class PointValues:
 
 
 class FieldsShown:
-    """Fields over time in a plotter; nothing is shown until `show` is called.
+    """Mesh with fields over time, drawn in a plotter after `show` has been called.
 
     Parameters
     ----------
@@ -78,11 +78,11 @@ class FieldsShown:
     name
         Name of the shown field, or None.
     actor
-        Actor that can be picked in the plotter, or None. Its mesh has the point array
-        ``reference_mm``.
+        Actor of the drawn mesh in the plotter, or None. The point array ``reference_mm`` of the
+        mesh contains the undeformed positions.
     drawn
-        Function that is called without arguments after each change of the shown fields. The code
-        that makes the change must then render the view.
+        Functions that are called without arguments after each change of the shown fields. The
+        caller that made the change must then render the view.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class FieldsShown:
 
     @property
     def bounds_mm(self) -> tuple[float, ...]:
-        """Box around the first frame: low and high end along x, y and z [mm]."""
+        """Box around the mesh in the first frame: lowest and highest x, y and z [mm]."""
         return tuple(self._fields.frames[0].bounds)
 
     def show(self, name: str | None) -> None:
@@ -118,7 +118,7 @@ class FieldsShown:
         self._draw()
 
     def at(self, time_s: float) -> None:
-        """Show a time."""
+        """Show the fields at a time."""
         self._time_s = time_s
         self._draw()
 
@@ -138,9 +138,9 @@ class FieldsShown:
         self._draw()
 
     def read(self, reference_mm: Array) -> PointValues | None:
-        """Return the field values at a material point, or None if no cell is left.
+        """Return the field values at a material point, or None if its cell was removed.
 
-        The point is given in the undeformed mesh [mm].
+        `reference_mm` is the position of the point in the undeformed mesh.
         """
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
@@ -282,7 +282,7 @@ class BoneShown:
     Parameters
     ----------
     plotter
-        Plotter of the bone, in which the key c is bound.
+        Plotter of the bone. If bone was removed, its key c switches the colours.
     bone
         Bone over time.
     legend
@@ -291,7 +291,7 @@ class BoneShown:
     Attributes
     ----------
     layers
-        Layers that can be hidden, keyed by name.
+        Names of the layers that can be hidden.
     help
         Description of the key; empty if there is no key.
     points_mm
@@ -327,7 +327,7 @@ class BoneShown:
         self._draw()
 
     def at(self, tick: int) -> None:
-        """Show the bone at the end of a tick."""
+        """Show the bone as it is at the end of a tick."""
         if self._bone.at(tick):
             # the bone beyond the cut is the same at all ticks
             self._take(rest=False)

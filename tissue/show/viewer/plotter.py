@@ -61,14 +61,15 @@ def add_text(
     size: int = 9,
     colour: object = "black",
 ) -> Any:
-    """Write a text and return its actor; `place` is its lower left corner relative to the
-    window.
+    """Write a text, and return its actor.
+
+    `place` is the lower left corner of the text, relative to the window.
     """
     return plotter.add_text(words, position=place, viewport=True, font_size=size, color=colour)
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
-    """Write names in a column at the right, each name in its colour."""
+    """Write the keys of `colours` in a column at the right, each in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
         # one line below the other, to the right of the scene
         add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
@@ -83,7 +84,10 @@ def add_slider(
     place: tuple[float, float, float],
     fmt: str,
 ) -> Any:
-    """Add a slider; `place` is the left end, right end and height relative to the window."""
+    """Add a horizontal slider that calls a function with its value.
+
+    `place` contains the left end, the right end and the vertical position, relative to the window.
+    """
     left, right, height = place
     return plotter.add_slider_widget(
         call,
@@ -103,9 +107,10 @@ def add_slider(
 
 
 def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array] | None:
-    """Return the cell of an actor under a pixel, and the point there [mm], or None.
+    """Return the index of the cell of an actor under a pixel, and the point of the cell there [mm].
 
-    The pixel is counted from the lower left.
+    `x` and `y` are counted in pixels from the lower left corner of the window. The result is None
+    if the actor is not under the pixel.
     """
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
@@ -123,9 +128,9 @@ def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array]
 def add_colour_scale(
     plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object
 ) -> None:
-    """Draw the colour scale of a mapper at the right.
+    """Draw the colour scale of a VTK mapper at the right.
 
-    The scale starts at `bottom`, relative to the height of the window.
+    `bottom` is the lower end of the scale, relative to the height of the window.
     """
     plotter.add_scalar_bar(
         title,
@@ -146,11 +151,11 @@ def add_colour_scale(
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
-    """Call a function with the pixel when the left button is clicked.
+    """Call a function with x and y of the mouse whenever the left button is clicked.
 
-    The pixel is counted from the lower left. In a click, the button is pressed and released in the
-    same place. An interactor style that rotates the camera grabs the mouse in between, so the
-    events of the style are observed.
+    x and y are counted in pixels from the lower left corner. In a click, the button is pressed and
+    released in the same place. Between press and release, VTK's interactor style, which rotates the
+    camera, receives all mouse events. This function therefore observes the events of the style.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -170,7 +175,7 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 
 
 def free_keys(plotter: Plotter) -> None:
-    """Remove VTK's keys except `KEPT`.
+    """Switch off the keys that VTK binds to actions, except `KEPT`.
 
     For example, VTK uses 3 for a stereo picture, and m for an animation that stops the mouse.
     """
@@ -194,9 +199,11 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Point the camera from the front and above, so that the points fill the area.
+    """Look from the front and above, so that points fill an area of the window.
 
-    If no points are given, everything that is drawn fills the area.
+    `margins` are the left, right, lower and upper end of the area, relative to the window.
+
+    If no points are given, everything that is drawn is in view, centred at the height of the area.
 
     A scale bar needs a parallel projection, because only this projection has the same scale
     everywhere.

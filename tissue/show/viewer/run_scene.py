@@ -84,15 +84,16 @@ class MomentShown:
 
     @property
     def extent_mm(self) -> Array:
-        """Both ends of the tool's path, and of the longest arrow [mm], shape (4, 3)."""
+        """First and last tip position, and both ends of the longest arrow [mm], shape (4, 3)."""
         tip = self._tips[self._peak]
         arrow = self._longest * self._force[self._peak] / self._largest_N
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: Array, *, reach_mm: float) -> Array:
-        """Return the points of the tool near its tip, at the time of the largest force [mm].
+        """Return the points of the tool near its tip, at the time of the largest force.
 
-        The given points are in the frame of the tool.
+        `tool_mm` contains points of the tool in the frame of the tool [mm]. The points within
+        `reach_mm` of the tip are returned in the frame of the world [mm].
         """
         near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
         matrix = pose(self._tips[self._peak], self._turns[self._peak])
@@ -210,9 +211,12 @@ class ToolShown:
         plotter.add_actor(self._value, reset_camera=False, render=False)
 
     def show(self, tip_mm: Array, turn: Array, force_N: Array, *, largest_N: float) -> None:
-        """Show the tool at a tip [mm] and quaternion (x, y, z, w), and its force [N].
+        """Show the tool and the force on it.
 
-        The length of the arrow is proportional to the ratio of the force to the largest force.
+        The pose is given by the position of the tip [mm] and a quaternion (x, y, z, w).
+
+        The length of the arrow is proportional to the force, and is `longest_mm` for the force
+        `largest_N`.
         """
         import pyvista
 
@@ -251,7 +255,7 @@ NEAR_TIP = 0.5
 
 @dataclass(frozen=True)
 class Choice:
-    """Choice of the initial view of a run.
+    """Options of the initial view of a run.
 
     Attributes
     ----------
@@ -263,7 +267,7 @@ class Choice:
     scale
         Factor by which the displacement is multiplied.
     time_s
-        Shown time [s]. Default: the time of the largest force.
+        Time that is shown at the start [s]. Default: the time of the largest force.
     clean
         If true, only the simulated tissue is shown, without text, widgets, marks and tool.
     """
@@ -276,7 +280,7 @@ class Choice:
 
     @classmethod
     def of_json(cls, text: str) -> "Choice":
-        """Read a choice that another process wrote."""
+        """Return the choice that another process wrote as JSON."""
         found = json.loads(text)
         return cls(**found | {"hide": tuple(found["hide"])})
 
@@ -289,7 +293,7 @@ class RunScene:
     saved
         Saved run.
     choice
-        Initial view. The caller applies its layers, field and time.
+        Initial view. The caller must still apply its hidden layers, its field and its time.
     plotter
         Plotter of the run.
     fine
@@ -379,7 +383,7 @@ class RunScene:
     def extent_mm(self, *, near_tip: bool = False) -> Array:
         """Return the points that must stay in view [mm], shape (n, 3).
 
-        With `near_tip`, the points of the tool near its tip are included.
+        With `near_tip`, the result contains the points of the tool near its tip too.
         """
         points = [self.tissue_mm]
         if self.moment is not None:
@@ -420,7 +424,7 @@ class RunScene:
 
 
 def times_of(saved: SavedRun, series: SavedFields | None) -> Array:
-    """Return the times that can be shown [s]."""
+    """Return the times of a run that can be shown [s]: of the trace, or else of the fields."""
     if saved.trace is not None and len(saved.trace.rows):
         return saved.trace["time_s"]
     return np.zeros(0) if series is None else series.times_s

@@ -64,8 +64,10 @@ def saved_fields(saved: SavedRun) -> SavedFields | None:
 
 
 def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
-    """Return the plane through the deepest point of the tool that opens the mesh towards the
-    viewer.
+    """Return the plane at which the mesh of a run is cut open.
+
+    The plane is perpendicular to y and contains the deepest point of the tool. The part towards the
+    viewer is left out.
     """
     x, y, z = map(float, fields.frames[0].center)
     if saved.trace is not None and len(saved.trace.rows):
@@ -93,9 +95,9 @@ class BoneOverTime:
     volume
         Bone before the first cut.
     end
-        Bone left in each voxel at the end (255 = full), with the shape of the volume.
+        Bone that is left in each voxel at the end (255 = full), same shape as `volume.fraction`.
     replay
-        Replay of the carving. Without it, the bone at the end is shown at any time.
+        Replay of the cuts over time. Without a replay, the bone is shown as it is at the end.
     axis
         World axis closest to the tool's axis, 0 to 2.
 
@@ -135,7 +137,7 @@ class BoneOverTime:
                 self.deepest_mm = float(cut.point_data["removed_depth_mm"].max())
 
     def at(self, tick: int) -> bool:
-        """Set the bone to its state at the end of a tick; return True if it may have changed."""
+        """Set the bone to its state at the end of a tick; return False if it is unchanged."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
         self._tick = tick
@@ -143,11 +145,14 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface of some layers that no cut changes [mm]."""
+        """Return the surface [mm] of the layers `shown` where no cut of the run changes it."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface of some layers that cuts change, at the current tick [mm]."""
+        """Return the surface [mm] of the layers `shown` where cuts of the run change it.
+
+        The surface belongs to the tick that was set with `at`.
+        """
         carved = self._of(shown)
         left = self._left[carved.part]
         layer = self._volume.layer[carved.part]
@@ -168,9 +173,10 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """Return the bone of a run over time, or None.
+    """Return the bone of a run over time, or None for a run without voxels.
 
-    The bone of an incomplete run has coarse voxels.
+    The voxels of an incomplete run are made again from its scene, and are coarser. If they cannot
+    be made, the result is None.
     """
     if saved.complete:
         file = saved.path / "bone.vti"
@@ -240,7 +246,10 @@ def _over_time(
 
 
 def is_bone_from_file(scene: Scene) -> bool:
-    """Return whether the bone of a scene is from a file, which may have changed since a run."""
+    """Return True if the bone of a scene is read from a file.
+
+    Such a file may have changed since the run.
+    """
     return isinstance(scene.anatomy, CutAnatomy) and scene.anatomy.from_file is not None
 
 

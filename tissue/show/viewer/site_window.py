@@ -27,8 +27,9 @@ EYE = np.array([0.35, -1.0, 0.35])
 from the left and above.
 """
 ASIDE = 0.6
-"""Ratio of the lateral offset of the eye to its distance along the normal, so that the arrow is
-visible.
+"""Ratio of the eye's lateral offset to its distance along the normal.
+
+With this offset, the arrow along the normal is visible.
 """
 MARK = 0.012
 ARROW = 0.16
@@ -47,7 +48,7 @@ def is_imported(folder: Path) -> bool:
 
 
 class SiteWindow:
-    """Window with an imported bone and its site.
+    """Window with an imported bone and the site on the bone where the tool works.
 
     Parameters
     ----------
@@ -61,7 +62,8 @@ class SiteWindow:
     plotter
         PyVista's plotter.
     centre_mm, normal
-        Shown site in the frame of the image (LPS), shape (3,); None if there is no site.
+        Centre [mm] and outward normal of the shown site in the frame of the image (LPS), each of
+        shape (3,). Both are None if there is no site.
     text
         Text about the site.
     """
@@ -101,9 +103,9 @@ class SiteWindow:
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
-        """Move the site to the bone under a pixel; return False if there is no bone.
+        """Move the site to the point of the bone under a pixel; return False if there is no bone.
 
-        The pixel is counted from the lower left.
+        `x` and `y` are counted in pixels from the lower left corner of the window.
         """
         found = picked(self.plotter, self._bone, x, y)
         if found is None:
@@ -166,7 +168,10 @@ class SiteWindow:
 
 
 def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
-    """Open the window, or draw it into a PNG file; return a sentence on the view."""
+    """Show an imported bone with its site in a window, or draw it into a PNG file.
+
+    A text about the site is returned.
+    """
     window = SiteWindow(folder, off_screen=screenshot is not None)
     if screenshot is not None:
         window.plotter.screenshot(str(screenshot))

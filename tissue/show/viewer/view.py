@@ -70,10 +70,10 @@ def view(
     overwrite
         Whether to replace an existing file of the screenshot or movie.
     progress
-        Function that is called with the finished share of a file.
+        Function that is called with the share of the file that is finished.
     opened
-        If given, the run is shown in a browser instead of a window, until the page has been closed
-        for some seconds. The function is called with the address of the page.
+        If this function is given, the run is shown in a browser instead of a window. It is called
+        with the address of the page. The view ends when the page has been closed for some seconds.
 
     Returns
     -------
@@ -277,8 +277,8 @@ def show(
     choice
         Initial view of the run.
     kind, file
-        Kind of file and file to write instead of opening a window. The kind is ``screenshot`` (PNG)
-        or ``movie`` (MP4 or GIF). While a movie is written, the finished share is printed.
+        File to write instead of opening a window, and its kind: ``screenshot`` (PNG) or ``movie``
+        (MP4 or GIF). While a movie is written, the share that is finished is printed.
     """
     window = Window(saved, title, choice, off_screen=file is not None)
     if file is None:

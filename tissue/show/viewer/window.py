@@ -74,7 +74,7 @@ def add_scale_bar(plotter: Plotter) -> None:
 
 
 def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
-    """Remove text, widgets, scales and all actors except `kept`.
+    """Remove texts, widgets, colour scales and all actors except `kept` from a plotter.
 
     The camera is moved so that the given points fill the window.
     """
@@ -156,12 +156,12 @@ def movie_times_s(first_s: float, last_s: float) -> Array:
 
 
 def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
-    """Write a movie; an existing file is replaced when the new file is complete.
+    """Write a movie; an existing file is replaced only when the new file is complete.
 
     Parameters
     ----------
     path
-        File with suffix .mp4, or .gif with half of the width and height.
+        File with the suffix .mp4 or .gif. A GIF has half the width and height of the pictures.
     pictures
         Red, green and blue of each picture, shape (height, width, 3). Height and width are even.
     """

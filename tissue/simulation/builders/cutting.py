@@ -87,7 +87,7 @@ def milled(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Return the parts of a scene in which a cutter removes bone or tooth in voxels.
+    """Build the objects that simulate a scene in which a cutter removes voxels of bone or tooth.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _filled_layers(volume: VoxelVolume) -> list[str]:
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
-    """Return a note if keys of the scene replace coefficients of layers of several materials."""
+    """Return a note if keys of the scene replace the coefficients of several materials."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
     if not given or len(set(cut_as)) < 2:

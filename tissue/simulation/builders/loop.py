@@ -234,7 +234,7 @@ class JudgedLoop:
 
 
 def release_note(loops: Sequence[JudgedLoop]) -> str:
-    """Return sentences on loops that are stable only in a hand; empty if there are none."""
+    """Return a text about loops that are stable only in a hand; empty without such loops."""
     loops = [each for each in loops if each.needs_hand]
     if not loops:
         return ""

@@ -57,7 +57,7 @@ _meshes: Kept[HeldMesh] = Kept(2)
 
 
 def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: object) -> Parts:
-    """Return the parts of a scene in which a needle pierces layers of tissue.
+    """Build the objects that simulate a scene in which a needle pierces layers of tissue.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: objec
 
 
 def incised(scene: Scene, motion: Motion, *, report: Progress, **settings: object) -> Parts:
-    """Return the parts of a scene in which a blade cuts a soft tissue."""
+    """Build the objects that simulate a scene in which a blade cuts a soft tissue."""
     from tissue.models.incision.fields import IncisionFields, Track
     from tissue.models.incision.model import IncisionModel
     from tissue.models.incision.parameters import incised_tissue
@@ -122,7 +122,7 @@ def pressed(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Return the parts of a scene in which a probe presses a meshed organ.
+    """Build the objects that simulate a scene in which a probe presses a meshed organ.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def pressed(
 
 
 def wall(scene: Scene, motion: Motion, **settings: object) -> Parts:
-    """Return the parts of a scene in which a ball is pushed against the test wall."""
+    """Build the objects that simulate a scene in which a ball is pushed against a virtual wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
     radius_m = 0.5e-3 * scene.tool.size_mm
     return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))

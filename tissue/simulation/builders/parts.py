@@ -74,7 +74,7 @@ orders. The value is assumed.
 
 @dataclass
 class Parts:
-    """Parts of a run.
+    """Objects that simulate a scene in a run.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Parts:
 
 
 TissueBuilder = Callable[..., Parts]
-"""Function that makes the parts of a run from a scene with one kind of anatomy.
+"""Function that builds the objects of a run from a scene with one kind of anatomy.
 
 It is called as ``build(scene, motion, *, step_s, compute, cores, report)``. The arguments are the
 motion of the tool, the duration of a tick [s], the Warp device, the number of processor cores, and

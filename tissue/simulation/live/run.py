@@ -99,7 +99,7 @@ class LiveSettings:
         return self.slicer is not None and self.slicer.drives
 
     def mover(self, scene: Scene) -> tuple[bool, str]:
-        """Return True if a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
+        """Return True if a pointer or 3D Slicer moves the tool, and a sentence about the mover."""
         if self.by_slicer:
             return True, (
                 "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "

@@ -92,7 +92,7 @@ class Readings:
 
 
 def read_start(folder: Path) -> tuple[Scene, Start]:
-    """Read the scene and the initial data that the ticks have written."""
+    """Read the scene and the initial data that the process of the ticks wrote to a folder."""
     with np.load(folder / "start.npz", allow_pickle=False) as file:
         start: Start = dict(file)
     return Scene.read_back((folder / "scene.json").read_text("utf-8")), start
@@ -111,7 +111,9 @@ ORGAN = "#CC8E7D"
 def live_tissue(
     plotter: Plotter, start: Start, arrays: SharedArrays
 ) -> "LiveBone | LiveOrgan | None":
-    """Return the drawn tissue, from the arrays that `tissue.simulation.live` shares.
+    """Draw the tissue of a live run in a plotter, and return the drawn object.
+
+    The data come from the arrays that `tissue.simulation.live` shares between processes.
 
     The result is None if the tissue has no shared arrays.
     """
@@ -156,7 +158,7 @@ class LiveBone:
         self.points_mm: Array = np.asarray(bone.surface.points, dtype=np.float64)
 
     def update(self) -> bool:
-        """Draw the bone again if it has changed."""
+        """Draw the bone again if it has changed since the last call; return True if it has."""
         changed = self._bone.update()
         if changed:
             self._draw()
@@ -215,12 +217,12 @@ class LiveOrgan:
         self.points_mm: Array = patch + AROUND * (patch - patch.mean(axis=0))
 
     def update(self) -> bool:
-        """Draw the surface at its current position."""
+        """Draw the surface at its current position; return True if the surface has moved."""
         return self._organ.update()
 
 
 class LiveScene:
-    """Tissue, tool, force, and mark of the device with the coupling spring.
+    """Drawn objects of a live run: tissue, tool, force, coupling spring and mark of the device.
 
     Parameters
     ----------
@@ -236,7 +238,7 @@ class LiveScene:
     Attributes
     ----------
     arrays
-        Arrays that the process of the ticks shares.
+        Arrays that are shared with the process that computes the ticks.
     scene
         Scene of the run.
     plotter
@@ -310,7 +312,7 @@ class LiveScene:
         return isinstance(self.tissue, LiveBone) and self.tissue.cut is not None
 
     def cut_open(self, is_open: bool) -> None:
-        """Hide the bone between the camera and the tool if ``is_open``; if not, show it."""
+        """Hide the bone between camera and tool if ``is_open`` is True; show it otherwise."""
         if isinstance(self.tissue, LiveBone) and is_open != self.is_cut_open:
             self.tissue.cut_open(self._cut if is_open else None)
 
@@ -337,9 +339,9 @@ class LiveScene:
         return changed
 
     def show(self, target_mm: Array) -> Readings | None:
-        """Show the newest row and the requested tool position [mm]; return the values of the row.
+        """Show the newest row of the trace and the requested position of the tool [mm].
 
-        The result is None if there is no row yet.
+        The values of the row are returned. The result is None if there is no row yet.
         """
         message = self.arrays.read("row")
         if message is None or message[0] == 0:
@@ -411,15 +413,15 @@ class Target:
         self.target_mm = self._start.copy()
 
     def reset(self) -> None:
-        """Move back to the initial position."""
+        """Move the requested position back to the initial position."""
         self.target_mm = self._start.copy()
 
     def along(self, travel_mm: float) -> None:
-        """Move along the tool's axis [mm], positive out of the tissue."""
+        """Move the position along the tool's axis by a distance [mm], positive outward."""
         self._go(travel_mm * self._axis)
 
     def across(self, right_mm: float, up_mm: float) -> None:
-        """Move in the plane of the view [mm]."""
+        """Move the position by distances [mm] to the right and upward in the view."""
         camera = self._plotter.camera
         forward = np.array(camera.GetDirectionOfProjection())
         right = np.cross(forward, camera.GetViewUp())
@@ -427,7 +429,10 @@ class Target:
         self._go(right_mm * right + up_mm * np.cross(right, forward))
 
     def press(self, key: str) -> None:
-        """Move according to a key with VTK's name; other keys are ignored."""
+        """Move the position by `KEY_MM` in the direction of a key.
+
+        The key is given by its name in VTK. Keys without a direction are ignored.
+        """
         if key in ARROWS:
             right, up = ARROWS[key]
             self.across(KEY_MM * right, KEY_MM * up)
@@ -438,9 +443,7 @@ class Target:
 
     @property
     def mm_per_pixel(self) -> float:
-        """Size of a pixel in the plane through the requested position that is parallel to the view
-        [mm].
-        """
+        """Size of a pixel at the distance of the requested position from the camera [mm]."""
         camera = self._plotter.camera
         away = float(
             (self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection())
@@ -465,9 +468,9 @@ HELP = (
 class Pointer(Target):
     """Requested position of a tool within a box, moved with mouse and keys.
 
-    The mouse moves the position in the plane that is parallel to the view and contains the
-    position, so the position follows the mouse. With a pressed button, the mouse controls the view.
-    The wheel and the depth keys move the position along the tool's axis.
+    The position follows the mouse in the plane that contains the position and is parallel to the
+    view. With a pressed button, the mouse changes the view instead. The wheel and the depth keys
+    move the position along the tool's axis.
 
     Parameters
     ----------

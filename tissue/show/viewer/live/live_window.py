@@ -60,11 +60,11 @@ class LiveWindow:
 
     @property
     def over(self) -> bool:
-        """True if the ticks have ended or the user has closed the window."""
+        """True if the simulation has ended or the user has closed the window."""
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:
-        """Process pending events, send the pointer position, and draw all changes."""
+        """Process pending events, send the position of the pointer, and draw all changes."""
         self.plotter.iren.interactor.ProcessEvents()
         if self.pointer.ended:
             self._close()
@@ -81,7 +81,7 @@ class LiveWindow:
         self.arrays["frames"][0] += 1
 
     def run(self) -> None:
-        """Run frame after frame until the window is over."""
+        """Update the window frame by frame until `over` is True."""
         while not self.over:
             began = perf_counter()
             self.frame()

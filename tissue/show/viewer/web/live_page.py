@@ -38,7 +38,7 @@ KEYS = {
 
 
 class LivePage:
-    """Live run, whose tool the mouse of the page moves.
+    """Live run on a page, where the mouse moves the tool.
 
     The ticks wait while no page is open or the run is paused. The tool does not move during this
     time.
@@ -84,7 +84,7 @@ class LivePage:
         return bool(self.arrays["ended"][0])
 
     def hello(self) -> dict[str, Any]:
-        """Return the name of the scene, the legend, and whether the bone is cut open."""
+        """Return the scene's name, the colours of its parts, and whether the bone is cut open."""
         self._last = None
         self.stage.changed = True
         from matplotlib.colors import to_hex
@@ -94,7 +94,7 @@ class LivePage:
         return {"scene": self.shown.scene.name, "legend": legend, "cut": cut}
 
     def attend(self, attended: bool) -> None:
-        """Continue the ticks if a page is open; otherwise let the ticks wait."""
+        """Continue the simulation if a page is open; otherwise halt it."""
         self._attended = attended
         self._hold()
 
@@ -124,7 +124,7 @@ class LivePage:
             self._move(do, values)
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Send the requested position of the tool, and show all changes."""
+        """Send the requested position of the tool to the simulation, and draw all changes."""
         self.arrays["frames"][0] += 1
         if int(self.arrays["runs"][0]) != self._run:
             self._begin_again()

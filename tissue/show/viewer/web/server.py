@@ -48,11 +48,11 @@ ALONE = ("reset", "end", "seen")
 
 
 class MessageError(ValueError):
-    """Error for a message that a page of this program never sends."""
+    """Error for a message that cannot come from a page of this program."""
 
 
 def parse(text: str) -> tuple[str, Values]:
-    """Read a message; return the command and the entries.
+    """Parse the JSON text of a message, and return its command and its other entries.
 
     Raises
     ------
@@ -83,7 +83,8 @@ def parse(text: str) -> tuple[str, Values]:
 class Pace:
     """Limit of the rate at which messages are read.
 
-    The limits are `MOST_PER_S` per second, and `AT_ONCE` after a pause.
+    At most `MOST_PER_S` messages are read per second. After a pause, up to `AT_ONCE` messages are
+    read without delay.
 
     Further messages of a page wait in the buffers of the browser.
     """
@@ -93,9 +94,9 @@ class Pace:
         self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
-        """Count a message that arrived at ``time_s``, and return the waiting time [s].
+        """Count a message that arrived at ``time_s``, and return the time to wait after it [s].
 
-        The next message must not be read before this waiting time has passed.
+        The next message must not be read before this time has passed.
         """
         self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
         self._time_s = time_s
@@ -148,11 +149,11 @@ class Session(Protocol):
         ...
 
     def take(self, do: str, values: Values) -> None:
-        """Apply a message of the page."""
+        """Carry out a message of the page: its command ``do`` with its other entries."""
         ...
 
     def attend(self, attended: bool) -> None:
-        """Handle the opening or closing of a page."""
+        """Handle the opening (``attended`` is True) or the closing of a page."""
         ...
 
     def leave(self) -> None:
@@ -160,7 +161,7 @@ class Session(Protocol):
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Advance by one frame; return new figures, and a new picture if `drawing` is set."""
+        """Advance by one frame; return new values, and a picture if `drawing` is set."""
         ...
 
 
@@ -171,13 +172,11 @@ class PageServer:
     ----------
     session
         Session to serve.
-    token
-        Token that the address must contain. Default: a new random token.
 
     Attributes
     ----------
     address
-        Address of the page; available after `start` was awaited.
+        Address of the page, with a random token; empty until `serve` has started the server.
     """
 
     def __init__(self, session: Session) -> None:
@@ -319,7 +318,8 @@ def _cut(line: asyncio.Transport | None) -> None:
 def page_text(kind: str, nonce: str) -> str:
     """Return the HTML text of a page.
 
-    The page loads no other files, so only its address contains the token.
+    Scripts and styles are part of the text, so the page loads no other files. Therefore only the
+    address of the page must contain the token.
     """
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join(
@@ -353,9 +353,9 @@ in the address is passed on.
 def refusal(request: web.BaseRequest, port: int, token: str) -> str | None:
     """Return the reason why a request is refused, or None.
 
-    If another site uses a host name that points to this machine (DNS rebinding), the Host header of
-    the request shows this. If another site opens the socket, the Origin header shows this; browsers
-    always send it in this case.
+    Another site may use a host name of its own for this machine (DNS rebinding). The Host header of
+    such a request contains that host name. If another site opens the socket, the Origin header
+    contains that site, because browsers always send this header with a socket.
     """
     home = f"{HOST}:{port}"
     origin = request.headers.get("Origin")
@@ -378,7 +378,8 @@ def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
     make
         Function that creates the session.
     beside_ticks
-        If true, ticks run at the same time and have priority.
+        If true, another process computes the ticks of a live run and has priority over this
+        process.
     """
     standard_output = own_process(beside_ticks=beside_ticks)
     import pyvista

@@ -27,15 +27,15 @@ TURN_DEG = 180.0
 
 
 class Stage:
-    """Plotter whose view a page rotates, and which draws pictures for the page.
+    """Off-screen view that draws pictures for a page, and that the page can rotate.
 
     Parameters
     ----------
     plotter
         PyVista's plotter, off screen.
     aim
-        Function that points the camera. It is called when the size changes, until the user has
-        rotated the view.
+        Function that points the camera at the scene. It is called after each change of size until
+        the user rotates the view.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Stage:
         return int(self._plotter.window_size[1])
 
     def take(self, do: str, values: Values) -> bool:
-        """Change size or view if a message requests this; return True if the message did."""
+        """Change size or view if a message requests this; return False for other messages."""
         changes: dict[str, Callable[..., None]] = {
             "size": self.resize,
             "turn": self.turn,
@@ -84,7 +84,10 @@ class Stage:
             self.changed = True
 
     def turn(self, right: float, up: float) -> None:
-        """Rotate the view by a drag, given relative to the height of the picture."""
+        """Rotate the view by a drag of the mouse.
+
+        `right` and `up` are the distances of the drag, relative to the height of the picture.
+        """
         camera = self._plotter.camera
         camera.Azimuth(-TURN_DEG * right)
         camera.Elevation(-TURN_DEG * up)
@@ -143,7 +146,7 @@ MARKS = 5
 
 
 def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
-    """Hide the colour scale of a plotter, and return its title, colours and labels.
+    """Hide the colour scale of a plotter; return title, colours and labels of the scale.
 
     The colours are ``#rrggbb`` from low to high. The result is None if there is no scale.
     """

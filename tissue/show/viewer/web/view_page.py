@@ -82,7 +82,11 @@ class ViewPage:
         return self._playback.time_s
 
     def hello(self) -> dict[str, Any]:
-        """Return names, colours, choices, and the force over time."""
+        """Return the data that a page needs when it is opened.
+
+        They contain the names and colours of the layers, the choices of content, and the force over
+        time.
+        """
         self.stage.changed = self._dirty = True
         return {
             "scene": str(self._saved.summary.get("scene", "run")),
@@ -102,8 +106,9 @@ class ViewPage:
         self.over = True
 
     def take(self, do: str, values: Values) -> None:
-        """Apply a message of the page: go to a time, play, choose the content, rotate the view or
-        end.
+        """Carry out a message of the page.
+
+        A message goes to a time, plays, chooses the content, rotates the view or ends the session.
         """
         if self.stage.take(do, values):
             pass
@@ -124,7 +129,7 @@ class ViewPage:
         self._dirty = True
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Advance the time during playback, and show it."""
+        """Advance the shown time during playback, and draw the run at this time."""
         self._playback.advance()
         # the page has not taken the last picture yet
         if not drawing:
