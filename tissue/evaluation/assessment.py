@@ -366,12 +366,17 @@ def _new_events(mine: Summary, theirs: Summary) -> tuple[tuple[float, str], ...]
 
 
 def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
-    """Yield sentences on differences of the scenes, and on paths that were not finished."""
+    """Yield sentences on differences of the scenes, and on runs that are not valid to the end."""
     yield from scene_notes(trainee.scene, reference.scene)
     yield from coupling_notes(trainee, reference, "the reference")
     for who, run in (("trainee", trainee), ("reference", reference)):
         if note := path_note(run.summary):
             yield f"the path of the {who} is {note}"
+        if (left_s := run.summary.get("left_region_s")) is not None:
+            yield (
+                f"the tool of the {who} left the simulated region at {left_s:.3f} s, so its "
+                "smallest distances and breaches hold only up to this time"
+            )
 
 
 def _trace(run: AssessedRun, name: str) -> Table:

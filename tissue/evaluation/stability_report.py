@@ -66,7 +66,7 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
         f"{scene.held.kind} in the hand of a person of the group {scene.held.hand}, "
         f"{1e-3 / chosen.tick_s:g} kHz, "
         f"{1e3 * chosen.delay_s:g} ms added to the hold, low-pass {1e3 * chosen.filter_s:g} ms",
-        f"chosen: {found.verdict.sentence(chosen.stiffness_N_m)}",
+        f"chosen: {_chosen(found)}",
         *(
             f"delay {1e3 * data.values[index]:4.1f} ms: stable below "
             f"{data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
@@ -76,6 +76,13 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
             for index in range(0, len(data.values), 6)
         ),
     ]
+
+
+def _chosen(found: StabilityMap) -> str:
+    """Return the verdict on the chosen stiffness, with the delay at which it holds."""
+    chosen = found.chosen
+    verdict = found.verdict.sentence(chosen.stiffness_N_m)
+    return f"{verdict} at a delay of {1e3 * chosen.delay_s:g} ms"
 
 
 def write_stability_files(
@@ -122,7 +129,7 @@ def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
         _draw(panel, data, found)
     chart.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False)
     chart.text(0.09, 0.95, title, va="center", size=11)
-    chosen = f"chosen: {found.verdict.sentence(found.chosen.stiffness_N_m)}"
+    chosen = f"chosen: {_chosen(found)}"
     chart.text(0.09, 0.895, chosen, va="center", size=9, color="0.25")
     save(chart, path)
 

@@ -15,7 +15,7 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, filled, put
 from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
-from kernels.tool_distance import Outline
+from kernels.tool_distance import TOLERANCE_M, Outline
 from meshes.base.arrays import Array, Floats, Ints
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
 from tissue.cutters.body import MEDIAL_TOLERANCE_M, medial_axis, outline_table
@@ -23,12 +23,21 @@ from tissue.cutters.profile import Profile
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
-__all__ = ["Distance", "KeepClear", "Structure"]
+__all__ = ["APART_M", "OVERLAP_M", "Distance", "KeepClear", "Structure"]
 
 Distance = Callable[[Array], Floats]
 """Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
 """Device of the search: one thread on the CPU, whatever the device of the tissue is."""
+
+APART_M = float(TOLERANCE_M)
+"""Largest error of the distance from the triangles if tool and structure are apart [m]."""
+OVERLAP_M = 1e-5
+"""Largest error of the distance from the triangles in an overlap [m].
+
+The tolerances of the kernel and of the tool's medial axis add up to less than this value.
+`tests/tissue/models/test_clearance.py` checks it.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,6 +134,8 @@ def figures_of(summary: Summary) -> dict[str, float]:
             f"least_distance_{name}_mm": each["least_distance_mm"]
             for name, each in summary.get("keep_clear", {}).items()
         },
+        # Forces and distances of the run do not count after this time.
+        **({"left_region_s": summary["left_region_s"]} if "left_region_s" in summary else {}),
         "events": len(summary["events"]),
         "tick_median_us": tick["median"],
         "tick_99_percent_us": tick["p99"],

@@ -126,10 +126,10 @@ class Loop:
         reach_mm
             For bone: distance around the tool within which bone is prepared [mm]; default 5. More
             bone is prepared when the tool has moved by half of this distance; the tick in which
-            this happens takes longer. For an organ: distance from the start within which the organ may be touched;
-            default 5. For a scene: distance from its path, across the axis of the tool; default 2.
-            The path determines the depth. For an organ or a scene, no further tissue is prepared
-            later.
+            this happens takes longer. For an organ: distance from the start within which the organ
+            may be touched; default 5. For a scene: distance from its path, across the axis of the
+            tool; default 2. The path determines the depth. For an organ or a scene, no further
+            tissue is prepared later.
         longest_s, keep_clear
             Time for which rows of the trace are allocated [s]; and structures that a cutter must
             not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the

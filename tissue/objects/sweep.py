@@ -58,7 +58,8 @@ LOST = "the process of this run was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; ``sweep.csv`` has all figures."""
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
-"""Figures of the machine's load, which vary between equal runs; `Sweep.plot` leaves them out."""
+NO_RESULTS = (*OF_MACHINE, "simulated_s", "left_region_s")
+"""Figures of machine load and simulated time, which `Sweep.plot` leaves out."""
 SAME = 1e-9
 """Largest relative difference of figures that is attributed to rounding."""
 
@@ -184,8 +185,7 @@ class Sweep:
         Parameters
         ----------
         figures
-            Names from `figure_names`. The default is the figures that differ between the runs,
-            except the duration of ticks, which varies between equal runs.
+            Names from `figure_names`. The default is the results that differ between the runs.
 
         Returns
         -------
@@ -220,11 +220,11 @@ class Sweep:
         return plot_figures(lines, names, over=over, title="".join(second))
 
     def _differing(self) -> list[str]:
-        """Return the figures that differ between finished runs by more than rounding."""
+        """Return the results that differ between finished runs by more than rounding."""
         differing = []
         for name in self.figure_names:
             values = [each.figures.get(name, np.nan) for each in self.finished]
-            if name not in OF_MACHINE and not np.allclose(values, values[0], rtol=SAME, atol=0.0):
+            if name not in NO_RESULTS and not np.allclose(values, values[0], rtol=SAME, atol=0.0):
                 differing.append(name)
         return differing
 

@@ -1,22 +1,26 @@
 """Findings of a finished run: targets that were not reached, and break-throughs."""
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
 from meshes.base.arrays import Array
+from meshes.paths.toolpath import arc_length, points_along
 from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import frame_along
+from tissue.motion.motion import Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.tool import ThrustMotion
+from tissue.scene.tool import PathMotion, ThrustMotion
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
-__all__ = ["BreakThrough", "break_throughs", "shortfalls"]
+__all__ = ["BreakThrough", "break_throughs", "path_distance_mm", "region_note", "shortfalls"]
 
 MOSTLY = 0.5
 """Share of the caries within reach that must be removed.
@@ -35,6 +39,10 @@ FORWARD = 0.5
 
 Because of this limit, a tool that leaves the bone sideways does not count as breaking through.
 """
+PATH_STEP_MM = 0.005
+"""Spacing of the points that replace a path [mm]."""
+MOST_PATH_POINTS = 1_000_000
+"""Largest number of points that replace a path: 5 m of path at `PATH_STEP_MM`."""
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
@@ -87,6 +95,44 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     elif isinstance(scene.anatomy, Tooth) and (missed := _missed_caries(scene.anatomy, parts)):
         found["removed"] = missed
     return found
+
+
+def region_note(parts: Parts, trace: Table) -> dict[str, str]:
+    """Return a note with a sufficient margin of the voxels if the tool left the region."""
+    end = parts.region_end
+    if end is None or end.left_s is None:
+        return {}
+    axes = tool_axes(trace.quaternions())
+    margin_mm = end.sufficient_margin_mm(1e-3 * trace.vectors("tool", "mm"), axes)
+    return {
+        "simulated region": f"the tool left it at {end.left_s:.3f} s. The motion of this run needs "
+        f"voxels.margin_mm = {margin_mm:g}; a hand that meets the missing tissue moves otherwise"
+    }
+
+
+def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, float] | None:
+    """Return the largest distances of a tool in a simulated hand from the path of the scene [mm].
+
+    The keys are ``largest_in_contact`` and ``largest``. The result is None for other motions.
+
+    The path is replaced by points, which make a distance too large by at most half of their
+    spacing.
+    """
+    from scipy.spatial import cKDTree
+
+    is_led = isinstance(motion, HandMotion) and isinstance(motion.device, SimulatedDevice)
+    if not is_led or not isinstance(scene.motion, PathMotion):
+        return None
+    corners_mm = np.array(scene.motion.points_mm)
+    length_mm = float(arc_length(corners_mm)[-1])
+    count = min(ceil(length_mm / PATH_STEP_MM), MOST_PATH_POINTS) + 1
+    points_mm = points_along(corners_mm, np.linspace(0.0, length_mm, count))
+    apart_mm = cKDTree(points_mm).query(trace.vectors("tool", "mm"))[0]
+    touching_mm = apart_mm[trace["contact_mm2"] > 0.0]
+    return {
+        "largest_in_contact": float(touching_mm.max(initial=0.0)),
+        "largest": float(apart_mm.max()),
+    }
 
 
 def _missed_caries(anatomy: Tooth, parts: Parts) -> str:

@@ -86,6 +86,7 @@ class Run:
     path: Path | None = None
     scheduling: Scheduling | None = None
     break_throughs: Sequence[BreakThrough] = ()
+    path_distance_mm: dict[str, float] | None = None
     draw: "Callable[[Run, Path, str], list[str]] | None" = None
     begun: RunFolder | None = None
     """Folder that received the rows during the run; None after the run was saved there."""
@@ -264,6 +265,11 @@ class Run:
         found |= self._timing_figures()
         if self.parts.keep_clear is not None:
             found["keep_clear"] = self.parts.keep_clear.summary()
+        end = self.parts.region_end
+        if end is not None and end.left_s is not None:
+            found["left_region_s"] = end.left_s
+        if self.path_distance_mm is not None:
+            found["path_distance_mm"] = self.path_distance_mm
         if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
             found["heat_J"] = heat_J
         if (limit := self.parts.motion.feed_limit) is not None:

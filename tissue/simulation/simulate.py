@@ -22,7 +22,13 @@ from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.arguments import note_own_constants
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
-from tissue.simulation.findings import BreakThrough, break_throughs, shortfalls
+from tissue.simulation.findings import (
+    BreakThrough,
+    break_throughs,
+    path_distance_mm,
+    region_note,
+    shortfalls,
+)
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
@@ -158,6 +164,7 @@ def simulate(
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
+        parts.notes |= region_note(parts, trace)
         broke = _break_throughs(parts, trace)
         through = [
             (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
@@ -169,6 +176,7 @@ def simulate(
         run.begun = folder
         run.scheduling = scheduling
         run.break_throughs = broke
+        run.path_distance_mm = path_distance_mm(scene, parts.motion, trace)
     return run
 
 

@@ -3,6 +3,7 @@
 The tests cover its inputs, refused couplings, and the nearest accepted one.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +53,9 @@ def test_a_coupling_that_is_stable_only_in_a_hand_is_noted():
     run = run_of("wall", duration_s=0.01)
     note = run.parts.notes["coupling"]
     assert "N/m is stable, " in note
+    stated = re.search(r"(\S+) N/m is stable, (\S+) % below the critical value of (\S+) N/m", note)
+    chosen, below, critical = map(float, stated.groups())
+    assert below == pytest.approx(100.0 * (1.0 - chosen / critical), abs=0.1)
     assert note.endswith("Only friction (or renderer = passivity) can stop the oscillation")
     assert note.split(". ")[-3].startswith("If the hand lets go while the tissue holds the tool")
     soft = run_of("wall", coupling__stiffness_N_m=10.0, duration_s=0.01)

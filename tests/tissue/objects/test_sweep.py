@@ -213,6 +213,21 @@ def test_the_machine_is_no_figure_of_a_sweep(pressed, out):
     pyplot.close(panel.figure)
 
 
+def test_the_simulated_time_is_no_result_of_a_sweep(pressed, out):
+    figures = {"simulated_s": 1.9, "peak_force_N": 0.6}
+    others = {"simulated_s": 0.95, "peak_force_N": 1.2, "left_region_s": 0.4}
+    runs = [SweptRun("a", {"seed": 1}, out), SweptRun("b", {"seed": 2}, out)]
+    for each, found in zip(runs, (figures, others), strict=True):
+        vars(each).update({"figures": found, "intervals": {}})
+    made = module.Sweep(["seed"], runs)
+    (panel,) = made.plot()
+    assert panel.get_title(loc="left") == "peak force / N"
+    pyplot.close(panel.figure)
+    (panel,) = made.plot(["simulated_s"])
+    assert panel.get_title(loc="left") == "simulated / s"
+    pyplot.close(panel.figure)
+
+
 def test_long_names_on_the_axis_do_not_overlap(out):
     runs = []
     for number, name in enumerate(("density_minus20", "density", "density_plus20")):

@@ -1,5 +1,7 @@
 """A hand that leads the tool out of the simulated region, compared with a larger region."""
 
+import re
+
 import numpy as np
 import pytest
 import tomli_w
@@ -13,7 +15,9 @@ from tissue.cutters.profile import ball_burr
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.tissue_model import ToolMotion
+from tissue.objects.html import figures_of
 from tissue.show.figures.section import nearest_places
+from tissue.show.report.page import run_rows
 
 BLOCK = {
     "name": "block",
@@ -45,6 +49,11 @@ def reported(run, words):
     return [event["what"] for event in run.summary["events"] if words in event["what"]]
 
 
+def reported_s(run, words):
+    (time,) = [each["time_s"] for each in run.summary["events"] if words in each["what"]]
+    return time
+
+
 def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_nothing(tmp_path):
     run = by_hand(tmp_path, 0.5)
     assert run.trace["tool_z_mm"].min() < -5.0  # in the plate, below the end of the region
@@ -56,13 +65,29 @@ def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_n
     assert least_mm > 0.0
     # the picture states the distance of the summary, although the tool enters the plate later
     assert run.trace["distance_plate_mm"].min() < 0.0
-    assert [each.least_mm for each in nearest_places(run)] == [pytest.approx(least_mm)]
+    (place,) = nearest_places(run)
+    assert place.least_mm == pytest.approx(least_mm)
+    # row, summary and picture state until when the distance holds
+    left_s = reported_s(run, "left the simulated region")
+    assert run.summary["left_region_s"] == place.until_s == left_s
+    row = dict(run_rows(run.summary))["smallest distance to plate"]
+    assert row == (
+        f"{least_mm:.3g} mm (up to {left_s:.3f} s; the tool then left the simulated region)"
+    )
+    assert figures_of(run.summary)["left_region_s"] == left_s
+    margin_mm = float(re.search(r"margin_mm = ([0-9.]+)", run.parts.notes["simulated region"])[1])
+    deepest_mm = -run.trace["tool_z_mm"].min()
+    # the region ends a margin below the path's depth of 1 mm, up to voxels of 0.3 mm
+    assert margin_mm == pytest.approx(deepest_mm - 1.0, abs=0.7)
+    assert "path_distance_mm" not in run.summary  # no simulated hand follows the path
 
 
 def test_in_a_larger_region_the_breach_is_reported(tmp_path):
     run = by_hand(tmp_path, 9.0)
     assert not reported(run, "left the simulated region")
     assert reported(run, "breached plate")
+    assert "left_region_s" not in run.summary and "simulated region" not in run.parts.notes
+    assert "up to" not in dict(run_rows(run.summary))["smallest distance to plate"]
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -92,3 +117,22 @@ def test_only_tissue_beyond_the_region_counts(known):
         motion.tip_m[:] = 1e-3 * np.array(tip_mm)
         assert bool(watch.check(0, motion)) == left
         assert watch.check(1, motion) == ""
+
+
+def test_a_sufficient_margin_contains_a_motion():
+    """A ball of 0.5 mm whose tip ends 3 mm below the middle of a full box of 2 mm."""
+    volume = VoxelVolume(
+        np.full(3, -1e-3),
+        1e-4,
+        np.full((20, 20, 20), 255, np.uint8),
+        np.zeros((20, 20, 20), np.uint8),
+        np.full((20, 20, 20), 1800.0, np.uint16),
+        ("bone",),
+    )
+    cutter = Cutter(ball_burr(diameter_m=5e-4), 6, 1000.0)
+    watch = RegionEnd(volume, cutter, margin_mm=3.0, tissue=None)
+    tips_m = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -3e-3]])
+    axes = np.array([[0.0, 0.0, 1.0]] * 2)
+    # the outermost voxel of 0.1 mm does not count: the tip lies 2.1 mm beyond the region
+    assert watch.sufficient_margin_mm(tips_m, axes) == pytest.approx(5.1)
+    assert watch.sufficient_margin_mm(tips_m[:1], axes[:1]) == pytest.approx(3.0)

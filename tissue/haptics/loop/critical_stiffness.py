@@ -80,10 +80,12 @@ class Verdict:
 
     def sentence(self, stiffness_N_m: float) -> str:
         """Return the verdict as a sentence."""
+        if self.critical_N_m == inf:
+            return f"stiffness {stiffness_N_m:.4g} N/m is stable, and so is every other"
         if self.stable:
             return (
                 f"stiffness {stiffness_N_m:.4g} N/m is stable, {100.0 * self.margin:.1f} % below "
-                "the critical value"
+                f"the critical value of {self.critical_N_m:.4g} N/m"
             )
         if self.critical_N_m == 0.0:
             return (

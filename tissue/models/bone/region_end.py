@@ -1,12 +1,14 @@
 """Detection of a tool that leaves the simulated part of a bone."""
 
+from math import ceil
+
 import numpy as np
 
 from meshes.base.arrays import Array, Flags
 from meshes.shapes.sdf import Shape
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.models.tissue_model import StopsReporting, ToolMotion
+from tissue.models.tissue_model import TICK_S, StopsReporting, ToolMotion
 
 __all__ = ["RegionEnd"]
 
@@ -80,6 +82,26 @@ class RegionEnd:
         self._low_m = np.where(at_low, low_m, -np.inf)
         self._high_m = np.where(at_high, high_m, np.inf)
 
+    @property
+    def left_s(self) -> float | None:
+        """Time at which the tool left the region [s]; None before."""
+        return None if self.left_tick is None else self.left_tick * TICK_S
+
+    def sufficient_margin_mm(self, tips_m: Array, axes: Array) -> float:
+        """Return a value of ``voxels.margin_mm`` whose region contains a motion.
+
+        The value is rounded up to 0.1 mm.
+
+        Parameters
+        ----------
+        tips_m, axes
+            Tip [m] and direction of the axis at each pose of the tool, shapes (n, 3).
+        """
+        low, high = self._box(tips_m, axes)
+        beyond_m = max(float((self._low_m - low).max()), float((high - self._high_m).max()), 0.0)
+        # 1e-9 mm: a value with one decimal must not be rounded up.
+        return ceil(10.0 * (self._margin_mm + 1e3 * beyond_m - 1e-9)) / 10.0
+
     def check(self, tick: int, motion: ToolMotion) -> str:
         """Return an event in the tick in which the tool leaves the region, and "" otherwise."""
         if self.left_tick is not None or not self._has_left(motion.tip_m, motion.rotation):
@@ -97,17 +119,22 @@ class RegionEnd:
         """Return whether a part of the cutting surface lies in tissue beyond the region."""
         # A cylinder around the tool is in the region at nearly every tick. This test takes
         # about 20 us, and the test of all points 0.1 to 2 ms.
-        axis = rotation[:, 2]
-        radius_m = self._radius_m * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
-        first, last = (tip_m + end * axis for end in self._ends_m)
-        low = np.minimum(first, last) - radius_m
-        high = np.maximum(first, last) + radius_m
+        low, high = self._box(tip_m, rotation[:, 2])
         if (low >= self._low_m).all() and (high <= self._high_m).all():
             return False
         # Not a matrix product: BLAS would start threads in a tick.
         points = tip_m + np.einsum("nj,ij->ni", self._points_m, rotation)
         beyond = points[((points < self._low_m) | (points > self._high_m)).any(axis=1)]
         return bool(self._in_tissue(beyond).any())
+
+    def _box(self, tip_m: Array, axis: Array) -> tuple[Array, Array]:
+        """Return the lowest and the highest corner of a box around a cylinder around the tool.
+
+        Tip, axis and corners have the shape (3,) for one pose, and (n, 3) for several poses.
+        """
+        radius_m = self._radius_m * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
+        first, last = (tip_m + end * axis for end in self._ends_m)
+        return np.minimum(first, last) - radius_m, np.maximum(first, last) + radius_m
 
     def _in_tissue(self, points_m: Array) -> Flags:
         """Return which points lie in tissue, shape (n,)."""

@@ -42,10 +42,11 @@ class ToothModel(MilledTissue):
     """Tooth that a bur drills.
 
     The bone model computes removal and forces. The distance of the bur from the pulp is measured to
-    the voxels that the pulp filled at the start. The smallest distance so far is the thickness of
-    the remaining dentin at its thinnest point. The error of the distance is half a voxel. If the
-    voxels contain no pulp, the distance is not measured. The pulp is then farther away than the
-    margin of the voxels around the bur's reach.
+    the voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance
+    so far is the thickness of the remaining dentin at its thinnest point. Before, it also includes
+    enamel and air. The error of the distance is half a voxel. If the voxels contain no pulp, the
+    distance is not measured. The pulp is then farther away than the margin of the voxels around
+    the bur's reach.
 
     If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
     compliance of its ligament. The motion is reported at the centroid of the tooth's material, and

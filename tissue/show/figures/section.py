@@ -13,6 +13,8 @@ from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.models.keep_clear import Distance
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.anatomy import Tooth
 from tissue.show.figures.figure import (
     EDGE,
     axis_names,
@@ -189,10 +191,14 @@ def draw_section(run: Run, path: Path) -> None:
     # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
     wide = 3.05 if frame is not None else min(5.2, 5.2 / shape)
     x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
+    tissue = "tooth" if isinstance(run.scene.anatomy, Tooth) else "bone"
+    touched = bool((run.trace["contact_mm2"] > 0.0).any())
+    # `plane_of` looks only at the ticks in contact if there are any
+    deepest = "the deepest point in contact" if touched else "the deepest point of the path"
     # 1.75 in for title, titles of the panels, label of the axis and legend
     chart, panels = panelled(
-        f"{run.scene.name}: tool and bone at {run.trace['time_s'][row]:.3f} s. Section at "
-        f"{normal} = {section.place_mm:.2f} mm, through the deepest point of the path",
+        f"{run.scene.name}: tool and {tissue} at {run.trace['time_s'][row]:.3f} s. Section at "
+        f"{normal} = {section.place_mm:.2f} mm, through {deepest}",
         (8.0, wide * shape + 1.75),
         1,
         1 if frame is None else 2,
@@ -202,7 +208,7 @@ def draw_section(run: Run, path: Path) -> None:
     _draw_layers(panels[0], run, section)
     structures = draw_kept_clear(panels[0], kept, window, section)
     panels[0].set_ylabel(f"{y} / mm")
-    panels[0].set_title("layers and what was removed")
+    panels[0].set_title("layers and removed tissue")
     handles = _handles(run, section, borders=frame is not None)
     chart.legend(handles=[*handles, *structures], loc="outside lower center", ncols=4)
     if series is not None and frame is not None:
@@ -219,7 +225,7 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     """Draw each voxel in the colour of its layer; removed voxels are pale."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     # white where there was no tissue
-    pale = 1.0 - REMOVED_TINT * (1.0 - colours)
+    pale = _removed_colour(colours)
     left = section.left[..., None]
     start = section.start[..., None]
     paint = left * colours + (start - left) * pale + (1.0 - start)
@@ -229,8 +235,18 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
         extent=section.extent_mm,
         interpolation="nearest",
     )
-    gone = np.where(section.start >= HALF / FULL, section.start - section.left, 0.0)
+    gone = _removed(section)
     draw_outline(axes, gone, section.extent_mm, color="black", linewidth=1.1)
+
+
+def _removed(section: Section) -> Array:
+    """Return the removed content of the voxels of a section, 0 to 1, shape (nu, nv)."""
+    return np.where(section.start >= HALF / FULL, section.start - section.left, 0.0)
+
+
+def _removed_colour(colours: Array) -> Array:
+    """Return the pale colours of removed tissue, from the colours of its layers."""
+    return 1.0 - REMOVED_TINT * (1.0 - colours)
 
 
 def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
@@ -302,10 +318,19 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
 
     names = run.volume.layer_names
     seen = np.unique(section.layer[section.start >= HALF / FULL])
+    removed = np.unique(section.layer[_removed(section) >= HALF / FULL])
     colours = layer_colours(names)
     handles: list[Artist] = [
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
-        Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"),
+        *(
+            Patch(
+                facecolor=tuple(_removed_colour(np.array(colours[names[i]]))),
+                edgecolor="black",
+                linewidth=1.1,
+                label=f"removed {names[i]}",
+            )
+            for i in removed
+        ),
         Line2D([], [], label="tool", **TOOL),
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)"),
     ]
@@ -339,6 +364,9 @@ class Nearest:
         Points of tool and structure that come nearest to each other [mm], shape (3,).
     least_mm
         Distance between these two points [mm], negative if the tool is inside the structure.
+    until_s
+        Time at which the tool left the simulated region [s]; later ticks do not count. None if the
+        tool did not leave the region.
     """
 
     name: str
@@ -346,6 +374,7 @@ class Nearest:
     tool_mm: Array
     structure_mm: Array
     least_mm: float
+    until_s: float | None = None
 
 
 def nearest_places(run: Run) -> list[Nearest]:
@@ -361,9 +390,9 @@ def nearest_places(run: Run) -> list[Nearest]:
     if clear is None:
         return found
     end = run.parts.region_end
-    left_tick = None if end is None else end.left_tick
+    until_s = None if end is None else end.left_s
     # the distance in the tick in which the tool leaves the region still counts
-    ticks = len(trace.rows) if left_tick is None else left_tick + 1
+    ticks = len(trace.rows) if until_s is None else round(until_s / TICK_S) + 1
     for name, distance in clear.distances.items():
         row = int(np.argmin(trace[f"distance_{name}_mm"][:ticks]))
         turn = Rotation.from_quat(tool_turns(trace)[row])
@@ -375,7 +404,7 @@ def nearest_places(run: Run) -> list[Nearest]:
         # the gradient of a distance is zero where two places are equally near
         on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
         least = float(trace[f"distance_{name}_mm"][row])
-        found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least))
+        found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least, until_s))
     return found
 
 
@@ -427,5 +456,7 @@ def draw_kept_clear(
         # the nearest points may lie outside of the plane of the section
         if abs(place.least_mm) - np.linalg.norm(ends[1] - ends[0]) > PROJECTED_MM:
             label += " (projected)"
+        if place.until_s is not None:
+            label += f", up to {place.until_s:.3f} s"
         handles += axes.plot(*ends.T, "o-", color=colour, markersize=3.5, label=label)
     return handles

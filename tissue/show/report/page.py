@@ -75,10 +75,20 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
             for layer, removed in summary["removed_mm3"].items()
             if start[layer] > 0.0
         ]
+    until = ""
+    if (left_s := summary.get("left_region_s")) is not None:
+        until = f" (up to {left_s:.3f} s; the tool then left the simulated region)"
     rows += [
-        (f"smallest distance to {name}", f"{each['least_distance_mm']:.3g} mm")
+        (f"smallest distance to {name}", f"{each['least_distance_mm']:.3g} mm{until}")
         for name, each in summary.get("keep_clear", {}).items()
     ]
+    if (apart := summary.get("path_distance_mm")) is not None:
+        rows.append(
+            (
+                "largest distance from the path, in contact / in the whole run",
+                f"{apart['largest_in_contact']:.3g} / {apart['largest']:.3g} mm",
+            )
+        )
     # Only the summary of an organ with a hyperelastic law has this table.
     law = summary.get("law", {}).get("solve_ms")
     solves = (

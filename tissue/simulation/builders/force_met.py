@@ -218,8 +218,8 @@ def chosen_scale(scene: Scene) -> ForceScale:
     series = Series.of(limits, scene.constants)
     factor = scale_for(at_device, limits, series)
     why = (
-        f", chosen for a largest force of {met.force_N:.3g} N on the scripted motion, "
-        "which depends on path and feed"
+        ", chosen for path and feed of the scripted motion, whose largest force is "
+        f"{met.force_N:.3g} N"
     )
     if not met.stiffness_N_m > 0.0:
         return ForceScale(factor, why)

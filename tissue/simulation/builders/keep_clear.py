@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from kernels.tool_distance import TOLERANCE_M
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
@@ -16,7 +15,7 @@ from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
-from tissue.models.keep_clear import Distance, KeepClear, Structure
+from tissue.models.keep_clear import APART_M, OVERLAP_M, Distance, KeepClear, Structure
 from tissue.motion.motion import Motion
 from tissue.scene.scene import KeepClear as Wanted
 from tissue.simulation.builders.arguments import surface_of
@@ -82,8 +81,10 @@ def keep_clear(
         if surface.report.repairs:
             notes[f"surface of {name}"] = " ".join(surface.report.repairs)
     for name, structure in found.items():
-        below_mm = 1e3 * (structure.slack_m + float(TOLERANCE_M))
+        apart_mm = 1e3 * (structure.slack_m + APART_M)
+        overlap_mm = 1e3 * (structure.slack_m + OVERLAP_M)
         notes[f"keep clear of {name}"] = (
-            f"the distance is in the trace, exact or up to {below_mm:.2g} mm too small"
+            f"the distance in the trace is never too large. It is too small by at most "
+            f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm"
         )
     return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))

@@ -5,7 +5,7 @@ import pytest
 
 from tissue import load_scene, simulate
 from tissue.show.figures.force_depth import first_descent
-from tissue.show.figures.section import section_of
+from tissue.show.figures.section import _handles, draw_section, section_of
 
 pytest.importorskip("pyvista")
 
@@ -34,6 +34,17 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
     assert removed.sum() > 10.0
     u0, u1, v0, v1 = section.extent_mm
     assert section.start.shape == (round((u1 - u0) / SPACING_MM), round((v1 - v0) / SPACING_MM))
+
+
+def test_legend_and_title_of_a_section_name_what_is_drawn(run, tmp_path):
+    section = section_of(run, len(run.trace.rows) - 1)
+    labels = [each.get_label() for each in _handles(run, section, borders=False)]
+    gone = (section.start >= 0.5) & (section.start - section.left >= 0.5)
+    layers = [f"removed {run.volume.layer_names[i]}" for i in np.unique(section.layer[gone])]
+    assert layers and [each for each in labels if each.startswith("removed")] == layers
+    draw_section(run, tmp_path / "section.svg")
+    title = (tmp_path / "section.svg").read_text()
+    assert "tool and bone at" in title and "through the deepest point in contact" in title
 
 
 def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
