@@ -252,9 +252,8 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
         *islands,
     ]
     if "ligament" not in volumes_mm3:
-        sentences.append(
-            "No label for the ligament: the tooth has only the support that the scene states."
-        )
+        held = "at the bone" if "bone" in volumes_mm3 else "at its lower third"
+        sentences.append(f"No label for the ligament. To compute stress, the tooth is held {held}.")
     if "caries" in volumes_mm3:
         sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")
     return LabelledTooth(placed, "pulp" in volumes_mm3, float(spacing_mm.min()), tuple(sentences))

@@ -471,7 +471,8 @@ def _notes(
     if "pulp" not in surfaces:
         notes["pulp"] = "none given: distance and exposure of the pulp are unknown"
     if "ligament" not in surfaces:
-        notes["ligament"] = "none given: the tooth has only the support that the scene states"
+        held = "at the bone" if "bone" in surfaces else "at its lower third"
+        notes["ligament"] = f"none given. To compute stress, the tooth is held {held}"
     if socket_mm > 0.0:
         notes["bone"] = f"{socket_mm:g} mm around the ligament, added"
     return notes

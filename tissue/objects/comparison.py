@@ -55,6 +55,8 @@ LONGEST_VALUE = 60
 """Largest number of characters that a line uses for the value of a scene key."""
 LONGEST_LABEL = 40
 """Largest number of characters of a legend entry that shows how a run differs."""
+BUILT_IN_IF_EMPTY = ("materials", "device.coupling.predictor_file")
+"""Keys of files. If the value is empty, a built-in file is used."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
 """Entries of a summary, other than the scene, that affect a run or the duration of its ticks."""
 Legend = Literal["values", "names", "both"]
@@ -297,7 +299,8 @@ class Comparison:
     def lines(self) -> list[str]:
         """Return lines on differing scene keys, on equal figures, and on other differences."""
         found = [
-            f"{key}: {_each(self.runs, values)}" for key, values in self.scene_differences.items()
+            f"{key}: {_each(self.runs, [_named(key, value) for value in values])}"
+            for key, values in self.scene_differences.items()
         ]
         differing = {row[0] for row in self.texts()[1]}
         same = [figure for figure, _ in self.rows()[1] if figure not in differing]
@@ -309,7 +312,10 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         titles, rows = self.texts()
-        keys = [[key, *map(_short, values)] for key, values in self.scene_differences.items()]
+        keys = [
+            [key, *(_short(_named(key, value)) for value in values)]
+            for key, values in self.scene_differences.items()
+        ]
         shown = table_html(rows, titles=titles)
         if keys:
             caption = "keys of the scenes that differ"
@@ -459,7 +465,7 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
     words, unit = field_label(short if is_unique else key.replace(".", "_"))
     if value is None:
         return f"no {words}"
-    shown = f"{value:g}" if isinstance(value, float) else _short(value)
+    shown = f"{value:g}" if isinstance(value, float) else _short(_named(key, value))
     return " ".join(filter(None, (words, shown, unit)))
 
 
@@ -471,6 +477,11 @@ def _names(runs: list[Run]) -> list[str]:
         f"{name} {plain[: at + 1].count(name)}" if count[name] > 1 else name
         for at, name in enumerate(plain)
     ]
+
+
+def _named(key: str, value: object) -> object:
+    """Return the value of a scene key; an empty file name is replaced by a word for its meaning."""
+    return "built-in" if value == "" and key in BUILT_IN_IF_EMPTY else value
 
 
 def _short(value: object) -> str:

@@ -51,6 +51,11 @@ class CutAnatomy(Part):
         return file
 
     @property
+    def structure_files(self) -> dict[str, str]:
+        """Surface files of the structures for `keep_clear.names`, keyed by structure."""
+        return {}
+
+    @property
     def guide_hole_mm(self) -> tuple[float, float]:
         """Diameter and depth of the guide hole [mm]; zeros without a guide hole."""
         return getattr(self, "guide_hole_diameter_mm", 0.0), getattr(
@@ -330,7 +335,7 @@ class MolarSurfaces(ToothSite, Drilled):
     dentin_file: FileName | None = Field(None, examples=["dentin.stl"])
     """Closed surface of the dentin."""
     pulp_file: FileName | None = Field(None, examples=["pulp.stl"])
-    """Closed surface of the pulp."""
+    """Closed surface of the pulp. It is the structure `pulp` for `keep_clear.names`."""
     caries_file: FileName | None = Field(None, examples=["caries.stl"])
     """Closed surface of a carious lesion."""
     ligament_file: FileName | None = Field(None, examples=["ligament.stl"])
@@ -343,6 +348,11 @@ class MolarSurfaces(ToothSite, Drilled):
         """Names of the surface files, keyed by layer."""
         files = {name: getattr(self, f"{name}_file") for name in LAYERS}
         return {name: file for name, file in files.items() if file is not None}
+
+    @property
+    def structure_files(self) -> dict[str, str]:
+        """Surface files of the structures for `keep_clear.names`, keyed by structure."""
+        return {} if self.pulp_file is None else {"pulp": self.pulp_file}
 
 
 class MolarLabels(ToothSite):

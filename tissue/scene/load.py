@@ -47,6 +47,8 @@ FORMAT = 2
 
 If a file does not contain its version, the version is recognised from the keys of the file.
 """
+FIRST_WITHOUT_IDLE_KEYS = 2
+"""First format in which runs save no keys without effect."""
 OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
 """Keys of the table [device] that were at the top level in version 0.2.
 
@@ -85,7 +87,8 @@ def full_key(key: str, value: object = None) -> str:
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     """Convert the table of a scene file to the current format.
 
-    The second value that is returned is True if a run wrote the file.
+    The second value that is returned is True if the file may contain keys without effect. Runs
+    wrote such keys up to format 1. In a file of format 2, a user has added them.
 
     Raises
     ------
@@ -95,7 +98,10 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     was_kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
     stated = {name: table[name] for name in ("format", "tissue") if name in table}
     # Files of version 0.2 contain no version. They count as format 1.
-    require_version("scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out")
+    version = require_version(
+        "scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out"
+    )
+    may_be_idle = was_kept and version < FIRST_WITHOUT_IDLE_KEYS
     table = {name: value for name, value in table.items() if name not in stated}
     moved = {name: table.pop(name) for name in OF_DEVICE if name in table}
     name = table.get("device")
@@ -114,7 +120,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
         table.pop("device", None)
         # A run of version 0.2 saved the hand even for a scene without a device, where it had no
         # effect.
-        if held or not was_kept:
+        if held or not may_be_idle:
             held |= moved
         if held:
             table["device"] = held
@@ -124,7 +130,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     output = table.get("output", {})
     if isinstance(cue, dict) and cue.keys() == {"cue_N"} and isinstance(output, dict):
         table["output"] = output | table.pop("enhancement")
-    return table, was_kept
+    return table, may_be_idle
 
 
 def _drop_removed(table: Mapping[str, Any]) -> None:
@@ -221,16 +227,16 @@ def load_scene(
             folder = path.parent
     table = _parsed(text, path)
     _require_no_nul(table)
-    table, was_kept = converted(table, path)
+    was_saved = "tissue" in table
+    table, may_be_idle = converted(table, path)
     table = _absolute(table, folder)
-    if was_kept:
-        # A run of version 0.2 saved all defaults, even of keys without effect.
+    if may_be_idle:
         for key in _settled(table)[1]:
             _drop(table, key)
     scene = _replaced(table, overrides or {}, live=live)
     # A file that cannot be used is refused here, not when the run reads its constants. The scene of
     # a saved run is loaded without this check, because its file may no longer exist.
-    if scene.materials and not was_kept:
+    if scene.materials and not was_saved and not may_be_idle:
         Materials.read(scene.materials)
     return scene
 

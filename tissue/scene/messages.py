@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 from meshes.base.errors import InputError
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
+from tissue.scene.anatomy import Tooth
 from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
@@ -207,6 +208,9 @@ def _of_another_kind(
             remedy = f"set anatomy.kind = {kinds_of(usable[0])[0]}"
         elif _tool_of(chosen) not in (Tool, Probe):
             return _of_another_tool(names, table, chosen)
+        if issubclass(chosen, Tooth):
+            # A user who wants a tooth wants no other anatomy.
+            remedy = ""
     sources = [_source(other) for other in others if set(kinds_of(other)) & set(kinds_of(chosen))]
     if sources and _source(chosen) == "procedural":
         where = f"a procedural {kind}"
@@ -221,7 +225,7 @@ def _of_another_kind(
     if names != meant:
         got += did_you_mean([".".join(meant)])
     key = ".".join(map(shown, names))
-    remedy = _of_density(names, table) or f"{remedy}, or remove it"
+    remedy = _of_density(names, table) or (f"{remedy}, or remove it" if remedy else "remove it")
     return InputError(key, f"be left out for {where}", got, remedy)
 
 

@@ -76,7 +76,8 @@ class KeepClear(Part):
     names: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(
         (), strict=False, examples=[("canal",)]
     )
-    """Names of structures of the anatomy, such as a vertebra's canal. The distance is correct
+    """Names of structures of the anatomy: `canal` of a vertebra or `pulp` of a molar that is
+    procedural or has `anatomy.pulp_file`. The distance is correct
     within 10 mm of the scripted motion. No safety margin is subtracted.
     """
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])

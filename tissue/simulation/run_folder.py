@@ -16,6 +16,7 @@ from meshes.base.placement import Placement
 from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import package_version, require_version, whole_file, write_text
 from tissue.models.tissue_model import TICK_S
+from tissue.scene.anatomy import BlockImage, Tooth
 from tissue.scene.load import OldSceneWarning, converted, load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -175,7 +176,7 @@ class RunFolder:
             "process": identity(),
         }
         self._write_summary(written | {"scene": scene.name} | placed)
-        write_text(self.path / "scene.toml", saved_text(scene) + _remark(placement))
+        write_text(self.path / "scene.toml", saved_text(scene) + _remark(scene, placement))
 
     @contextmanager
     def ending(self) -> Iterator[None]:
@@ -332,10 +333,11 @@ def saved_placement(path: Path) -> Placement | None:
     return None if record is None else Placement.from_record(record)
 
 
-def _remark(placement: Placement | None) -> str:
+def _remark(scene: Scene, placement: Placement | None) -> str:
     """Return the pose of the scene in the anatomy's file as TOML comments.
 
-    If a user copies these keys into a scene, the scene has the same site.
+    If the anatomy has keys for its site, a user can copy three of the comments as keys. The scene
+    then keeps this site.
     """
     if placement is None:
         return ""
@@ -345,10 +347,13 @@ def _remark(placement: Placement | None) -> str:
         "along": placement.rotation[:, 0],
         "file_to_scene_mm": placement.file_to_scene_mm,
     }
-    title = (
-        "# Where the scene lies in the anatomy's file; as keys of anatomy, the first three would "
-        "fix it there:\n"
-    )
+    use = "No keys of [anatomy] set this pose."
+    is_whole = isinstance(scene.anatomy, BlockImage) and scene.anatomy.is_whole
+    if "centre_mm" in type(scene.anatomy).model_fields and not is_whole:
+        use = "As keys of [anatomy], the first three fix this pose."
+    elif isinstance(scene.anatomy, Tooth):
+        use = "It follows from the tooth, and no keys of [anatomy] set it."
+    title = f"# Pose of the scene in the anatomy's file. {use}\n"
     return (
         "\n" + title + "".join(f"# {name} = {array.tolist()}\n" for name, array in values.items())
     )

@@ -164,6 +164,18 @@ def test_keys_are_stated_in_words():
     assert stated == ["device omni", "spin 800 rpm", "anatomy length 2 mm", "no tool length"]
 
 
+def test_an_empty_file_of_constants_is_named_built_in(run, other):
+    found = tissue.compare(run, other)
+    found.scene_differences = {"materials": ("", "mine.toml"), "description": ("", "a")}
+    first, second = found.runs
+    assert found.lines()[:2] == [
+        f"materials: {first} built-in, {second} mine.toml",
+        f"description: {first} , {second} a",
+    ]
+    assert "built-in" in found._repr_html_()
+    assert _stated("materials", "", ("materials",)) == "materials built-in"
+
+
 def test_figures_that_are_equal_are_named_in_one_line(run, back):
     found = tissue.compare(run, back)
     assert found.texts()[1] == []

@@ -227,3 +227,25 @@ def test_the_density_of_an_image_is_scaled_by_another_import(key):
     anatomy = {"kind": "bone", "file": "bone.ply", "density_file": "density.nrrd"}
     with pytest.raises(InputError, match="Import the CT again with --density line:SLOPE,OFFSET"):
         load_scene("milling", {"anatomy": anatomy | {key: 1.2}})
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "message"),
+    [
+        ("molar", "centre_mm = [1.0, 2.0, 3.0]", "for a molar, got .*[]]. Remove it$"),
+        ("molar", "curvature_radius_mm = 40.0", "for a molar, got 40. Remove it$"),
+        ("molar", "caries_diameter_mm = 4.0", "without anatomy.caries_depth_mm"),
+        ("glenoid", "pulp_roof_mm = 4.0", "Set anatomy.kind = molar, or remove it$"),
+    ],
+)
+def test_a_key_added_to_the_scene_of_a_run_is_refused_if_it_has_no_effect(
+    name, line, message, tmp_path
+):
+    scene = load_scene(name)
+    path = tmp_path / "scene.toml"
+    path.write_text(saved_text(scene).replace("[anatomy]\n", f"[anatomy]\n{line}\n"), "utf-8")
+    with pytest.raises(InputError, match=message):
+        load_scene(path)
+    # Runs of format 1 saved such keys themselves.
+    path.write_text(path.read_text("utf-8").replace("format = 2", "format = 1"), "utf-8")
+    assert load_scene(path) == scene

@@ -8,9 +8,11 @@ import re
 import shutil
 import sys
 
+import numpy as np
 import pytest
 from coarse_run import COARSE
 
+from meshes.base.placement import Placement
 from tissue import InputError, load_scene, simulate
 from tissue.cli.main import main
 from tissue.simulation.run_folder import RunFolder, SavedRun, copy_run
@@ -169,3 +171,33 @@ def test_a_run_of_version_0_2_with_an_unregistered_part_is_refused(tmp_path, lin
     file.write_text(f"{lines}\n{text}".replace("format = 2", "format = 1"), "utf-8")
     with pytest.raises(InputError, match=f"was made with the {part}, which is not registered"):
         SavedRun(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "are_keys"),
+    [
+        ({"anatomy.kind": "glenoid", "anatomy.file": "a.stl"}, True),
+        ({"anatomy.file": "a.nrrd", "anatomy.centre_mm": [0.0, 0.0, 1.0]}, True),
+        ({"anatomy.file": "a.nrrd"}, False),
+        ({"anatomy.kind": "molar", "anatomy.file": "a.nrrd"}, False),
+        ({"anatomy.kind": "molar", "anatomy.enamel_file": "a.stl"}, False),
+    ],
+)
+def test_the_comment_on_the_pose_is_true_for_the_anatomy(changes, are_keys, tmp_path):
+    scene = load_scene("milling", changes)
+    folder = RunFolder(tmp_path / "run", overwrite=False)
+    folder.begin(scene, Placement(np.array([1.0, 2.0, 3.0]), np.eye(3)))
+    folder.interrupt("")
+    kept = tmp_path / "run" / "scene.toml"
+    text = kept.read_text("utf-8")
+    assert ("As keys of [anatomy], the first three fix this pose." in text) == are_keys
+    keys = [line[2:] for line in text.splitlines() if re.match("# (centre_mm|normal|along) ", line)]
+    assert len(keys) == 3
+    stated = re.sub("\ncentre_mm = (?s:.*?)\n\\]", "", text)
+    with_keys = stated.replace("[anatomy]\n", "\n".join(["[anatomy]", *keys, ""]), 1)
+    kept.write_text(with_keys, "utf-8")
+    if are_keys:
+        assert load_scene(kept).anatomy.centre_mm == (1.0, 2.0, 3.0)
+    elif changes.get("anatomy.kind") == "molar":
+        with pytest.raises(InputError, match=r"anatomy\.centre_mm must be left out"):
+            load_scene(kept)

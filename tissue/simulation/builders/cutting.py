@@ -29,6 +29,7 @@ from tissue.scene.tool import PathMotion, ReplayMotion, Tool
 from tissue.simulation.builders.keep_clear import keep_clear
 from tissue.simulation.builders.parts import (
     Parts,
+    far_note,
     motion_of,
     recorded_file,
     require_outside,
@@ -36,7 +37,7 @@ from tissue.simulation.builders.parts import (
     w_first_notice,
 )
 from tissue.simulation.builders.region_end import region_end
-from tissue.simulation.builders.voxels import structures, volume_of
+from tissue.simulation.builders.voxels import volume_of
 
 if TYPE_CHECKING:
     from tissue.haptics.proxy.probing_tool import ProbedBone
@@ -105,6 +106,8 @@ def milled(
     # `w_first_notice`.
     if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
+    if isinstance(scene.motion, PathMotion) and (far := far_note(volume, scene.motion.points_mm)):
+        notes["far path"] = far
     report("compiling kernels (the first time on a machine)", 0.0)
     tissue: TissueModel
     if cutter.spin_rad_s == 0.0:
@@ -142,7 +145,7 @@ def milled(
     if scene.keep_clear is not None:
         clear = keep_clear(
             scene.keep_clear,
-            structures(scene),
+            scene.bone,
             cutter,
             motion,
             placement=volume.placement,

@@ -17,9 +17,11 @@ from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
 from tissue.models.keep_clear import APART_M, OVERLAP_M, Distance, KeepClear, Structure
 from tissue.motion.motion import Motion
+from tissue.scene.anatomy import CutAnatomy, MolarSurfaces
 from tissue.scene.scene import KeepClear as Wanted
 from tissue.simulation.builders.arguments import surface_of
 from tissue.simulation.builders.parts import swept_box
+from tissue.simulation.builders.voxels import structures
 
 __all__ = ["keep_clear"]
 
@@ -31,7 +33,7 @@ POINTS_ACROSS = 12.0
 
 def keep_clear(
     wanted: Wanted,
-    shapes: Mapping[str, Shape],
+    anatomy: CutAnatomy,
     cutter: Cutter,
     motion: Motion,
     *,
@@ -43,8 +45,8 @@ def keep_clear(
 
     Parameters
     ----------
-    shapes
-        Structures of the anatomy in the frame of the scene, keyed by name.
+    anatomy
+        Anatomy of the scene.
     placement
         Pose of the scene in the frame of the anatomy's file; None if both frames are the same.
 
@@ -57,22 +59,21 @@ def keep_clear(
     low, high = swept_box(points, motion, MARGIN_M)
     distances: dict[str, Distance] = {}
     found: dict[str, Structure] = {}
+    shapes = structures(anatomy)
+    files = {f"keep_clear.files.{name}": (name, file) for name, file in wanted.files.items()}
     for name in wanted.names:
+        if name in anatomy.structure_files:
+            files[f"anatomy.{name}_file"] = name, anatomy.structure_files[name]
+            continue
         if name not in shapes:
-            use = f"use {next(iter(shapes))}, or " if shapes else ""
-            raise InputError(
-                "keep_clear.names",
-                f"be structures of the anatomy ({', '.join(shapes) or 'none'})",
-                shown(name),
-                f"{use}give its surface in [keep_clear.files]",
-            )
+            raise _unknown_structure(name, anatomy, shapes)
         report(f"meshing the surface of {name}", 0.0)
         distances[name] = shapes[name].distance
         found[name] = Structure(*shape_triangles(shapes[name], low, high))
-    for name, file in wanted.files.items():
+    for key, (name, file) in files.items():
         report(f"reading the surface of {name}", 0.0)
         unit = 1.0 if placement is None else placement.unit_mm
-        surface = surface_of(f"keep_clear.files.{name}", Path(file), unit, is_part=True)
+        surface = surface_of(key, Path(file), unit, is_part=True)
         vertices: Array = surface.vertices_m
         if placement is not None:
             vertices = 1e-3 * placement.to_scene(1e3 * vertices / unit)
@@ -88,3 +89,19 @@ def keep_clear(
             f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm"
         )
     return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))
+
+
+def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shape]) -> InputError:
+    """Return the error for a name that is no structure of the anatomy."""
+    known = [*shapes, *anatomy.structure_files]
+    remedy = "give its surface in [keep_clear.files]"
+    if known:
+        remedy = f"use {known[0]}, or {remedy}"
+    elif name == "pulp" and isinstance(anatomy, MolarSurfaces):
+        remedy = "set anatomy.pulp_file"
+    return InputError(
+        "keep_clear.names",
+        f"be structures of the anatomy ({', '.join(known) or 'none'})",
+        shown(name),
+        remedy,
+    )

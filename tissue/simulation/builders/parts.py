@@ -1,6 +1,6 @@
 """Parts of a run, the motion of the tool with checks of its path, and real devices."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ __all__ = [
     "Parts",
     "TissueBuilder",
     "box_text",
+    "far_note",
     "motion_of",
     "opened_device",
     "opens_device",
@@ -61,6 +62,12 @@ Corners = tuple[Array, Array]
 """Lowest and highest corner of a box [m]."""
 POSES_TRIED = 300
 """Number of poses along a motion at which contact is searched for, chosen by judgement."""
+FAR_M = 0.1
+"""Distance between path and bone up to which no note is made [m].
+
+A robot may approach the bone from this distance. The limit is at least the size of the simulated
+bone, so larger bones have a larger limit. Chosen by judgement.
+"""
 MUCH_MORE = 2.0
 """Ratio above which the other order of quaternion components is suggested.
 
@@ -242,6 +249,24 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
         "bring the tool to the bone",
         "a tool that never touches it",
         f"move it to the bone {box_text(volume.bone_bounds_m)}",
+    )
+
+
+def far_note(volume: VoxelVolume, points_mm: Sequence[Sequence[float]]) -> str | None:
+    """Return a note on the corner of a path that is farthest from the bone, or None.
+
+    None means that the path stays near the bone in the simulated region. See `FAR_M`.
+    """
+    low, high = volume.bone_bounds_m
+    points = 1e-3 * np.array(points_mm)
+    away = np.linalg.norm(points - np.clip(points, low, high), axis=1)
+    farthest = int(away.argmax())
+    if away[farthest] <= max(FAR_M, float((high - low).max())):
+        return None
+    return (
+        f"motion.points_mm leads to {in_brackets(points_mm[farthest], '.4g')} mm. This is "
+        f"{1e3 * away[farthest]:.3g} mm away from the simulated tissue, which lies "
+        f"{box_text((low, high))}. Check that the points are in mm"
     )
 
 

@@ -114,12 +114,13 @@ def is_procedural(parameters: CutAnatomy) -> bool:
     return type(parameters) in PROCEDURAL
 
 
-def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
-    """Return the structures of an anatomy that a scene can protect from the tool, keyed by name.
+def structures(parameters: CutAnatomy) -> Mapping[str, sdf.Shape]:
+    """Return the structures of a procedural anatomy that a scene can protect from the tool, keyed
+    by name.
 
-    An anatomy from files has no named structures.
+    An anatomy from files has no structures of this form.
     """
-    return anatomy_of(scene.bone, {}).structures if is_procedural(scene.bone) else {}
+    return anatomy_of(parameters, {}).structures if is_procedural(parameters) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:

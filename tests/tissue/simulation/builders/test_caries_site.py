@@ -6,7 +6,7 @@ A run that misses the lesion reports how to reach it.
 import pytest
 import trimesh
 
-from tissue import load_scene, simulate
+from tissue import InputError, load_scene, simulate
 
 STRAIGHT_IN = {
     "voxels.spacing_mm": 0.2,
@@ -57,3 +57,25 @@ def test_surfaces_are_drilled_over_their_caries_or_refused_with_the_remedy(layer
     assert touched["notes"]["removed"].startswith(
         f"only {removed:.3g} of {there:.3g} mm3 of the caries within reach"
     )
+
+
+def test_the_pulp_of_a_tooth_from_surfaces_is_kept_clear_of_by_name_as_by_file(layers):
+    scene = layers | STRAIGHT_IN | {"duration_s": 0.03}
+    by_name = simulate(load_scene("molar", scene | {"keep_clear.names": ["pulp"]}))
+    files = {"keep_clear.files": {"pulp": layers["anatomy.pulp_file"]}}
+    by_file = simulate(load_scene("molar", scene | files))
+    assert (by_name.trace["distance_pulp_mm"] == by_file.trace["distance_pulp_mm"]).all()
+    assert by_name.summary["keep_clear"] == by_file.summary["keep_clear"]
+    assert 0.0 < by_name.summary["keep_clear"]["pulp"]["least_distance_mm"] < 10.0
+
+
+def test_a_structure_that_the_tooth_does_not_have_is_refused_with_the_remedy(layers):
+    scene = layers | STRAIGHT_IN | {"duration_s": 0.01}
+    without = scene | {"anatomy.pulp_file": None}
+    for changes, remedy in (
+        (without | {"keep_clear.names": ["pulp"]}, "Set anatomy.pulp_file"),
+        (without | {"keep_clear.names": ["nerve"]}, r"Give its surface in \[keep_clear.files\]"),
+        (scene | {"keep_clear.names": ["nerve"]}, r"\(pulp\), got nerve. Use pulp, or give"),
+    ):
+        with pytest.raises(InputError, match=remedy):
+            simulate(load_scene("molar", changes))
