@@ -144,9 +144,13 @@ def test_commands_that_a_page_shows_can_be_read(page):
             and name in ("glenoid", "milling", "molar", "liver-press", "wall")
         ):
             pairs = [words[place + 1] for place, word in enumerate(words) if word == "--set"]
-            load_scene(
-                name, dict(parse_override(pair) for pair in pairs if not pair.endswith("=FILE.stl"))
-            )
+            # A file of the reader does not exist here.
+            known = [
+                pair
+                for pair in pairs
+                if not pair.endswith("=FILE.stl") and "materials=" not in pair
+            ]
+            load_scene(name, dict(parse_override(pair) for pair in known))
 
 
 def test_every_dependency_has_its_reasons():

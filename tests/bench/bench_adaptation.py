@@ -23,8 +23,9 @@ from harness import machine, table
 from motor_score import forces_at_motor
 
 from meshes.base.arrays import Array
+from tissue.evaluation.recorded_runs import Recorder, trial
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.evaluation.training import Recorder, fit, trial
+from tissue.evaluation.training import fit
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.held_tool import HeldTool, PressingTool

@@ -16,8 +16,8 @@ import numpy as np
 from harness import machine, table
 
 from meshes.base.arrays import Array
+from tissue.evaluation.recorded_runs import trial
 from tissue.evaluation.statistics.metrics import excess_error, force_error
-from tissue.evaluation.training import trial
 from tissue.scene.load import changed, load_scene
 from tissue.simulation.reference_force import motor_forces
 from tissue.simulation.simulate import simulate

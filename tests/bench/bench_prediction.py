@@ -29,7 +29,7 @@ from motor_score import motor_score
 from ridge import Ridge, ridge_weights
 
 from meshes.base.errors import InputError
-from tissue.evaluation.training import Recorder, Recording, trial
+from tissue.evaluation.recorded_runs import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.guard import Guarded
 from tissue.prediction.look_ahead import LookAhead

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.evaluation.training import Recorder, forecast, forecast_errors, trial
+from tissue.evaluation.recorded_runs import Recorder, trial
+from tissue.evaluation.training import forecast, forecast_errors
 from tissue.prediction.delays import DelayPath
 from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman

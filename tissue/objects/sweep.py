@@ -47,8 +47,7 @@ FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 RECORD = "scenes.json"
 """File with the swept scenes that require a fidelity, keyed by run.
 
-`simulate` replaces such a scene by a scene with chosen settings, and saves only the scene with
-these settings.
+`simulate` replaces such a scene by one with chosen settings, and saves only the latter.
 """
 LONGEST_NAME = 24
 """Largest number of letters of a value in a folder name; a number replaces longer values."""
@@ -402,8 +401,7 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:
     """Return parts of folder names for the values of a key.
 
-    A part consists of a key and a value. Only the last word of the key is used if this word is
-    unique among the swept keys.
+    A part is a key and a value. If the last word of a key is unique, only this word is used.
     """
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key

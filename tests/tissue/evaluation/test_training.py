@@ -7,8 +7,9 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
+from tissue.evaluation.recorded_runs import Recorder, trial
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.evaluation.training import Recorder, trial, validated, with_fallback
+from tissue.evaluation.training import validated, with_fallback
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.force_met import chosen_scale

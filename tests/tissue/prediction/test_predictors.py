@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.training import IDEAL_SHARE, Recording, fit, forecast_errors, with_fallback
+from tissue.evaluation.recorded_runs import IDEAL_SHARE, Recording
+from tissue.evaluation.training import fit, forecast_errors, with_fallback
 from tissue.prediction.delays import DELAYS, HORIZON, PATH_DELAYS, DelayPath
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import (

@@ -10,7 +10,7 @@ import pytest
 
 from meshes.base.progress import silent
 from tissue import load_scene
-from tissue.evaluation.training import _run
+from tissue.evaluation.recorded_runs import _run
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.tissue_model import Response, WallModel
 from tissue.simulation.loop import Loop

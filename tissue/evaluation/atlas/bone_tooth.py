@@ -99,8 +99,7 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
 def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
     """Push a drill into bone for 0.5 s; return its mean axial force and its largest speed.
 
-    The mean force [N] is taken over the last 0.2 s. The largest speed [m/s] is taken over the whole
-    run.
+    The mean force [N] is over the last 0.2 s, the largest speed [m/s] over the whole run.
     """
     # a drill of 4 mm in a block that is wide enough for it and 1 mm deeper than its path
     model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
@@ -263,8 +262,7 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 def conditions(body: ParticleBody) -> tuple[float, float]:
     """Compute two condition numbers of the stiffness matrix: unscaled and scaled by its diagonal.
 
-    The first number is that of the stiffness matrix itself. The second number is that of the matrix
-    scaled to a unit diagonal. Each number is limited to 1e17.
+    The second matrix is scaled to a unit diagonal. Each number is limited to 1e17.
     """
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)
@@ -474,11 +472,7 @@ class Contrast(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the contrast.
-
-        With multigrid, a coarse grid and a finer grid are used; without multigrid, only the coarse
-        grid.
-        """
+        """Vary the contrast, with multigrid on a coarse and on a finer grid."""
         table = {"contrast": CONTRASTS}
         # two grids, to show whether iterations grow with the number of cells
         for cells in (8, 12):

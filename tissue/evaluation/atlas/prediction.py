@@ -26,7 +26,8 @@ from tissue.evaluation.atlas.page import (
     shown,
     sweep,
 )
-from tissue.evaluation.training import Recording, fit, forecast
+from tissue.evaluation.recorded_runs import Recording
+from tissue.evaluation.training import fit, forecast
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints

@@ -13,15 +13,9 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import write_text
+from tissue.evaluation.recorded_runs import Recorder, Recording, trial
 from tissue.evaluation.statistics.intervals import Interval, mean_interval, signed_interval
-from tissue.evaluation.training import (
-    HORIZONS,
-    MOST_TRIALS,
-    Recorder,
-    Recording,
-    forecast_errors,
-    trial,
-)
+from tissue.evaluation.training import HORIZONS, MOST_TRIALS, forecast_errors
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.predictor import Predictor, SeesContact
 from tissue.prediction.trained import Trained, is_trained, shipped_file
