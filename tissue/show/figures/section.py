@@ -452,11 +452,12 @@ def draw_kept_clear(
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
         side = "away" if place.least_mm >= 0.0 else "inside"
         ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
-        label = f"{place.name}; smallest distance of the tool, {abs(place.least_mm):.2f} mm {side}"
+        # a single line would be wider than the picture
+        label = f"{place.name}: smallest distance\nof the tool, {abs(place.least_mm):.2f} mm {side}"
         # the nearest points may lie outside of the plane of the section
         if abs(place.least_mm) - np.linalg.norm(ends[1] - ends[0]) > PROJECTED_MM:
             label += " (projected)"
         if place.until_s is not None:
-            label += f", up to {place.until_s:.3f} s"
+            label += f",\nup to {place.until_s:.3f} s"
         handles += axes.plot(*ends.T, "o-", color=colour, markersize=3.5, label=label)
     return handles
