@@ -9,6 +9,7 @@ positions and orientations in the site's frame.
 import csv
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ __all__ = [
     "arc_length",
     "depth_along",
     "kept_corners",
+    "path_distance",
     "points_along",
     "read_toolpath",
     "to_replay",
@@ -60,6 +62,20 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
     given = np.asarray(corners)
     at = np.asarray(lengths, dtype=np.float64)
     return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])
+
+
+def path_distance(points: Array, corners: Array) -> Array:
+    """Return the distance of points from a path with straight legs between corners, shape (n,).
+
+    Points and corners have the shapes (n, 3) and (m, 3), and the same unit as the distances.
+    """
+    nearest = np.full(len(points), np.inf)
+    for start, end in pairwise(corners):
+        leg = end - start
+        # a leg without length is its start
+        along = np.clip((points - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(points - start - along[:, None] * leg, axis=1))
+    return nearest
 
 
 def kept_corners(corners: ArrayLike, within: float) -> Ints:

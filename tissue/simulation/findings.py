@@ -1,12 +1,11 @@
 """Findings of a finished run: targets that were not reached, and break-throughs."""
 
 from dataclasses import dataclass, replace
-from math import ceil
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.paths.toolpath import arc_length, points_along
+from meshes.paths.toolpath import path_distance
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
@@ -39,10 +38,6 @@ FORWARD = 0.5
 
 Because of this limit, a tool that leaves the bone sideways does not count as breaking through.
 """
-PATH_STEP_MM = 0.005
-"""Spacing of the points that replace a path [mm]."""
-MOST_PATH_POINTS = 1_000_000
-"""Largest number of points that replace a path: 5 m of path at `PATH_STEP_MM`."""
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
@@ -114,20 +109,11 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
     """Return the largest distances of a tool in a simulated hand from the path of the scene [mm].
 
     The keys are ``largest_in_contact`` and ``largest``. The result is None for other motions.
-
-    The path is replaced by points, which make a distance too large by at most half of their
-    spacing.
     """
-    from scipy.spatial import cKDTree
-
     is_led = isinstance(motion, HandMotion) and isinstance(motion.device, SimulatedDevice)
     if not is_led or not isinstance(scene.motion, PathMotion):
         return None
-    corners_mm = np.array(scene.motion.points_mm)
-    length_mm = float(arc_length(corners_mm)[-1])
-    count = min(ceil(length_mm / PATH_STEP_MM), MOST_PATH_POINTS) + 1
-    points_mm = points_along(corners_mm, np.linspace(0.0, length_mm, count))
-    apart_mm = cKDTree(points_mm).query(trace.vectors("tool", "mm"))[0]
+    apart_mm = path_distance(trace.vectors("tool", "mm"), np.array(scene.motion.points_mm))
     touching_mm = apart_mm[trace["contact_mm2"] > 0.0]
     return {
         "largest_in_contact": float(touching_mm.max(initial=0.0)),

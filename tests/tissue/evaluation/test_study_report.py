@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from meshes.paths.toolpath import path_distance
 from tissue.evaluation.charts.prediction import PredictorComparison
 from tissue.evaluation.statistics.intervals import mean_interval, signed_interval
 from tissue.evaluation.study.cases import case_sections
@@ -21,7 +22,6 @@ from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
 from tissue.evaluation.study.report import found_section, sections_of, write_report
 from tissue.evaluation.study.section import PRINTED
 from tissue.evaluation.study.trial import Trial
-from tissue.evaluation.study.trial_metrics import path_distances_mm
 from tissue.evaluation.training import HORIZONS
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
@@ -234,4 +234,4 @@ def test_distances_from_a_path():
     """
     path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     tips = np.array([[5.0, 3, 0], [13, 0, 4], [10, 4, 0], [-3, 0, 4]])
-    assert path_distances_mm(tips, path) == pytest.approx([3.0, 5.0, 0.0, 5.0])
+    assert path_distance(tips, path) == pytest.approx([3.0, 5.0, 0.0, 5.0])

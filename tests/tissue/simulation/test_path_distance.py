@@ -4,21 +4,18 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.evaluation.study.trial_metrics import path_distances_mm
+from meshes.paths.toolpath import path_distance
 from tissue.show.report.page import run_rows
 
 
 def test_the_summary_has_the_largest_distance_from_the_path():
     run = tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.4}))
     path_mm = np.array(run.scene.motion.points_mm)
-    exact_mm = path_distances_mm(run.trace.vectors("tool", "mm"), path_mm)
+    exact_mm = path_distance(run.trace.vectors("tool", "mm"), path_mm)
     touching = run.trace["contact_mm2"] > 0.0
     found = run.summary["path_distance_mm"]
-    # half of the spacing of the points that replace the path
-    assert found["largest"] == pytest.approx(exact_mm.max(), abs=0.0025)
-    assert found["largest_in_contact"] == pytest.approx(
-        exact_mm[touching].max(initial=0.0), abs=0.0025
-    )
+    assert found["largest"] == pytest.approx(exact_mm.max())
+    assert found["largest_in_contact"] == pytest.approx(exact_mm[touching].max(initial=0.0))
     row = dict(run_rows(run.summary))[
         "largest distance from the path, in contact / in the whole run"
     ]

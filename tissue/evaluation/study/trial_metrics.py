@@ -1,6 +1,5 @@
 """Metrics of a run in a study: errors of force, position and intensity, time and smoothness."""
 
-from itertools import pairwise
 from math import inf, isfinite
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.paths.toolpath import path_distance
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
 from tissue.perception.observer import Observer, reference_observer
@@ -17,7 +17,7 @@ from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
 
-__all__ = ["intensity_ratios", "measured", "path_distances_mm"]
+__all__ = ["intensity_ratios", "measured"]
 
 ARRIVED_MM = 2.0
 """Largest distance of the device from the end of the path at which a task counts as done [mm].
@@ -85,7 +85,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         "force_mae_N": metrics.force_mae_N(played, ideal),
         "force_rms_N": metrics.force_rms_N(played, ideal),
         "latency_ms": metrics.latency_ms(played, nearest, tick_s=TICK_S),
-        "position_error_mm": float(path_distances_mm(tip, wanted_mm).mean()),
+        "position_error_mm": float(path_distance(tip, wanted_mm).mean()),
         "time_s": took if isfinite(took) else float(trace["time_s"][-1]),
         "completed": float(isfinite(took)),
         "acceleration_change_m_s2": metrics.acceleration_change_m_s2(velocity, tick_s=TICK_S),
@@ -187,14 +187,3 @@ def intensity_ratios(
         "ratio_unscaled": float(np.std((person.beta - beta) * meant)),
         "ratio_silent": float(np.std(beta * meant)),
     }
-
-
-def path_distances_mm(tip_mm: Array, path_mm: Array) -> Array:
-    """Return the distance of tip positions from a path of straight legs [mm], shape (n,)."""
-    nearest = np.full(len(tip_mm), np.inf)
-    for start, end in pairwise(path_mm):
-        leg = end - start
-        # a leg without length is its start
-        along = np.clip((tip_mm - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(tip_mm - start - along[:, None] * leg, axis=1))
-    return nearest
