@@ -153,7 +153,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
 
 
 def poses_group(file: Any) -> str | None:
-    """Return the name of the group of a drill's poses in an HDF5 file, or None if it has none."""
+    """Return the name of the group with a drill's poses in an HDF5 file, or None without poses."""
     for group in (POSES, OLD_POSES):
         if group in file:
             return group

@@ -37,7 +37,7 @@ def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
         tool frame to the tissue frame [mm], shape (4, 4). A quaternion whose length is within 1 %
         of 1 is normalised.
     rotation
-        Rotation that is used if the pose has none.
+        Rotation that is used if the pose is a position alone.
 
     Raises
     ------

@@ -22,9 +22,9 @@ An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd
 7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
 reduced relaxation function. The inverse of this integral, with the creep function, is applied to
 the nodal forces f. The result is called the crept forces (`tissue.models.organ.model`). The
-displacement is the response of the elastic law to the crept forces. In the equations above, f then
-stands for the crept forces. The integral keeps the directions of the forces fixed, so tissue must
-not rotate much while it relaxes.
+displacement is the response of the elastic law to the crept forces: the equations above hold with
+the crept forces in place of f. The integral keeps the directions of the forces fixed, so tissue
+must not rotate much while it relaxes.
 """
 
 from collections.abc import Callable

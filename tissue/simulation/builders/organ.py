@@ -403,7 +403,7 @@ def hindrance(organ: Organ) -> str | None:
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
     """Return an organ with a value for the rate of its exponential law.
 
-    The value is taken from the scene or, if the scene has none, from the constants of the material.
+    The scene gives the rate. Without a rate in the scene, the constants of the material give it.
     """
     if organ.law != "exponential" or organ.exponential_rate is not None:
         return organ
