@@ -16,14 +16,12 @@ from tissue.fitting.bands.sample import toml_tables
 from tissue.fitting.fit import ConstantFit, SceneFit, TableFit
 from tissue.fitting.laws import LawMisfit, law_sentences
 from tissue.fitting.probe_fit import ProbeFit
-from tissue.fitting.problem import SD_PER_MAD
 from tissue.materials.constants import Constant
 from tissue.show.figures.fit_pictures import (
     FittedConstant,
     draw_constants,
     draw_measured,
     draw_presses,
-    draw_residuals,
     draw_table,
 )
 from tissue.system.html import html_list, html_page, html_picture
@@ -93,8 +91,6 @@ FILES = (
     "constants.png",
 )
 UNITS = ("N_mm2", "N_mm", "kPa", "um", "s")
-LAGS = 40
-"""Number of lags in the picture of the autocorrelation: 0.2 s for blocks of 5 ms."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 NATS = 0.1
 """Information gain below which another log is not recommended [nats].
@@ -153,15 +149,11 @@ def _write_log_loads(fit: SceneFit, folder: Path) -> None:
     posterior = fit.posterior
     log = posterior.target.log
     simulated = posterior.simulated
-    lagged = [_autocorrelation(each) for each in (posterior.residuals, posterior.innovations)]
-    freedom = float(np.median(posterior.nuisances.freedom))
     columns = {"time_s": log.times_s}
     for at, name in enumerate(log.channels):
         columns[f"measured_{name}"] = log.values[:, at]
         columns[f"simulated_{name}"] = simulated[:, at]
     draw_measured(log.times_s, log.values, simulated, log.channels, folder / "measured.png")
-    residuals = folder / "residuals.png"
-    draw_residuals(posterior.innovations, np.stack(lagged), freedom, residuals)
     write_columns(folder / "loads.csv", columns)
 
 
@@ -252,19 +244,6 @@ def shown_constant(each: ConstantFit) -> FittedConstant:
     )
 
 
-def _autocorrelation(values: Array) -> Array:
-    """Return the autocorrelation at all lags, averaged over channels, shape (LAGS + 1,).
-
-    Outliers are clipped at six robust standard deviations.
-    """
-    middle = np.nanmedian(values, axis=0)
-    away = 6.0 * SD_PER_MAD * np.nanmedian(np.abs(values - middle), axis=0)
-    known = np.nan_to_num(np.clip(values, middle - away, middle + away))
-    found = [np.correlate(each, each, "full")[len(each) - 1 :][: LAGS + 1] for each in known.T]
-    # a channel of zeros has no autocorrelation: 1e-300 avoids a division by zero
-    return np.mean([each / max(float(each[0]), 1e-300) for each in found], axis=0)
-
-
 def _numbers(fit: SceneFit | ProbeFit, digest: str) -> dict[str, object]:
     """Return all results as a dictionary for programs."""
     found: dict[str, object] = {
@@ -296,7 +275,6 @@ def _numbers(fit: SceneFit | ProbeFit, digest: str) -> dict[str, object]:
     found["combinations"] = [
         {
             "weights": one.weights,
-            "powers": one.powers,
             "p05": one.low,
             "p50": one.value,
             "p95": one.high,
@@ -337,11 +315,9 @@ def verdicts(fit: SceneFit | ProbeFit) -> list[str]:
         # A constant whose prior has the median 0 has no weight over that median.
         weights = {name: weight for name, weight in combined.weights.items() if weight != 0.0}
         terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in weights.items()]
-        factors = [" + ".join(terms).replace("+ -", "- ")] if terms else []
-        factors += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
             "known better together, each over the median of its prior: "
-            f"{' times '.join(factors)} = {combined.value:.4g} "
+            f"{' + '.join(terms).replace('+ -', '- ')} = {combined.value:.4g} "
             f"({combined.low:.4g} to {combined.high:.4g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior]:
@@ -360,7 +336,6 @@ def verdicts(fit: SceneFit | ProbeFit) -> list[str]:
 PICTURES = {
     "Constants before and after, 90 % intervals": "constants.png",
     "Measured and simulated": "measured.png",
-    "What is left": "residuals.png",
 }
 """Pictures of a report by their titles."""
 

@@ -13,6 +13,7 @@ from meshes.base.arrays import Array
 from tissue.fitting.posterior import Posterior
 from tissue.fitting.problem import Forward
 from tissue.fitting.target import BIAS_SHARE, OFFSET_S, innovations, place_information
+from tissue.materials.constants import Z_95
 
 __all__ = [
     "AT_PRIOR",
@@ -54,39 +55,20 @@ The ratio is the standard deviation of the combination divided by the standard d
 best known constant. Each of these standard deviations is relative to the standard deviation of the
 prior.
 """
-BALANCED = 0.2
-"""Ratio below which a weighted sum of constants counts as a difference.
-
-The ratio is the absolute value of the weighted sum, divided by the sum of the absolute values of
-its terms.
-
-For a difference, no powers of densities (`Combination.powers`) are computed, because its terms
-nearly cancel.
-"""
-DENSITY = "density."
-EXPONENT = ".density_exponent"
-"""Suffix of names of constants that scale loads by a power.
-
-Names of density factors begin with `DENSITY`.
-"""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """Weighted mean of loads that a log determines better than any single constant.
+    """Weighted sum of constants that a log determines better than any single constant.
 
-    Near the fitted values, the mean is a weighted sum of constants, multiplied by powers of
-    densities. An example is a weighted sum of a chip and an edge coefficient at one feed,
-    multiplied by a power of the density.
+    An example is the sum of a chip and an edge coefficient at one feed. The sum approximates a
+    weighted mean of loads near the fitted values.
 
     Attributes
     ----------
     weights
         Weight by name of the constant. A weight applies to the constant divided by the median of
         its prior. The absolute weights sum to 1.
-    powers
-        Power by name of a density factor or exponent. A power applies to the factor or exponent
-        divided by the median of its prior.
     value, low, high
         Median, 5 and 95 % quantiles.
     contraction
@@ -94,22 +76,15 @@ class Combination:
         before the fit.
     of
         Function that returns the value of the combination for all constants in their own units,
-        shape (p,). It uses only the named constants. The weights and powers are an approximation of
-        this function near the fitted values.
+        shape (p,), without the approximation by a weighted sum. It uses only the named constants.
     """
 
     weights: dict[str, float]
-    powers: dict[str, float]
     value: float
     low: float
     high: float
     contraction: float
     of: Callable[[Array], float]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the constants in the combination."""
-        return (*self.weights, *self.powers)
 
 
 @dataclass(frozen=True)
@@ -180,7 +155,7 @@ def identified(posterior: Posterior) -> Identified:
     better = [
         each
         for each in found
-        if each.contraction < BETTER * min(alone[name] for name in each.names)
+        if each.contraction < BETTER * min(alone[name] for name in each.weights)
     ]
     return Identified(posterior.names, contraction, eigenvalues, tuple(better))
 
@@ -196,7 +171,6 @@ def _combination(
     """
     target = posterior.target
     noise = posterior.nuisances
-    names = posterior.names
     x = target.x(posterior.mean_z)
 
     def measure(constants: Array) -> float:
@@ -204,42 +178,24 @@ def _combination(
         return float(mean @ target.whitened(loads, noise)[:, 0])
 
     median = np.array([prior.x(0.0) for prior in posterior.priors])
-    slopes = information * direction / target.slopes(posterior.mean_z)
-    terms = slopes * x
-    scales = np.array([name.startswith(DENSITY) or name.endswith(EXPONENT) for name in names])
     named = np.abs(direction) >= LEAST_SHARE
     direction = np.where(named, direction, 0.0)
-    variance = float(direction @ posterior.covariance_z @ direction)
-    linear = named & ~scales
-    total = float(terms[linear].sum())
-    size = float(np.abs(terms[linear]).sum())
-    # the combination holds only densities and exponents: the load itself is the sum
-    if not linear.any():
-        total = measure(x)
-        size = abs(measure(x))
-    # weights of opposite sign nearly cancel: powers over such a total would be meaningless
-    if abs(total) < BALANCED * size:
-        linear = named
-        scales = np.zeros_like(scales)
-        total = float(terms[named].sum())
-    sign = float(np.sign(total))
-    powers = np.where(named & scales, terms / total, 0.0)
-    weights = np.where(linear, slopes * median, 0.0)
-    ratio = np.divide(x, median, out=np.ones_like(x), where=powers != 0.0)
-    unit = sign * (float(np.abs(weights).sum()) or size) / float(np.prod(ratio**powers))
+    deviation = np.sqrt(float(direction @ posterior.covariance_z @ direction))
+    slopes = information * direction / target.slopes(posterior.mean_z)
+    # A constant whose prior has the median 0 has no weight over that median.
+    weights = slopes * median
+    total = float(slopes @ x)
+    unit = float(np.sign(total) * np.abs(weights).sum()) or 1.0
     constant = measure(x) - total
     value = total / unit
-    # the 95 % quantile of a standard normal number
-    half = 1.6448536 * information * np.sqrt(variance) / abs(unit)
+    half = Z_95 * information * deviation / abs(unit)
     order = np.argsort(-np.abs(direction)).tolist()
-    divisor = float(np.abs(weights).sum()) * sign or 1.0
     return Combination(
-        {names[at]: float(weights[at] / divisor) for at in order if linear[at]},
-        {names[at]: float(powers[at]) for at in order if powers[at] != 0.0},
+        {posterior.names[at]: float(weights[at] / unit) for at in order if named[at]},
         value,
         value - half,
         value + half,
-        float(np.sqrt(variance) / np.linalg.norm(direction)),
+        float(deviation / np.linalg.norm(direction)),
         lambda constants: (measure(np.where(named, constants, x)) - constant) / unit,
     )
 

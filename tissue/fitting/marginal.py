@@ -32,14 +32,13 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid, trapezoid
 from scipy.interpolate import PchipInterpolator
 from scipy.special import log_ndtr, logsumexp, ndtri_exp
 from scipy.stats.qmc import Sobol
 
 from meshes.base.arrays import Array
-from tissue.fitting.target import OFFSET_S, Target, innovations
+from tissue.fitting.target import OFFSET_S, Target
 from tissue.materials.constants import Z_95
 
 __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
@@ -76,23 +75,6 @@ POINTS = 256
 """Number of points of the quasi-Monte Carlo integral in `log_factor`.
 
 The error of the integral is below 1 % for three correlated constants.
-"""
-MOST_STEPS = 60
-NEAR = 0.01
-"""Limit of twice the predicted increase of the log density, below which a search ends.
-
-The search finds the most probable values of the other numbers. `MOST_STEPS` limits the number of
-its least-squares steps. Many steps are needed if a log determines only combinations of constants,
-because these constants then lie on a curve.
-"""
-DAMPING = 0.1
-HARDER = 8.0
-EASIER = 0.2
-"""Factor on the damping after a step that increased the log density.
-
-The damping is used if a step would lower the density (Levenberg 1944). The damping is relative to
-the information of the priors, and begins with the value `DAMPING`. `HARDER` is the factor on the
-damping after each further step that would lower the density.
 """
 
 
@@ -131,12 +113,13 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
     target
         Log density.
     maximum, covariance
-        Maximum and covariance of the normal approximation, shapes (size,) and (size, size).
+        Maximum and covariance of the normal approximation, shapes (size,) and (places, places).
     at
         Index of the number.
     """
     spread = float(np.sqrt(covariance[at, at]))
-    along = covariance[:, at] / covariance[at, at]
+    along = np.zeros(target.size)
+    along[: target.places] = covariance[:, at] / covariance[at, at]
     side = 0.0
     distances = spread * STEPS
     patience = 0.0
@@ -160,7 +143,7 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
     return _law({place: log_density for place, (log_density, _) in found.items()}, side)
 
 
-def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
+def log_density_at(target: Target, start: Array, at: int) -> tuple[float, Array]:
     """Compute the marginal log density of one number, and the best values of the others.
 
     The other constants, the offset and the biases are integrated out by Laplace's approximation.
@@ -169,30 +152,14 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
     ----------
     target
         Log density.
-    u
+    start
         Start of the search, shape (size,). The number with index `at` and the noise keep their
         values.
     at
         Index of the number.
     """
-    others = np.flatnonzero(np.arange(target.constants + 1 + len(target.log.channels)) != at)
-    damping = 0.0
-    log_density, gradient, normal = _reweighted(target, u, others)
-    for _ in range(MOST_STEPS):
-        step = np.linalg.solve(normal + damping * np.eye(len(others)), gradient)
-        if gradient @ step < NEAR:
-            break
-        moved = u.copy()
-        moved[others] += step
-        tried = _reweighted(target, moved, others)
-        # Levenberg and Marquardt's damping: less after a step that succeeds, more after one that
-        # fails
-        if tried[0] > log_density:
-            u = moved
-            log_density, gradient, normal = tried
-            damping = EASIER * damping if damping > DAMPING else 0.0
-        else:
-            damping = max(HARDER * damping, DAMPING)
+    log_density, u = target.climbed(start, held=at)
+    others = np.delete(np.arange(target.places), at)
     information = target.information(u)[np.ix_(others, others)]
     log_density -= 0.5 * float(np.linalg.slogdet(information)[1])
     bounded = np.flatnonzero(np.isin(others, np.flatnonzero(target.sides)))
@@ -234,28 +201,6 @@ def log_factor(mean: Array, covariance: Array) -> float:
         rest = np.clip((1.0 - uniform[:, at]) / np.maximum(1.0 - share, 1e-300), 1e-12, 1.0)
         drawn[:, at] = np.where(uniform[:, at] < share, -ratio, -ndtri_exp(np.log(rest) + above))
     return float(logsumexp(logarithms) - np.log(len(logarithms)))
-
-
-def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[float, Array, Array]:
-    """Return the log density at `u`, and its gradient and normal matrix for the numbers `others`.
-
-    The normal matrix is the matrix of reweighted least squares. Fisher's scoring with expected
-    weights would need hundreds of steps if residuals lie far in the tails.
-    """
-    noise = target.unpacked(u)
-    known = np.isfinite(target.log.values)
-    simulated, moved = target.linearised(u)
-    terms = target.terms(target.log.values - simulated, noise)
-    added = np.nan_to_num(
-        innovations(np.where(known[:, :, None], moved[:, :, others], np.nan), noise.correlation)
-    )
-    columns = (np.sqrt(terms.weights)[:, :, None] * added).reshape(-1, len(others))
-    gradient = -np.tensordot(np.where(known, terms.by_residuals, 0.0), moved, 2)[others] - u[others]
-    return (
-        terms.log_density - 0.5 * float(u @ u),
-        gradient,
-        columns.T @ columns + np.eye(len(others)),
-    )
 
 
 @cache

@@ -262,29 +262,22 @@ class TableTarget(Target):
 
     def unpacked(self, u: Array) -> Unpacked:
         """See `Target`."""
-        count = len(self.log.channels)
-        scale = np.ones(count) if self._has_scatter else super().unpacked(u).scale
-        still = np.zeros(count)
-        return Unpacked(u[: self.constants], 0.0, still, scale, still, np.full(count, NORMAL))
+        each = super().unpacked(u)
+        still = np.zeros(len(self.log.channels))
+        return replace(
+            each,
+            offset_s=0.0,
+            bias=still,
+            scale=still + 1.0 if self._has_scatter else each.scale,
+            correlation=still,
+            freedom=still + NORMAL,
+        )
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
         """See `Target`."""
         simulated, moved = super().linearised(u)
         moved[:, :, self.constants :] = 0.0
         return simulated, moved
-
-    def noise_gradient(
-        self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
-    ) -> Array:
-        """See `Target`."""
-        found = super().noise_gradient(each, by_log_scale, by_correlation, by_freedom)
-        found[len(self.log.channels) :] = 0.0
-        return found
-
-    def _by_noise(self, each: Unpacked) -> Array:
-        if self._has_scatter:
-            return np.zeros(len(self.log.channels))
-        return super()._by_noise(each)
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
         rows = len(self.forward.times_s)

@@ -1,142 +1,20 @@
 """Log density that a fit maximises.
 
-The density is a product of the density of the log, given all numbers of the fit, and of the priors
-of these numbers: constants, clock offset, biases and noise.
+The density is the product of the density of the measured log and of the priors. The numbers of a
+fit are the constants, the clock offset, the sensor biases and the noise.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.sparse import csr_array
-from scipy.special import digamma, gammaln, polygamma
+from scipy.special import gammaln
 
 from meshes.base.arrays import Array
 from tissue.fitting.problem import SD_PER_MAD, Forward, MeasuredLoads, shift_operators
 
-__all__ = [
-    "OFFSET_S",
-    "NoiseTerms",
-    "Restricted",
-    "Target",
-    "Unpacked",
-    "freedom_information",
-    "innovations",
-    "noise_terms",
-    "place_information",
-]
-
-
-@dataclass(frozen=True)
-class NoiseTerms:
-    """Log density of residuals and its derivatives for an optimiser.
-
-    Attributes
-    ----------
-    log_density
-        Log density, summed over samples and channels.
-    by_residuals
-        Derivative by each residual, shape (m, channels). It is 0 where there is no residual.
-    by_log_scale, by_correlation, by_freedom
-        Derivatives by the logarithm of the scale, the correlation and the degrees of freedom of
-        each channel, shape (channels,).
-    weights
-        Weight of each squared innovation in reweighted least squares [1/unit²], shape (m,
-        channels).
-    """
-
-    log_density: float
-    by_residuals: Array
-    by_log_scale: Array
-    by_correlation: Array
-    by_freedom: Array
-    weights: Array
-
-
-def innovations(residuals: Array, correlation: Array) -> Array:
-    """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
-
-    The factor phi is `correlation`. The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t,
-    because the chain starts stationary. Innovations are NaN at gaps. Innovations are linear in the
-    residuals, so `residuals` may also be derivatives of residuals, shape (m, channels, k).
-    """
-    previous, starts = _previous(residuals)
-    phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
-    return np.where(starts, np.sqrt(1.0 - phi**2) * residuals, residuals - phi * previous)
-
-
-def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Array) -> NoiseTerms:
-    """Compute the log density of residuals and its gradient.
-
-    Parameters
-    ----------
-    residuals
-        Residuals at one rate, shape (m, channels), NaN where missing.
-    scale
-        Scale of the innovations, shape (channels,). At four degrees of freedom, the standard
-        deviation is sqrt(2) times the scale.
-    correlation
-        Correlation of neighbouring residuals, in (-1, 1), shape (channels,).
-    freedom
-        Degrees of freedom of the innovations, shape (channels,). With fewer degrees of freedom,
-        outliers have less influence.
-    """
-    previous, starts = _previous(residuals)
-    here = np.isfinite(residuals)
-    e = np.where(here, innovations(residuals, correlation), 0.0)
-    spread = freedom * scale**2 + e**2
-    weights = np.where(here, (freedom + 1.0) / spread, 0.0)
-    pull = weights * e
-    stationary = 1.0 - correlation**2
-    count = here.sum(axis=0)
-    begun = starts.sum(axis=0)
-    # logarithm of the density of Student's law, and below its derivatives
-    constant = (
-        gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
-    )
-    density = count * (constant - np.log(scale)) + 0.5 * begun * np.log(stationary)
-    tails = np.log1p(e**2 / (freedom * scale**2)).sum(axis=0)
-    density -= 0.5 * (freedom + 1.0) * tails
-    pulled = np.sum(pull * e, axis=0)
-    by_freedom = digamma(0.5 * (freedom + 1.0)) - digamma(0.5 * freedom) - 1.0 / freedom
-    by_freedom = 0.5 * (count * by_freedom - tails + pulled / freedom)
-    by_residuals = -pull * np.where(starts, np.sqrt(stationary), 1.0)
-    follows = here[1:] & np.logical_not(starts[1:])
-    by_residuals[:-1] += np.where(follows, correlation * pull[1:], 0.0)
-    moved = np.where(starts, -correlation / np.sqrt(stationary) * residuals, -previous)
-    by_correlation = (
-        -np.sum(pull * np.where(here, moved, 0.0), axis=0) - begun * correlation / stationary
-    )
-    return NoiseTerms(
-        float(density.sum()), by_residuals, pulled - count, by_correlation, by_freedom, weights
-    )
-
-
-def place_information(freedom: Array) -> Array:
-    """Return the Fisher information of the location of an innovation of scale 1.
-
-    The result has the shape of `freedom`. The formula is from Lange, Little and Taylor (1989).
-    """
-    return (freedom + 1.0) / (freedom + 3.0)
-
-
-def freedom_information(freedom: Array) -> tuple[Array, Array]:
-    """Return the Fisher information of the degrees of freedom, and a cross term.
-
-    The cross term is the information of the degrees of freedom and of the logarithm of the scale.
-
-    The formulas are from Lange, Little and Taylor (1989). Both results have the shape of
-    `freedom`.
-    """
-    curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
-    of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
-    return of_freedom, -2.0 / ((freedom + 1.0) * (freedom + 3.0))
-
-
-def _previous(residuals: Array) -> tuple[Array, Array]:
-    """Return the previous residual of each residual (0 without one), and a mask of chain starts."""
-    previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
-    starts = np.isfinite(residuals) & np.isnan(previous)
-    return np.where(np.isfinite(previous), previous, 0.0), starts
+__all__ = ["OFFSET_S", "Target", "Unpacked", "innovations", "likelihood", "place_information"]
 
 
 OFFSET_S = 0.02
@@ -177,6 +55,29 @@ this minimum. 90 % of the values lie between 3 and 23. This range covers noise w
 comes close enough to normal noise. If 4 degrees of freedom were assumed for normal noise, 90 %
 intervals would contain the true value in only 87 % of cases.
 """
+CORRELATED = 0.5
+"""Correlation of neighbours at the start of a search, between white noise and a slow drift."""
+FARTHEST = 4.0
+"""Limit of a first guess, in standard deviations of a prior.
+
+Farther from the middle of the priors, loads are not linear in the constants.
+"""
+MOST_STEPS = 60
+NEAR = 1e-3
+"""Limit of twice the predicted increase of the log density, below which a search ends.
+
+`MOST_STEPS` limits the number of least-squares steps of a search. Many steps are needed if a log
+determines only combinations of constants, because these constants then lie on a curve.
+"""
+DAMPING = 0.1
+HARDER = 8.0
+EASIER = 0.2
+"""Factor on the damping after a step that increased the log density.
+
+The damping is used if a step would lower the density (Levenberg 1944). The damping is relative to
+the information of the priors, and begins with the value `DAMPING`. `HARDER` is the factor on the
+damping after each further step that would lower the density.
+"""
 
 
 @dataclass(frozen=True)
@@ -191,8 +92,14 @@ class Unpacked:
         Offset of the force clock from the pose clock [s].
     bias
         Bias of each channel [N, N m], shape (channels,).
-    scale, correlation, freedom
-        Noise parameters of each channel, see `tissue.fitting.target`, shape (channels,).
+    scale
+        Scale of the innovations of each channel, shape (channels,). At four degrees of freedom, the
+        standard deviation is sqrt(2) times the scale.
+    correlation
+        Correlation of neighbouring residuals of each channel, in (-1, 1), shape (channels,).
+    freedom
+        Degrees of freedom of the innovations of each channel, shape (channels,). With fewer degrees
+        of freedom, outliers have less influence.
     """
 
     z: Array
@@ -203,10 +110,61 @@ class Unpacked:
     freedom: Array
 
 
-class Target:
-    """Log density of constants and nuisance parameters (clock offset, biases and noise).
+def innovations(residuals: Array, correlation: Array) -> Array:
+    """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
 
-    All numbers are scaled so that their priors are standard normal.
+    The factor phi is `correlation`. The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t,
+    because the chain starts stationary. Innovations are NaN at gaps. Innovations are linear in the
+    residuals, so `residuals` may also be derivatives of residuals, shape (m, channels, k).
+    """
+    previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
+    phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
+    started = np.isnan(previous)
+    return np.where(started, np.sqrt(1.0 - phi**2) * residuals, residuals - phi * previous)
+
+
+def likelihood(residuals: Array, noise: Unpacked) -> tuple[float, Array, Array]:
+    """Compute the log density of residuals for reweighted least squares.
+
+    Parameters
+    ----------
+    residuals
+        Residuals at one rate, shape (m, channels), NaN where missing.
+    noise
+        Noise of each channel.
+
+    Returns
+    -------
+    tuple
+        Log density, innovations, and weights of the squared innovations [1/unit²]. Both arrays have
+        shape (m, channels), and are 0 where no residual is known.
+    """
+    here = np.isfinite(residuals)
+    begun = here.sum(axis=0) - np.sum(here[1:] & here[:-1], axis=0)
+    e = np.where(here, innovations(residuals, noise.correlation), 0.0)
+    nu = noise.freedom
+    weights = np.where(here, (nu + 1.0) / (nu * noise.scale**2 + e**2), 0.0)
+    # logarithm of the density of Student's law
+    constant = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
+    tails = np.log1p(e**2 / (nu * noise.scale**2)).sum(axis=0)
+    density = here.sum(axis=0) * (constant - np.log(noise.scale)) - 0.5 * (nu + 1.0) * tails
+    density += 0.5 * begun * np.log(1.0 - noise.correlation**2)
+    return float(density.sum()), e, weights
+
+
+def place_information(freedom: Array) -> Array:
+    """Return the Fisher information of the location of an innovation of scale 1.
+
+    The result has the shape of `freedom`. The formula is from Lange, Little and Taylor (1989).
+    """
+    return (freedom + 1.0) / (freedom + 3.0)
+
+
+class Target:
+    """Log density of the numbers `u` of a fit, all of which have standard normal priors.
+
+    The first `places` numbers are the constants, the clock offset and the biases. The other numbers
+    are the noise: scale, correlation and degrees of freedom of each channel.
 
     Parameters
     ----------
@@ -214,28 +172,32 @@ class Target:
         Function from the constants to the loads.
     log
         Measured loads.
+
+    Attributes
+    ----------
+    constants, places, size
+        Number of constants, of the numbers that move the loads, and of all numbers.
+    sides
+        Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`.
     """
 
     def __init__(self, forward: Forward, log: MeasuredLoads) -> None:
         self.forward = forward
         self.log = log
         self._priors = [each.prior for each in forward.parameters]
-        self._places = [forward.channels.index(name) for name in log.channels]
+        self._channels = [forward.channels.index(name) for name in log.channels]
         self._sizes = log.sizes()
         self.constants = len(self._priors)
+        self.places = self.constants + 1 + len(log.channels)
+        self.size = self.places + 3 * len(log.channels)
         self.sides = np.array([each.side for each in forward.parameters])
-        """Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`."""
-        # constants, the offset, and for each channel bias, noise, correlation and freedom
-        self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
-        """Split the vector `u` of a fit, shape (size,), into numbers in their own units."""
+        """Split the numbers `u`, shape (size,), and convert them to their own units."""
         p = self.constants
-        c = len(self.log.channels)
-        # in the order of `size`
-        bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
+        bias, noise, correlation, freedom = u[p + 1 :].reshape(4, -1)
         scale = self._sizes * (LEAST_NOISE + NOISE_SHARE * np.exp(NOISE_SPREAD * noise))
         return Unpacked(
             u[:p],
@@ -254,87 +216,46 @@ class Target:
         """Return the derivative of each constant with respect to its standard normal number."""
         return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
-    def simulated(self, u: Array) -> Array:
-        """Return loads at the times of the log with offset and bias, shape (m, channels)."""
-        each = self.unpacked(u)
-        return self.loads(self.x(each.z), each.offset_s) + each.bias
-
     def loads(self, x: Array, offset_s: float) -> Array:
         """Return loads at the times of the log without bias, shape (m, channels).
 
         The constants are given in their own units.
         """
         values, _ = self._shifted(offset_s)
-        return values @ self.forward.loads(x)[:, self._places]
+        return values @ self.forward.loads(x)[:, self._channels]
+
+    def simulated(self, u: Array) -> Array:
+        """Return loads at the times of the log with offset and bias, shape (m, channels)."""
+        each = self.unpacked(u)
+        return self.loads(self.x(each.z), each.offset_s) + each.bias
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
-        """Return the loads `simulated(u)` and their derivatives, shape (m, channels, p + 1 + c).
-
-        The derivatives are by z, the scaled offset and the scaled biases of the c channels.
-        """
+        """Return the loads `simulated(u)` and their derivatives, shape (m, channels, places)."""
         each = self.unpacked(u)
-        c = len(self.log.channels)
         place = u[: self.constants + 1]
-        # the last place is kept, since gradient and information need the slopes of one place
+        # the last place is kept, since a search for the noise needs the slopes of one place
         if self._linearised is None or not np.array_equal(self._linearised[0], place):
             self._linearised = (place.copy(), *self._by_place(each))
         loads, by_place = self._linearised[1:]
-        by_bias = np.broadcast_to(np.diag(BIAS_SHARE * self._sizes), (len(loads), c, c))
-        return loads + each.bias, np.concatenate([by_place, by_bias], axis=2)
+        return loads + each.bias, np.concatenate([by_place, self._by_bias(len(loads))], axis=2)
+
+    def _by_bias(self, rows: int) -> Array:
+        c = len(self._sizes)
+        return np.broadcast_to(np.diag(BIAS_SHARE * self._sizes), (rows, c, c))
 
     def _by_place(self, each: Unpacked) -> tuple[Array, Array]:
         """Return loads without bias, shape (m, channels), and their derivatives.
 
-        The derivatives are by z and the scaled offset.
+        The derivatives are by z and the scaled offset, shape (m, channels, p + 1).
         """
         values, rates = self._shifted(each.offset_s)
         x = self.x(each.z)
-        c = len(self.log.channels)
-        loads = self.forward.loads(x)[:, self._places]
-        jacobian = self.forward.jacobian(x)[:, self._places] * self.slopes(each.z)
-        by_z = (values @ jacobian.reshape(len(jacobian), -1)).reshape(-1, c, self.constants)
+        loads = self.forward.loads(x)[:, self._channels]
+        jacobian = self.forward.jacobian(x)[:, self._channels] * self.slopes(each.z)
+        by_z = values @ jacobian.reshape(len(jacobian), -1)
+        by_z = by_z.reshape(-1, len(self._channels), self.constants)
         by_offset = OFFSET_S * (rates @ loads)
         return values @ loads, np.concatenate([by_z, by_offset[:, :, None]], axis=2)
-
-    def whitened(self, moved: Array, noise: Unpacked) -> Array:
-        """Return derivatives, shape (m, channels, k), as whitened rows, shape (m * channels, k).
-
-        The transposed matrix of rows times the matrix of rows is the expected information.
-        """
-        known = np.isfinite(self.log.values)[:, :, None]
-        each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
-        rows = np.sqrt(place_information(noise.freedom))[:, None] * np.nan_to_num(each)
-        return rows.reshape(-1, moved.shape[2])
-
-    def information(self, u: Array) -> Array:
-        """Return the expected information of the log and the priors about all numbers.
-
-        The result has shape (size, size) and is positive definite. The information about constants,
-        offset and biases follows from the sensitivities. The cross terms with the noise are zero.
-        The information about the noise of a channel follows from Student's law (Lange, Little and
-        Taylor 1989) and a stationary chain.
-        """
-        each = self.unpacked(u)
-        free = self.constants + 1 + len(self.log.channels)
-        columns = self.whitened(self.linearised(u)[1], each)
-        samples = np.isfinite(self.log.values).sum(axis=0)
-        nu = each.freedom
-        place = place_information(each.freedom)
-        # derivative of the scaled hyperbolic tangent in `unpacked`
-        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
-        of_correlation = place * nu / (nu - 2.0) / (1.0 - each.correlation**2)
-        of_freedom, crossed = freedom_information(nu)
-        by_noise = self._by_noise(each)
-        by_u = FREEDOM_SPREAD * (nu - LEAST_FREEDOM)
-        found = np.eye(self.size)
-        found[:free, :free] += columns.T @ columns
-        noise, chain, tails = np.arange(free, self.size).reshape(3, -1)
-        found[noise, noise] += samples * by_noise**2 * 2.0 * nu / (nu + 3.0)
-        found[chain, chain] += samples * of_correlation * (CORRELATION_SPREAD * flat) ** 2
-        found[tails, tails] += samples * of_freedom * by_u**2
-        found[noise, tails] += samples * crossed * by_noise * by_u
-        found[tails, noise] = found[noise, tails]
-        return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
         """Return the interpolation matrices for a clock offset, see `shift_operators`.
@@ -348,165 +269,126 @@ class Target:
             self._last_shift = offset_s, operators
         return self._last_shift[1]
 
-    def value_and_gradient(self, u: Array) -> tuple[float, Array]:
-        """Return the log density, up to a constant, and its gradient, shape (size,)."""
-        each = self.unpacked(u)
-        p = self.constants
-        c = len(self.log.channels)
-        simulated, sensitivities = self.linearised(u)
-        residuals = self.log.values - simulated
-        terms = self.terms(residuals, each)
-        gradient = -u.copy()
-        moved = -np.where(np.isfinite(residuals), terms.by_residuals, 0.0)
-        gradient[: p + 1 + c] += moved.ravel() @ sensitivities.reshape(moved.size, -1)
-        gradient[p + 1 + c :] += self.noise_gradient(
-            each, terms.by_log_scale, terms.by_correlation, terms.by_freedom
-        )
-        return terms.log_density - 0.5 * float(u @ u), gradient
+    def _innovations(self, moved: Array, correlation: Array) -> Array:
+        """Return the innovations of derivatives, shape (m, channels, k), 0 at gaps of the log."""
+        known = np.isfinite(self.log.values)[:, :, None]
+        return np.nan_to_num(innovations(np.where(known, moved, np.nan), correlation))
+
+    def whitened(self, moved: Array, noise: Unpacked) -> Array:
+        """Return derivatives, shape (m, channels, k), as whitened rows, shape (m * channels, k).
+
+        The transposed matrix of rows times the matrix of rows is the expected information.
+        """
+        weights = np.sqrt(place_information(noise.freedom)) / noise.scale
+        rows = weights[:, None] * self._innovations(moved, noise.correlation)
+        return rows.reshape(-1, moved.shape[2])
+
+    def information(self, u: Array) -> Array:
+        """Return the expected information of the log and the priors, shape (places, places).
+
+        The cross terms with the noise are zero.
+        """
+        columns = self.whitened(self.linearised(u)[1], self.unpacked(u))
+        return columns.T @ columns + np.eye(self.places)
 
     def value(self, u: Array) -> float:
-        """Return the log density, up to a constant.
+        """Return the log density, up to a constant."""
+        residuals = self.log.values - self.simulated(u)
+        return likelihood(residuals, self.unpacked(u))[0] - 0.5 * float(u @ u)
 
-        This takes less time than `value_and_gradient`.
+    def reweighted(self, u: Array) -> tuple[float, Array, Array]:
+        """Return the log density, its gradient, and the matrix of reweighted least squares.
+
+        The gradient, shape (places,), and the matrix, shape (places, places), are by the numbers
+        that move the loads. Fisher's scoring with expected weights would need hundreds of steps if
+        residuals lie far in the tails.
         """
-        each = self.unpacked(u)
-        residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
-        return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
+        noise = self.unpacked(u)
+        simulated, moved = self.linearised(u)
+        log_density, e, weights = likelihood(self.log.values - simulated, noise)
+        root = np.sqrt(weights)
+        columns = root[:, :, None] * self._innovations(moved, noise.correlation)
+        columns = columns.reshape(-1, self.places)
+        gradient = columns.T @ (root * e).ravel() - u[: self.places]
+        normal = columns.T @ columns + np.eye(self.places)
+        return log_density - 0.5 * float(u @ u), gradient, normal
 
-    @staticmethod
-    def terms(residuals: Array, each: Unpacked) -> NoiseTerms:
-        """Return the log density of residuals, shape (m, channels), for some noise."""
-        return noise_terms(residuals, each.scale, each.correlation, each.freedom)
+    def climbed(self, u: Array, *, held: int | None = None) -> tuple[float, Array]:
+        """Find the most probable constants, offset and biases near `u` for fixed noise.
 
-    def noise_gradient(
-        self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
-    ) -> Array:
-        """Convert derivatives by noise parameters to derivatives by the numbers `u` of the fit.
-
-        The noise parameters are the logarithm of the scale, the correlation and the degrees of
-        freedom.
-
-        The result has shape (3 * channels,).
+        Return the log density and the numbers. The number with the index `held` keeps its value.
         """
-        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
-        grown = FREEDOM_SPREAD * (each.freedom - LEAST_FREEDOM)
-        return np.concatenate(
-            [
-                self._by_noise(each) * by_log_scale,
-                CORRELATION_SPREAD * flat * by_correlation,
-                grown * by_freedom,
-            ]
+        free = np.array([at for at in range(self.places) if at != held])
+        damping = 0.0
+        log_density, gradient, normal = self.reweighted(u)
+        for _ in range(MOST_STEPS):
+            matrix = normal[np.ix_(free, free)] + damping * np.eye(len(free))
+            step = np.linalg.solve(matrix, gradient[free])
+            if gradient[free] @ step < NEAR:
+                break
+            moved = u.copy()
+            moved[free] += step
+            tried = self.reweighted(moved)
+            # Levenberg and Marquardt's damping: less after a step that succeeds, more after one
+            # that fails
+            if tried[0] > log_density:
+                u = moved
+                log_density, gradient, normal = tried
+                damping = EASIER * damping if damping > DAMPING else 0.0
+            else:
+                damping = max(HARDER * damping, DAMPING)
+        return log_density, u
+
+    def with_noise(self, u: Array) -> tuple[float, Array]:
+        """Find the noise that maximises the restricted likelihood for fixed other numbers.
+
+        Return the logarithm of this likelihood times the priors, and the numbers. The restricted
+        likelihood is the density integrated over the other numbers by Laplace's approximation.
+        """
+        simulated, moved = self.linearised(u)
+        residuals = self.log.values - simulated
+        # the information of a channel is a polynomial of degree two in its correlation
+        half = np.full(len(self._sizes), 0.5)
+        even, up, down = (
+            np.einsum("tci,tcj->cij", each, each, optimize=True)
+            for each in (self._innovations(moved, phi) for phi in (0.0 * half, half, -half))
         )
+        linear = up - down
+        square = 2.0 * (up + down) - 4.0 * even
 
-    def _by_noise(self, each: Unpacked) -> Array:
-        """Return the derivative of the log of each channel's scale by u, shape (channels,)."""
-        return NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale)
+        def loss(noise: Array) -> float:
+            tried = np.concatenate([u[: self.places], noise])
+            each = self.unpacked(tried)
+            phi = each.correlation[:, None, None]
+            precision = (place_information(each.freedom) / each.scale**2)[:, None, None]
+            information = np.sum((even + phi * linear + phi**2 * square) * precision, axis=0)
+            _, volume = np.linalg.slogdet(information + np.eye(self.places))
+            return 0.5 * float(volume + tried @ tried) - likelihood(residuals, each)[0]
+
+        found = minimize(loss, u[self.places :], method="L-BFGS-B")
+        return -float(found.fun), np.concatenate([u[: self.places], found.x])
 
     def start(self, offset_s: float) -> Array:
-        """Return the numbers at which an optimiser starts.
+        """Return the numbers at which a search starts, shape (size,), for an offset of the clocks.
 
-        The constants follow from linear least squares, starting from the middle of their priors.
+        The constants follow from two steps of reweighted least squares, from the middle of their
+        priors.
         """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S
-        free = self.constants + 1 + len(self.log.channels)
-        # the second step starts from slopes at the first result
         for _ in range(2):
-            simulated, sensitivities = self.linearised(u)
-            residuals = self.log.values - simulated
-            known = np.isfinite(residuals)
-            # robust least squares (Huber): residuals beyond two standard deviations get less
-            # weight. A thousandth of the loads keeps the scale of a log without noise above zero
-            scale = SD_PER_MAD * np.nanmedian(np.abs(residuals), axis=0) + 1e-3 * self._sizes
-            weights = np.where(
-                known, 1.0 / np.maximum(scale, np.abs(np.where(known, residuals, 0.0)) / 2.0), 0.0
-            )
-            columns = (sensitivities * weights[:, :, None]).reshape(-1, free)
-            wanted = (weights * np.where(known, residuals, 0.0)).ravel()
-            normal = columns.T @ columns / MOST_WEIGHT + np.eye(free)
-            step = np.linalg.solve(normal, columns.T @ wanted / MOST_WEIGHT - u[:free])
-            # farther from the middle of the priors, loads are not linear in the constants
-            u[:free] = np.clip(u[:free] + step, -4.0, 4.0)
-        residuals = self.log.values - self.simulated(u)
-        e = residuals[1:] - CORRELATED * residuals[:-1]
-        spread = (
-            SD_PER_MAD * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)
-            + LEAST_NOISE * self._sizes
-        )
-        noise = slice(free, free + len(self._sizes))
-        c = len(self._sizes)
-        u[noise] = np.log(spread / (NOISE_SHARE * self._sizes)) / NOISE_SPREAD
-        u[free + c : free + 2 * c] = np.arctanh(CORRELATED) / CORRELATION_SPREAD
+            u[self.places :] = self._rough_noise(u)
+            _, gradient, normal = self.reweighted(u)
+            place = u[: self.places] + np.linalg.solve(normal, gradient)
+            u[: self.places] = np.clip(place, -FARTHEST, FARTHEST)
+        u[self.places :] = self._rough_noise(u)
         return u
 
-
-MOST_WEIGHT = 10.0
-"""Number of neighbouring samples that count as one while the correlation of the noise is unknown.
-
-With a correlation of 0.8, nine samples hold as much information as one independent sample.
-"""
-CORRELATED = 0.5
-"""Correlation of neighbours at the start of an optimiser, between white noise and a slow drift."""
-
-
-class Restricted:
-    """Log density of `Target` with the restricted likelihood of the noise.
-
-    Parameters
-    ----------
-    target
-        Log density of constants and nuisances.
-    u
-        Numbers at which the sensitivities are evaluated, shape (size,). The sensitivities are then
-        fixed.
-    """
-
-    def __init__(self, target: Target, u: Array) -> None:
-        self.target = target
-        _, moved = target.linearised(u)
-        known = np.isfinite(target.log.values)[:, :, None]
-        follows = known[1:] & known[:-1]
-        starts = known & ~np.concatenate([np.zeros_like(known[:1]), known[:-1]])
-        now = np.where(follows, moved[1:], 0.0)
-        before = np.where(follows, moved[:-1], 0.0)
-        first = np.where(starts, moved, 0.0)
-        products = _products(first, first)
-        crossed = _products(now, before)
-        # Information of a channel for correlation phi and scale s: (constant + linear phi + square
-        # phi²) times that of a place over s².
-        self._constant = products + _products(now, now)
-        self._linear = -crossed - np.swapaxes(crossed, 1, 2)
-        self._square = _products(before, before) - products
-
-    def information(self, u: Array) -> Array:
-        """Return `Target.information`."""
-        return self.target.information(u)
-
-    def value_and_gradient(self, u: Array) -> tuple[float, Array]:
-        """Return the log density, up to a constant, and its gradient, shape (size,)."""
-        value, gradient = self.target.value_and_gradient(u)
-        each = self.target.unpacked(u)
-        p = self.target.constants
-        c = len(self.target.log.channels)
-        nu = each.freedom
-        phi = each.correlation[:, None, None]
-        precision = (place_information(nu) / each.scale**2)[:, None, None]
-        information = (self._constant + phi * self._linear + phi**2 * self._square) * precision
-        whole = information.sum(axis=0) + np.eye(information.shape[1])
-        inverse = np.linalg.inv(whole)
-        by_phi = np.einsum(
-            "ij,cji->c", inverse, (self._linear + 2.0 * phi * self._square) * precision
-        )
-        by_size = np.einsum("ij,cji->c", inverse, information)
-        gradient[p + 1 + c :] -= self.target.noise_gradient(
-            each, -by_size, 0.5 * by_phi, by_size / ((nu + 1.0) * (nu + 3.0))
-        )
-        return value - 0.5 * float(np.linalg.slogdet(whole)[1]), gradient
-
-
-def _products(left: Array, right: Array) -> Array:
-    """Return products of sensitivities, shape (m, channels, k), summed over times.
-
-    The result has one matrix for each channel, shape (channels, k, k).
-    """
-    return np.einsum("tci,tcj->cij", left, right, optimize=True)
+    def _rough_noise(self, u: Array) -> Array:
+        """Return the numbers of the noise that follow from the median size of the residuals."""
+        residuals = self.log.values - self.simulated(u)
+        e = residuals[1:] - CORRELATED * residuals[:-1]
+        away = np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)
+        scale = np.log((SD_PER_MAD * away / self._sizes + LEAST_NOISE) / NOISE_SHARE) / NOISE_SPREAD
+        correlation = np.full(len(scale), np.arctanh(CORRELATED) / CORRELATION_SPREAD)
+        return np.concatenate([scale, correlation, np.zeros(len(scale))])

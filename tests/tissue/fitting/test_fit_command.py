@@ -57,7 +57,7 @@ def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, comm
         spread = (each["p95"] - each["p05"]) / 3.29
         assert abs(each["p50"] - planted) < 4.0 * spread, each
     report = (tmp_path / "fit" / "report.html").read_text("utf-8")
-    assert "http" not in report.replace("http-equiv", "") and report.count("<img") == 3
+    assert "http" not in report.replace("http-equiv", "") and report.count("<img") == 2
     code, _, message = command(
         "fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit"
     )

@@ -47,7 +47,7 @@ def posterior():
     u = np.zeros(target.size)
     u[:2] = (0.3, -0.2)
     u[5] = np.arctanh(PHI / MOST_CORRELATED) / CORRELATION_SPREAD
-    root = 0.3 * rng.standard_normal((target.size, target.size))
+    root = 0.3 * rng.standard_normal((target.places, target.places))
     return Posterior(target, u, root @ root.T, converged=True)
 
 
@@ -96,7 +96,7 @@ def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
     """
     known = np.array([3.0, -4.0]) / 5.0
     free = np.array([4.0, 3.0]) / 5.0
-    covariance = np.eye(posterior.target.size)
+    covariance = np.eye(posterior.target.places)
     covariance[:2, :2] = 0.5 * np.outer(free, free) - 1e-16 * np.outer(known, known)
     matrix = left(dense(posterior, by_z(posterior, cut(3.0))))
     certain = Posterior(posterior.target, posterior.maximum, covariance, converged=False)

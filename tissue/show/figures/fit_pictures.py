@@ -28,7 +28,6 @@ __all__ = [
     "draw_constants",
     "draw_measured",
     "draw_presses",
-    "draw_residuals",
     "draw_sobol",
     "draw_table",
 ]
@@ -191,52 +190,6 @@ def draw_presses(
     axes.set(xlabel="depth / mm", ylabel="force / N", xlim=(0.0, None))
     legend_above(axes, 3)
     plain([axes])
-    save(chart, path)
-
-
-@styled
-def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
-    """Draw the distribution of the innovations, and autocorrelations of residuals and innovations.
-
-    An innovation is the noise that the noise model of the fit adds in one sample. The assumed
-    probability density is drawn over the distribution.
-
-    Parameters
-    ----------
-    innovations
-        Innovations divided by their scale, shape (n, channels); NaN where there is no measurement.
-    correlations
-        Autocorrelation of residuals and of innovations for each lag, averaged over channels, shape
-        (2, lags + 1).
-    freedom
-        Degrees of freedom of the assumed Student's t distribution.
-    path
-        File to write.
-    """
-    from scipy.stats import t
-
-    # inches: two panels side by side
-    chart, (spread, over) = panelled("residuals and noise model", (8.0, 3.4), 1, 2)
-    known = innovations[np.isfinite(innovations)]
-    # innovations beyond six scales are counted in the last bins
-    at = np.linspace(-6.0, 6.0, 121)
-    # five bins a scale
-    spread.hist(np.clip(known, -6.0, 6.0), bins=60, range=(-6.0, 6.0), density=True, color="0.8")
-    label = f"Student's t, {freedom:.3g} degrees of freedom"
-    spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=label)
-    spread.set(xlabel="noise added in a sample / its scale", ylabel="density")
-    # on a logarithmic axis, tails are visible down to one sample in thousands
-    spread.set(yscale="log", ylim=(1e-4, 1.0))
-    legend_above(spread, 1)
-    lags = np.arange(correlations.shape[1])
-    # 95 % of the autocorrelations of n samples of white noise lie within 1.96 / sqrt(n)
-    white = 1.96 / np.sqrt(max(len(innovations), 1))
-    over.axhspan(-white, white, color="0.9", label="95 % of white noise")
-    over.plot(lags, correlations[0], color=MEASURED, label="residual")
-    over.plot(lags, correlations[1], color=SIMULATED, label="after the noise model")
-    over.set(xlabel="lag / samples", ylabel="autocorrelation")
-    over.legend()
-    plain((spread, over))
     save(chart, path)
 
 
