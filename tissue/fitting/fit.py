@@ -1,10 +1,10 @@
-"""Constants of a scene from a measured force log."""
+"""Constants of a scene from a measured force log, or from a table of steady loads."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,128 +16,26 @@ from tissue.fitting.identifiability import Gain, Identified, expected_informatio
 from tissue.fitting.laws import LawMisfit, compared_laws, law_sentences
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem
-from tissue.fitting.organ_runs import KEYS
+from tissue.fitting.pictures import draw_log, draw_rows
 from tissue.fitting.posterior import Posterior, maximum_of, maximum_posterior
+from tissue.fitting.result import FAR, ConstantFit, Fitted, words_of
 from tissue.fitting.table import SteadyTable, TableTarget, table_forward
 from tissue.fitting.target import OFFSET_S
-from tissue.materials.constants import Prior
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 
-__all__ = ["ConstantFit", "Fitted", "SceneFit", "TableFit", "fit_scene", "fit_table"]
+__all__ = ["SceneFit", "TableFit", "fit_scene", "fit_table"]
 
 
 FITTED = "fit a scene of bone, a tooth or an organ under a probe"
-NUISANCES = ("density.", KEYS)
-"""Prefixes of the names of numbers that belong to the specimen of a log or to its scene.
+SHOWN = 5
+"""Largest number of combinations in the verdicts, and of logs to measure next in a report."""
+NATS = 0.1
+"""Information gain below which another log is not recommended [nats].
 
-Such numbers are not constants of a material.
+For a single constant, a gain of 0.1 nats narrows the interval by 10 %.
 """
-FAR = 3.0
-FAR_TIMES = 10.0
-"""Ratio of a value to the end of its cited range, above which the value contradicts its prior.
-
-This limit is needed in addition to `FAR`, because some priors have a heavy tail towards zero. `FAR`
-is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie beyond it.
-"""
-UNIT_TIMES = 100.0
-"""Ratio of a value to the end of its cited range that suggests a wrong unit.
-
-Units such as N and kN differ by factors of 1000.
-"""
-
-
-@dataclass(frozen=True)
-class ConstantFit:
-    """Constant before and after a fit.
-
-    Attributes
-    ----------
-    name
-        ``TABLE.MATERIAL.NAME``; or ``density.LAYER`` for the factor by which the density of a layer
-        is multiplied in this specimen.
-    prior
-        Cited median and range.
-    low, value, high
-        Quantiles at 5, 50 and 95 % after the fit, in the unit of the name.
-    z
-        The three quantiles `low`, `value` and `high`, and the two ends of the cited range, as
-        standard normal numbers of the prior, shape (5,).
-    contraction
-        Standard deviation of the constant after the fit, divided by the standard deviation before
-        the fit.
-    state
-        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``. A doubtful value lies far
-        outside its cited range, or was found with a clock offset that contradicts its prior.
-    """
-
-    name: str
-    prior: Prior
-    low: float
-    value: float
-    high: float
-    z: tuple[float, ...]
-    contraction: float
-    state: str
-
-    @property
-    def is_far(self) -> bool:
-        """True if the value lies far outside the cited range."""
-        is_outside = (
-            self.value > FAR_TIMES * self.prior.high > 0.0
-            or self.value < self.prior.low / FAR_TIMES
-        )
-        return abs(self.z[1]) > FAR or is_outside
-
-
-def _far_sentence(each: ConstantFit) -> str:
-    """Return a sentence on a constant far outside its cited range."""
-    side = "below" if each.z[1] < 0.0 else "above"
-    ratio = each.value / each.prior.high
-    if side == "below":
-        ratio = each.prior.low / max(each.value, 1e-300)
-    times = f"{ratio:.3g} times " if np.isfinite(ratio) and ratio >= FAR_TIMES else ""
-    cause = ""
-    if times and ratio >= UNIT_TIMES:
-        read = "kN" if side == "below" else "mN"
-        cause = f", as with forces in {read} that are read in N"
-    return (
-        f"{each.name} = {each.value:.3g} is {times}{side} its range of {each.prior.low:g} to "
-        f"{each.prior.high:g} ({abs(each.z[1]):.1f} standard deviations of the prior) and does not "
-        f"count as determined{cause}. Check the units and signs of the log, the scene and the tool"
-    )
-
-
-class Fitted:
-    """Result of a fit to any kind of measurement.
-
-    Attributes
-    ----------
-    source
-        Kind of the measurement, one word.
-    meaning
-        Explanation of the numbers in the file of constants that the fit writes.
-    """
-
-    source: ClassVar[str] = "log"
-    meaning: ClassVar[str] = (
-        "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal "
-        "numbers of each."
-    )
-    constants: tuple[ConstantFit, ...]
-
-    @property
-    def of_material(self) -> tuple[int, ...]:
-        """Indices of the constants that belong to a material, not to the specimen or the scene."""
-        return tuple(
-            at for at, each in enumerate(self.constants) if not each.name.startswith(NUISANCES)
-        )
-
-    @property
-    def scene_keys(self) -> dict[str, float]:
-        """Fitted values of scene keys, which are not constants of a material."""
-        return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,10 +44,6 @@ class SceneFit(Fitted):
 
     Attributes
     ----------
-    name
-        Name of the scene.
-    path
-        File of the measured log.
     posterior
         Posterior of the constants given the log.
     identified
@@ -158,10 +52,6 @@ class SceneFit(Fitted):
         Expected information gains of logs that could be measured next, the largest first.
     block_s
         Time over which samples were averaged [s].
-    notes
-        Findings and assumptions, in sentences.
-    fixed
-        Values of fixed constants on which the free constants depend, keyed by name.
     """
 
     name: str
@@ -206,7 +96,7 @@ class SceneFit(Fitted):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences about results that contradict the priors."""
+        """See `Fitted`."""
         found = []
         if abs(self.offset_sd) > FAR:
             found.append(
@@ -215,12 +105,37 @@ class SceneFit(Fitted):
                 f"{1e3 * OFFSET_S:g} ms that are expected. No constant counts as determined. "
                 "Check the times of poses and forces, and the place where the tool touches"
             )
-        found += [_far_sentence(each) for each in self.constants if each.is_far]
-        return tuple(found)
+        return (*found, *(each.doubt for each in self.constants if each.is_far))
+
+    @property
+    def verdicts(self) -> list[str]:
+        """See `Fitted`; also sentences on combinations, priors and the log to measure next."""
+        found = super().verdicts
+        for combined in self.identified.combinations[:SHOWN]:
+            # A constant whose prior has the median 0 has no weight over that median.
+            weights = {name: weight for name, weight in combined.weights.items() if weight != 0.0}
+            terms = [f"{weight:.2g} {words_of(name)[0]}" for name, weight in weights.items()]
+            found.append(
+                "known better together, each over the median of its prior: "
+                f"{' + '.join(terms).replace('+ -', '- ')} = {combined.value:.4g} "
+                f"({combined.low:.4g} to {combined.high:.4g})"
+            )
+        if at_prior := [words_of(name)[0] for name in self.identified.at_prior]:
+            found.append(
+                f"not narrowed by this {self.source}, left at the cited range: "
+                f"{', '.join(at_prior)}"
+            )
+        if self.gains and self.gains[0].nats > NATS:
+            best = self.gains[0]
+            found.append(
+                f"to measure next: {best.label}, which adds {best.nats:.2g} nats and brings the "
+                f"interval of {words_of(best.widest)[0]} to {best.shrinks_to:.0%} of that now"
+            )
+        return found
 
     @property
     def correlation(self) -> Array:
-        """Correlation matrix of the fitted constants that belong to a material."""
+        """See `Fitted`."""
         places = np.array(self.of_material, dtype=np.int64)
         covariance = self.posterior.covariance_z[np.ix_(places, places)]
         spread = np.sqrt(np.diag(covariance))
@@ -228,31 +143,90 @@ class SceneFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Entry of the results file: the time over which samples were averaged [s]."""
+        """Time over which samples were averaged [s]."""
         return {"block_s": self.block_s}
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences that summarise the fit for the user."""
+        """See `Fitted`."""
         each = self.posterior.nuisances
         low, high = self.posterior.offset_interval_s
         biases = []
         for name, value in zip(self.posterior.target.log.channels, each.bias.tolist(), strict=True):
             _, axis, unit = name.split("_")
             biases.append(f"{value:.3g} {unit.replace('Nm', 'N m')} along {axis}")
-        found = [
+        return (
             f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) "
             "after the poses",
             f"bias of the sensor: {', '.join(biases)}",
             *self.notes,
-        ]
-        return (*found, *self._warnings)
+            *self._warnings,
+        )
 
     @property
     def _warnings(self) -> tuple[str, ...]:
         if self.posterior.converged:
             return ()
         return ("the search did not reach a maximum: do not rely on the intervals",)
+
+    @property
+    def _findings(self) -> dict[str, Any]:
+        return {
+            "converged": self.posterior.converged,
+            "combinations": [
+                {
+                    "weights": each.weights,
+                    "p05": each.low,
+                    "p50": each.value,
+                    "p95": each.high,
+                    "contraction": each.contraction,
+                }
+                for each in self.identified.combinations
+            ],
+            "next": [asdict(each) for each in self.gains],
+        }
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """See `Fitted`."""
+        each = self.posterior.nuisances
+        low, high = self.posterior.offset_interval_s
+        return self._findings | {
+            "offset_s": [low, each.offset_s, high],
+            "channels": list(self.posterior.target.log.channels),
+            "bias": each.bias.tolist(),
+            "noise_scale": each.scale.tolist(),
+            "noise_correlation": each.correlation.tolist(),
+            "noise_freedom": each.freedom.tolist(),
+        }
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """See `Fitted`."""
+        log = self.posterior.target.log
+        simulated = self.posterior.simulated
+        found = {"time_s": log.times_s}
+        for at, name in enumerate(log.channels):
+            found[f"measured_{name}"] = log.values[:, at]
+            found[f"simulated_{name}"] = simulated[:, at]
+        return found
+
+    def draw(self, path: Path) -> None:
+        """See `Fitted`."""
+        draw_log(self.posterior.target.log, self.posterior.simulated, path)
+
+    @property
+    def tables(self) -> dict[str, list[dict[str, str]]]:
+        """See `Fitted`: logs that could be measured next."""
+        rows = [
+            {
+                "log of a second": each.label,
+                "expected information / nats": f"{each.nats:.2g}",
+                f"interval of {words_of(each.widest)[0]}, of that now": f"{each.shrinks_to:.0%}",
+            }
+            for each in self.gains[:SHOWN]
+        ]
+        return {"What to measure next": rows} if rows else {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,8 +237,6 @@ class TableFit(SceneFit):
     ----------
     table
         The table.
-    laws
-        Misfits of the cutting laws.
     """
 
     table: SteadyTable
@@ -274,8 +246,59 @@ class TableFit(SceneFit):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences that summarise the fit for the user, as for `SceneFit`."""
+        """See `Fitted`."""
         return (*law_sentences(self.laws), *self.notes, *self._warnings)
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """See `Fitted`."""
+        return self._findings | {"laws": [asdict(each) for each in self.laws]}
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """See `Fitted`."""
+        simulated = self.posterior.simulated * self.table.units
+        found = {"feed_mm_per_turn": 1e3 * self.table.feeds_per_turn_m}
+        for at, channel in enumerate(self.table.channels):
+            load = self.table.names[at].partition("_")[0] + "_" + channel.rpartition("_")[2]
+            found[f"measured_{load}"] = self.table.loads[:, at]
+            found[f"simulated_{load}"] = simulated[:, at]
+        return found
+
+    def draw(self, path: Path) -> None:
+        """See `Fitted`."""
+        scatter = self.table.scatter
+        loads = {}
+        for at, name in enumerate(self.table.channels):
+            what = "torque / N m" if name.endswith("Nm") else "thrust / N"
+            bars = None if scatter is None else scatter[:, at]
+            simulated = self.posterior.simulated[:, at] * self.table.units[:, at]
+            loads[what] = (self.table.loads[:, at], bars, simulated)
+        draw_rows("feed per turn / mm", 1e3 * self.table.feeds_per_turn_m, loads, path)
+
+    @property
+    def tables(self) -> dict[str, list[dict[str, str]]]:
+        """See `Fitted`: comparison of the cutting laws."""
+
+        def shown(value: float | None, form: str) -> str:
+            return "" if value is None else format(value, form)
+
+        rows = [
+            {
+                "law": each.name,
+                "constants": str(each.constants),
+                "chi-square (degrees of freedom)": (
+                    f"{shown(each.chi_square, '.3g')} ({each.freedom})"
+                ),
+                "p": shown(each.p, ".2g"),
+                "AIC": shown(each.aic, ".1f"),
+                "rows predicted from the others, off by": shown(each.left_out, ".1%"),
+                "chi-square with cited ranges as priors": shown(each.cited_chi_square, ".3g"),
+                "p with cited ranges": shown(each.cited_p, ".2g"),
+            }
+            for each in self.laws
+        ]
+        return {"Which law the table rejects": rows}
 
 
 def fit_table(

@@ -8,10 +8,10 @@ again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to
 error is the shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.stats import norm, t
@@ -20,9 +20,9 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.axisymmetric import FIRST
-from tissue.fitting.fit import ConstantFit, Fitted
 from tissue.fitting.log_files import LogColumns
 from tissue.fitting.organ_runs import organ_parameters
+from tissue.fitting.pictures import draw_rows
 from tissue.fitting.probe_laws import (
     SHAPES,
     LayerScene,
@@ -33,6 +33,7 @@ from tissue.fitting.probe_laws import (
     shape_keys,
 )
 from tissue.fitting.probe_table import ProbeTable, at_common_depths, read_presses
+from tissue.fitting.result import ConstantFit, Fitted
 from tissue.materials.constants import Prior
 from tissue.scene.scene import Scene
 
@@ -165,25 +166,41 @@ class ProbeFit(Fitted):
     misfit: float
     noise: Array
     notes: tuple[str, ...]
-    fixed: ClassVar[Mapping[str, float]] = {}
     source: ClassVar[str] = "table of presses"
     meaning: ClassVar[str] = (
         "value: best fit; range: 5 and 95 % of resampled presses and error of the mesh."
     )
 
-    @property
-    def correlation(self) -> Array:
-        """Identity matrix, because the correlation of the constants is not computed."""
-        return np.eye(len(self.of_material))
+    findings: ClassVar[tuple[str, ...]] = ("determined", "narrowed")
 
     @property
     def size(self) -> dict[str, float]:
-        """Entry of the results file: the number of measured presses."""
+        """Number of measured presses."""
         return {"presses": len(self.table.forces_N)}
 
     @property
+    def numbers(self) -> dict[str, Any]:
+        """See `Fitted`."""
+        halves = dict(zip(("p05", "p50", "p95"), self.noise.tolist(), strict=True))
+        found = {"law": self.law, "misfit": self.misfit, "bias_N": self.bias_N}
+        return found | {"half_difference": halves}
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """See `Fitted`."""
+        low, middle, high = np.quantile(self.table.forces_N, [0.05, 0.5, 0.95], axis=0)
+        measured = {"median_N": middle, "p05_N": low, "p95_N": high}
+        return {"depth_mm": 1e3 * self.table.depths_m} | measured | {"fitted_N": self.force_N}
+
+    def draw(self, path: Path) -> None:
+        """See `Fitted`. The bars are the range of the presses from 5 to 95 %."""
+        depths_mm, middle, low, high, fitted = self.columns.values()
+        bars = np.stack([middle - low, high - middle])
+        draw_rows("depth / mm", depths_mm, {"force / N": (middle, bars, fitted)}, path)
+
+    @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences about constants that the presses do not limit, and about a poor fit."""
+        """See `Fitted`: constants that the presses do not limit, and a poor fit."""
         found = self._misfits()
         for each in self.constants:
             key = each.name.rpartition(".")[2]
@@ -221,7 +238,7 @@ class ProbeFit(Fitted):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences that summarise the fit for the user."""
+        """See `Fitted`."""
         low, middle, high = (100.0 * self.noise).tolist()
         return (
             f"the fitted curve differs from the median of {len(self.table.forces_N)} presses by "

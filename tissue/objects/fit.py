@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
 from meshes.base.hints import suggests_arguments
-from tissue.fitting.fit import SceneFit, TableFit, fit_scene, fit_table
-from tissue.fitting.fit_files import verdicts, write_fit
+from tissue.fitting.fit import fit_scene, fit_table
+from tissue.fitting.fit_files import write_fit
 from tissue.fitting.laws import LawMisfit
 from tissue.fitting.log import log_of
 from tissue.fitting.log_files import read_columns
-from tissue.fitting.probe_fit import ProbeFit, fit_probes, presses_for
+from tissue.fitting.probe_fit import fit_probes, presses_for
 from tissue.fitting.probe_table import is_probe_table
+from tissue.fitting.result import Fitted
 from tissue.fitting.table import is_table, read_table
 from tissue.scene.scene import Scene
 from tissue.system.progress import Bar, reporting
@@ -34,7 +35,7 @@ class Fit:
         Complete result of the fit.
     """
 
-    def __init__(self, fitted: SceneFit | ProbeFit) -> None:
+    def __init__(self, fitted: Fitted) -> None:
         self.fitted = fitted
 
     @property
@@ -42,12 +43,12 @@ class Fit:
         """Sentences on the constants that the data determine, on the other constants, and on the
         next measurement.
         """
-        return verdicts(self.fitted)
+        return self.fitted.verdicts
 
     @property
     def laws(self) -> tuple[LawMisfit, ...]:
         """Misfits of the cutting laws to a table of steady loads; empty for a log."""
-        return self.fitted.laws if isinstance(self.fitted, TableFit) else ()
+        return self.fitted.laws
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.

@@ -12,7 +12,7 @@ import pytest
 from planted_logs import planted, slot
 
 from tissue.fitting.fit import SceneFit
-from tissue.fitting.fit_files import verdicts, write_fit
+from tissue.fitting.fit_files import write_fit
 from tissue.fitting.identifiability import identified
 from tissue.fitting.posterior import maximum_posterior
 
@@ -52,7 +52,7 @@ def states(fit):
 def test_a_log_that_agrees_with_its_priors_has_no_doubts(tmp_path):
     fit = fitted(tmp_path)
     assert fit.doubts == () and set(states(fit).values()) == {"determined"}
-    assert not any("doubtful" in each for each in verdicts(fit))
+    assert not any("doubtful" in each for each in fit.verdicts)
 
 
 @pytest.mark.slow
@@ -65,7 +65,7 @@ def test_constants_a_thousand_times_too_small_are_doubtful(tmp_path):
     write_fit(fit, tmp_path / "fit", overwrite=False)
     stated = [
         each
-        for each in verdicts(fit)
+        for each in fit.verdicts
         if each.startswith("doubtful: ") and "tangential_chip" in each
     ]
     assert len(stated) == 1 and "below its range of 50 to 300" in stated[0]
@@ -82,7 +82,7 @@ def test_clocks_that_contradict_their_prior_determine_nothing(tmp_path):
     fit = fitted(tmp_path, offset_s=0.15)
     assert fit.offset_sd == pytest.approx(7.5, abs=0.1)
     assert set(states(fit).values()) == {"doubtful"}
-    assert "150 ms after the poses, 7.5 standard deviations" in verdicts(fit)[0]
+    assert "150 ms after the poses, 7.5 standard deviations" in fit.verdicts[0]
 
 
 def test_a_fit_of_keys_of_the_scene_alone_is_saved(tmp_path):

@@ -45,7 +45,7 @@ from tissue.fitting.bands.sample_loads import (
 )
 from tissue.scene.anatomy import Tooth
 from tissue.scene.scene import Scene
-from tissue.show.figures.fit_pictures import draw_band, draw_sobol
+from tissue.show.figures.band_pictures import draw_band, draw_sobol
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_folder import Summary, added_to_run, read_summary
 from tissue.simulation.simulate import simulate

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from tissue.fitting.bands.sample import LEAST_EXPLAINED, normals, sobol_indices, surrogate_indices
-from tissue.show.figures.fit_pictures import _label
+from tissue.show.figures.band_pictures import _label
 
 SEPARATE = ((0,), (1,), (2,))
 
