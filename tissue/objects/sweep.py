@@ -1,6 +1,5 @@
 """Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
 
-import json
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
-from meshes.base.text_tables import read_json, read_toml
-from meshes.base.whole_file import whole_file
+from meshes.base.text_tables import read_toml
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
 from tissue.objects.html import figures_of, intervals_of, table_html
@@ -44,11 +42,6 @@ __all__ = ["Sweep", "SweptRun", "planned", "sweep"]
 
 FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 """Files of a sweep in addition to its runs."""
-RECORD = "scenes.json"
-"""File with the swept scenes that require a fidelity, keyed by run.
-
-`simulate` replaces such a scene by one with chosen settings, and saves only the latter.
-"""
 LONGEST_NAME = 24
 """Largest number of letters of a value in a folder name; a number replaces longer values."""
 MOST_RUNS = 10_000
@@ -336,9 +329,8 @@ def sweep(
         cores=cores,
         allow_unstable=allow_unstable,
     )
-    with OwnedFolder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
-        left = _unfinished(runs, out, band=band, overwrite=overwrite)
-        _record([each for each, _ in left], out)
+    with OwnedFolder(out, "sweep", (), shared=FILES), reporting(progress) as report:
+        left = _unfinished(runs, band=band, overwrite=overwrite)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
         runs = [replace(each, problem=problems.get(each.name, each.problem)) for each in runs]
         found = Sweep(list(runs[0].values), runs)
@@ -415,7 +407,7 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
 
 
 def _unfinished(
-    runs: list[SweptRun], out: Path, *, overwrite: bool, band: int | None = None
+    runs: list[SweptRun], *, overwrite: bool, band: int | None = None
 ) -> list[tuple[SweptRun, bool]]:
     """Return the remaining runs, each with a flag: whether it may replace a run of the same scene.
 
@@ -425,17 +417,11 @@ def _unfinished(
         If a folder holds a run of another scene.
     """
     left: list[tuple[SweptRun, bool]] = []
-    recorded = _recorded(out)
     for each in runs:
         if each.scene is None:
             continue
         begun = (each.path / "scene.toml").is_file()
-        # The folder holds the chosen settings, not the demand, which is in the record.
-        if each.scene.fidelity is None:
-            same = begun and _holds(each.path, each.scene)
-        else:
-            same = begun and recorded.get(each.name) == each.scene.to_toml()
-        if begun and not (same or overwrite):
+        if begun and not overwrite and not _holds(each.path, each.scene):
             raise InputError(
                 "out",
                 "hold runs of this scene",
@@ -450,35 +436,19 @@ def _unfinished(
 
 
 def _holds(path: Path, scene: Scene) -> bool:
-    """Return whether a run's folder holds this scene; versions and comments are ignored."""
+    """Return whether a run's folder holds this scene; versions and comments are ignored.
+
+    For a scene that requires a fidelity, the folder holds the scene with the chosen settings.
+    """
+    from tissue.evaluation.charts.frontier import with_fidelity
+
+    scene, _ = with_fidelity(scene)
     try:
         kept = read_toml((path / "scene.toml").read_text("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
     entries = {key: value for key, value in kept.items() if key not in ("format", "tissue")}
     return entries == tomllib.loads(scene.to_toml())
-
-
-def _record(runs: list[SweptRun], out: Path) -> None:
-    """Record the scenes of runs that require a fidelity, before the runs begin."""
-    demanding = {
-        each.name: each.scene.to_toml()
-        for each in runs
-        if each.scene is not None and each.scene.fidelity is not None
-    }
-    if demanding:
-        with whole_file(out / RECORD) as temporary:
-            scenes = _recorded(out) | demanding
-            temporary.write_text(json.dumps(scenes, indent=2) + "\n", "utf-8")
-
-
-def _recorded(out: Path) -> dict[str, str]:
-    """Return the recorded scenes by run; empty without a readable record."""
-    try:
-        held = read_json((out / RECORD).read_text("utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return held if isinstance(held, dict) else {}
 
 
 def _results(
