@@ -6,6 +6,7 @@ knows, and the JSON schema. They also read and write the site in a scene's file.
 
 import json
 import re
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
@@ -93,8 +94,8 @@ def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     ]
 
 
-_TABLE = re.compile(r"^\s*\[+[^\]]*\]+\s*(#.*)?$")
-_ANATOMY = re.compile(r"^\s*\[\s*anatomy\s*\]\s*(#.*)?$")
+_TABLE = re.compile(r"(?m)^[ \t]*\[+[^\]\n]*\]+[ \t]*(#.*)?\r?$")
+_ANATOMY = re.compile(r"(?m)^[ \t]*\[[ \t]*anatomy[ \t]*\][ \t]*(#[^\r\n]*)?")
 
 
 def anatomy_of(scene: Path) -> dict[str, object]:
@@ -131,7 +132,7 @@ def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) 
 def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) -> str:
     """Return the text of a scene with new ``anatomy.centre_mm`` and ``anatomy.normal``.
 
-    Comments and all other lines stay unchanged.
+    Comments within the two lists are removed. All other text stays unchanged.
 
     Raises
     ------
@@ -143,19 +144,27 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
         "centre_mm": [round(float(value), 3) + 0.0 for value in centre_mm],
         "normal": [round(float(value), 6) + 0.0 for value in normal],
     }
-    end = "\r\n" if "\r\n" in text else "\n"
-    lines = text.split(end)
-    first = next((number for number, line in enumerate(lines) if _ANATOMY.match(line)), None)
-    if first is None:
+    head = _ANATOMY.search(text)
+    if head is None:
         raise InputError(
             "scene", "have a line [anatomy]", "none", "write anatomy.centre_mm and normal by hand"
         )
+    following = _TABLE.search(text, head.end())
+    end = len(text) if following is None else following.start()
+    table = text[head.end() : end]
+    line_end = "\r\n" if "\r\n" in text else "\n"
     for key, value in values.items():
-        _put(lines, first + 1, key, f"{key} = {value}")
-    changed = end.join(lines)
+        table, count = re.subn(rf"(?m)^(\s*{key}\s*=\s*)\[[^\]]*\]", rf"\g<1>{value}", table)
+        if count == 0:
+            table = f"{line_end}{key} = {value}{table}"
+    changed = text[: head.end()] + table + text[end:]
     before = read_toml(text)
     before["anatomy"] |= values
-    if read_toml(changed) != before:
+    try:
+        is_same = read_toml(changed) == before
+    except tomllib.TOMLDecodeError:
+        is_same = False
+    if not is_same:
         raise InputError(
             "scene",
             "state anatomy.centre_mm and normal on lines of their own",
@@ -163,37 +172,6 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
             "write them by hand",
         )
     return changed
-
-
-def _put(lines: list[str], first: int, key: str, line: str) -> None:
-    """Replace a key's lines in the table from line ``first``, or add a line at its end.
-
-    A comment in the replaced lines is kept.
-    """
-    last = first
-    for number in range(first, len(lines)):
-        if _TABLE.match(lines[number]):
-            break
-        if re.match(rf"\s*{key}\s*=", lines[number]):
-            stop = number
-            while stop < len(lines) - 1 and not _closed(lines[number : stop + 1]):
-                stop += 1
-            comments = [
-                found[0]
-                for each in lines[number : stop + 1]
-                if (found := re.search(r"\s*#.*$", each))
-            ]
-            lines[number : stop + 1] = [line + "".join(comments)]
-            return
-        if lines[number].strip() and not lines[number].lstrip().startswith("#"):
-            last = number + 1
-    lines.insert(last, line)
-
-
-def _closed(lines: list[str]) -> bool:
-    """Return True if an array of numbers that begins in the first line ends in the last."""
-    plain = "".join(re.sub(r"#.*", "", line) for line in lines)
-    return plain.count("[") == plain.count("]")
 
 
 STATED = {
