@@ -1,13 +1,13 @@
 """Texts of scenes for editors and reports.
 
-The functions return the folders of the files of a scene, the names of parts that only this process
-knows, and the JSON schema. They also read and write the site in a scene's file.
+The functions return the folders of the files of a scene, and the JSON schema. They also read and
+write the site in a scene's file.
 """
 
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -17,18 +17,15 @@ from meshes.base.errors import InputError
 from meshes.base.text_tables import read_toml
 from meshes.base.whole_file import whole_file
 from tissue.scene.load import scene_table, scene_text
-from tissue.scene.plugins import OFFERED, ask_packages, offered_names
-from tissue.scene.registry import TABLES
+from tissue.scene.plugins import OFFERED, ask_packages
 from tissue.scene.scene import Scene
 
 __all__ = [
     "anatomy_of",
     "folders_of",
-    "registered_parts",
     "save_site",
     "scene_for_editors",
     "schema_text",
-    "unknown_parts",
     "with_site",
 ]
 
@@ -64,34 +61,6 @@ def _texts(value: Any) -> Iterator[str]:
     elif isinstance(value, list | tuple):
         for each in value:
             yield from _texts(each)
-
-
-def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
-    """Return kind and name of the parts of scenes that only the code of this process registered.
-
-    Built-in parts and parts of installed packages are left out.
-    """
-    offered = {name for names in offered_names().values() for name in names}
-    named = {text.partition(":")[0] for scene in scenes for text in _texts_of(scene)}
-    found = {
-        name: kind
-        for kind, tables in TABLES.items()
-        for table in tables
-        for name in table.known
-        if name in named and name not in table.built_in and name not in offered
-    }
-    return [(kind, name) for name, kind in found.items()]
-
-
-def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return those of the given parts (kind, name) that are unknown on this machine.
-
-    A part is known if it is built in, registered by this process or offered by an installed
-    package.
-    """
-    return [
-        (kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])
-    ]
 
 
 _TABLE = re.compile(r"(?m)^[ \t]*\[+[^\]\n]*\]+[ \t]*(#.*)?\r?$")

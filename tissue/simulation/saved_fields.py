@@ -85,8 +85,8 @@ def field_names(folder: Path) -> list[str]:
     return fields.names if len(fields.times_s) else []
 
 
-def require_whole(saved: SavedRun) -> None:
-    """Check that the bone and the frames of a run are not damaged.
+def require_whole(saved: SavedRun, *, surfaces: bool = False) -> None:
+    """Check that the bone and the frames of a run, and its surfaces if requested, are not damaged.
 
     The check is needed because a damaged file can make VTK end this process.
 
@@ -98,6 +98,10 @@ def require_whole(saved: SavedRun) -> None:
     wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
     if (saved.path / "fields.pvd").is_file():
         wanted |= {name: [] for *_, name in read_collection(saved.path / "fields.pvd")}
+    if surfaces:
+        carving = (saved.path / "carving").glob("*.vtp")
+        names = ("bone.vtp", *(f"carving/{path.name}" for path in carving))
+        wanted |= {name: ["layer"] for name in names}
     there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
     if there:
         parse_isolated(
