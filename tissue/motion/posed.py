@@ -9,9 +9,9 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import StaysAt, matrix_of
-from tissue.motion.quaternion import is_nearly_unit
+from tissue.motion.quaternion import OFF_UNIT
 
-__all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
+__all__ = ["PosedTool", "pose_in", "poses_in", "rotation_by", "rotation_vector"]
 
 FASTEST_M_S = 10.0
 """Largest accepted speed of a tool [m/s]; a larger speed is due to a pose in a wrong unit.
@@ -30,63 +30,79 @@ RESTS = 1e-9
 def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
     """Return the tip [m], shape (3,), and the rotation, shape (3, 3), of a pose.
 
+    See `poses_in` for the forms of a pose, and for `rotation`.
+    """
+    tips, rotations = poses_in("pose", np.asarray(pose, dtype=np.float64)[None], rotation)
+    return tips[0], rotations[0]
+
+
+def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array]:
+    """Return the tips [m], shape (n, 3), and the rotations, shape (n, 3, 3), of poses.
+
     Parameters
     ----------
-    pose
-        Tip [mm], shape (3,); tip and unit quaternion (x, y, z, w), shape (7,); or a matrix from the
-        tool frame to the tissue frame [mm], shape (4, 4). A quaternion whose length is within 1 %
-        of 1 is normalised.
+    name
+        Name of the argument in error messages.
+    poses
+        Tips [mm], shape (n, 3); tips and unit quaternions (x, y, z, w), shape (n, 7); or matrices
+        from the tool frame to the tissue frame [mm], shape (n, 4, 4). A quaternion whose length is
+        within 1 % of 1 is normalised.
     rotation
-        Rotation that is used if the pose is a position alone.
+        Rotation of all poses if they are positions alone, shape (3, 3).
 
     Raises
     ------
     InputError
-        If the pose has another shape, is not finite, or has an invalid rotation.
+        If the poses have another shape, are not finite, or have an invalid rotation.
     """
-    values = np.asarray(pose, dtype=np.float64)
-    if values.shape not in ((3,), (7,), (4, 4)):
+    try:
+        values = np.asarray(poses, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(name, "be numbers", type(poses).__name__, "give numbers in mm") from None
+    if values.shape[1:] not in ((3,), (7,), (4, 4)) or len(values) == 0:
+        is_one = name == "pose"
         raise InputError(
-            "pose",
-            "be a tip [mm] of shape (3,), tip and quaternion (7,) or a matrix (4, 4)",
-            f"shape {values.shape}",
-            "give one pose",
+            name,
+            "be a tip [mm] of shape (3,), tip and quaternion (7,) or a matrix (4, 4)"
+            if is_one
+            else "be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4)",
+            f"shape {values.shape[is_one:]}",
+            "use one of these forms",
         )
     if not np.isfinite(values).all():
-        raise InputError(
-            "pose", "be finite", values.tolist(), "stop the tool and give finite numbers"
-        )
-    if values.shape == (3,):
-        return 1e-3 * values, rotation
-    if values.shape == (7,):
-        length = float(np.linalg.norm(values[3:]))
-        x, y, z, w = values[3:].tolist()
+        raise InputError(name, "be finite", values[~np.isfinite(values)][0], "give finite numbers")
+    if values.shape[1:] == (3,):
+        return 1e-3 * values, np.broadcast_to(rotation, (len(values), 3, 3))
+    if values.shape[1:] == (7,):
+        lengths = np.linalg.norm(values[:, 3:], axis=1)
         # The network protocol has the same limit. Rounding of the length is removed below.
-        if not is_nearly_unit((x, y, z, w)):
+        is_off = np.abs(lengths**2 - 1.0) > OFF_UNIT
+        if is_off.any():
             raise InputError(
-                "pose",
-                "hold a quaternion (x, y, z, w) of length 1, within 1 %",
-                f"a quaternion of length {length:.4g}",
+                name,
+                "hold unit quaternions (x, y, z, w), of length 1 within 1 %",
+                f"a quaternion of length {lengths[is_off][0]:.4g}",
                 "divide the quaternion by its length",
             )
-        return 1e-3 * values[:3], matrix_of(values[3:] / length)
-    if (values[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        quaternions = values[:, 3:] / lengths[:, None]
+        return 1e-3 * values[:, :3], np.array([matrix_of(each) for each in quaternions])
+    if (values[:, 3] != (0.0, 0.0, 0.0, 1.0)).any():
         raise InputError(
-            "pose",
-            "have 0, 0, 0, 1 in the last row of its matrix",
-            values[3].tolist(),
+            name,
+            "have 0, 0, 0, 1 in the last row of each matrix",
+            "other numbers",
             "transpose a matrix whose last row is the tip",
         )
-    turn = values[:3, :3]
-    error = float(np.abs(turn @ turn.T - np.eye(3)).max())
-    if error > OFF_ROTATION or np.linalg.det(turn) < 0.0:
+    turns = values[:, :3, :3]
+    error = float(np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max())
+    if error > OFF_ROTATION or (np.linalg.det(turns) < 0.0).any():
         raise InputError(
-            "pose",
-            "hold a rotation without scale or mirroring",
+            name,
+            "hold rotations without scale or mirroring",
             f"a matrix with an error of {error:.2g}",
             "normalise the rotation",
         )
-    return 1e-3 * values[:3, 3], turn
+    return 1e-3 * values[:, :3, 3], turns
 
 
 def rotation_vector(rotation: Array) -> Array:

@@ -21,6 +21,7 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.keep_clear import KeepClear, Structure
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import LONGEST_S, frame_along
+from tissue.motion.posed import poses_in
 from tissue.motion.replay import GivenPoses
 from tissue.objects.cut import Cut
 from tissue.scene.scene import Output
@@ -132,7 +133,14 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
     InputError
         If the points or the feed cannot be used, or the path takes longer than an hour.
     """
-    corners = _rows("points_mm", points_mm, (3,))
+    corners = np.asarray(points_mm, dtype=np.float64)
+    if corners.ndim != 2 or corners.shape[1] != 3 or not np.isfinite(corners).all():
+        raise InputError(
+            "points_mm",
+            "be finite numbers of shape (k, 3)",
+            f"an array of shape {corners.shape}",
+            "give x, y, z of each corner",
+        )
     feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
     if not np.diff(corners, axis=0).any():
         raise InputError(
@@ -161,54 +169,25 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     Parameters
     ----------
     poses
-        Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices, shape
-        (n, 4, 4).
+        As for `tissue.motion.posed.poses_in`.
     axis
         Direction from tip to shank for poses without an orientation; default z.
 
     Raises
     ------
     InputError
-        If the poses have a wrong shape, are not finite, or contain an invalid rotation.
+        If the poses cannot be used, or have an orientation and an axis is given.
     """
-    shape = np.shape(poses)
-    if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
-        raise InputError(
-            "poses",
-            "be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4)",
-            f"shape {shape}",
-            "give one row for each pose",
-        )
-    rows = _rows("poses", poses, shape[1:])
-    if axis is not None and shape[1:] != (3,):
+    along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
+    tips, turns = poses_in("poses", poses, frame_along(along))
+    if axis is not None and np.shape(poses)[1:] != (3,):
         raise InputError(
             "axis",
             "be left out for poses with rotations",
             "an axis for such poses",
             "leave axis out",
         )
-    if shape[1:] == (3,):
-        turn = frame_along(require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis))
-        return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
-    if shape[1:] == (7,):
-        # A quaternion of any other length is normalised. One that consists of rounding errors has
-        # no orientation.
-        if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
-            raise InputError(
-                "poses", "hold unit quaternions", "a zero quaternion", "use 0, 0, 0, 1 there"
-            )
-        return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
-    turns = rows[:, :3, :3]
-    error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
-    # 1e-4 allows for matrices in single precision or with five digits.
-    if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
-        raise InputError(
-            "poses",
-            "hold rotations without scale or mirroring",
-            f"matrices with an error of {error:.2g}",
-            "normalise the rotations",
-        )
-    return 1e-3 * rows[:, :3, 3], Rotation.from_matrix(turns)
+    return tips, Rotation.from_matrix(turns)
 
 
 def times_of(times_s: ArrayLike, count: int) -> Array:
@@ -230,22 +209,6 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
             "compute poses and times by feed_along",
         )
     return times
-
-
-def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return values as an array of finite numbers; refuse rows that do not have the given shape."""
-    try:
-        rows = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(
-            name, "be numbers", type(values).__name__, "give an array in millimetres"
-        ) from None
-    if rows.shape[1:] != shape or len(rows) == 0 or not np.isfinite(rows).all():
-        wanted = f"be finite numbers of shape (n, {', '.join(map(str, shape))})"
-        raise InputError(
-            name, wanted, f"an array of {rows.shape}", "give finite numbers, one row for each entry"
-        )
-    return rows
 
 
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]

@@ -4,7 +4,6 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice, product
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
-from meshes.base.text_tables import read_json, read_toml
-from meshes.base.whole_file import whole_file
+from meshes.base.text_tables import read_toml
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
 from tissue.objects.html import figures_of, intervals_of, table_html
@@ -29,13 +27,12 @@ from tissue.objects.simulate import simulate
 from tissue.objects.trace import needed
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
-from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.show.figures.figure import save
-from tissue.simulation.builders.arguments import require_files
+from tissue.simulation.builders.arguments import require_files, stated
 from tissue.simulation.run_folder import PICTURE_FORMATS, read_summary, summary_of
 from tissue.system.owned_folder import OwnedFolder
 from tissue.system.progress import Bar, reporting
-from tissue.system.workers import first_done, worker_pool
+from tissue.system.workers import finished
 
 if TYPE_CHECKING:
     import pandas
@@ -44,16 +41,10 @@ __all__ = ["Sweep", "SweptRun", "planned", "sweep"]
 
 FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 """Files of a sweep in addition to its runs."""
-RECORD = "scenes.json"
-"""File with the swept scenes that require a fidelity, keyed by run.
-
-`simulate` replaces such a scene by one with chosen settings, and saves only the latter.
-"""
 LONGEST_NAME = 24
 """Largest number of letters of a value in a folder name; a number replaces longer values."""
 MOST_RUNS = 10_000
 """Largest number of runs of a sweep. At 1 s for each run, the sweep takes three hours."""
-LOST = "the process of this run was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; ``sweep.csv`` has all figures."""
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
@@ -313,7 +304,6 @@ def sweep(
     InputError
         If a value makes an invalid scene in every combination, a file is missing, the folder holds
         runs of other scenes under the same names, or a format or the number of samples is invalid.
-        It is also raised if the scene uses a registered part that other processes do not have.
     """
     out = Path(out)
     formats = tuple(formats)
@@ -336,9 +326,8 @@ def sweep(
         cores=cores,
         allow_unstable=allow_unstable,
     )
-    with OwnedFolder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
-        left = _unfinished(runs, out, band=band, overwrite=overwrite)
-        _record([each for each, _ in left], out)
+    with OwnedFolder(out, "sweep", (), shared=FILES), reporting(progress) as report:
+        left = _unfinished(runs, band=band, overwrite=overwrite)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
         runs = [replace(each, problem=problems.get(each.name, each.problem)) for each in runs]
         found = Sweep(list(runs[0].values), runs)
@@ -415,7 +404,7 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
 
 
 def _unfinished(
-    runs: list[SweptRun], out: Path, *, overwrite: bool, band: int | None = None
+    runs: list[SweptRun], *, overwrite: bool, band: int | None = None
 ) -> list[tuple[SweptRun, bool]]:
     """Return the remaining runs, each with a flag: whether it may replace a run of the same scene.
 
@@ -425,17 +414,11 @@ def _unfinished(
         If a folder holds a run of another scene.
     """
     left: list[tuple[SweptRun, bool]] = []
-    recorded = _recorded(out)
     for each in runs:
         if each.scene is None:
             continue
         begun = (each.path / "scene.toml").is_file()
-        # The folder holds the chosen settings, not the demand, which is in the record.
-        if each.scene.fidelity is None:
-            same = begun and _holds(each.path, each.scene)
-        else:
-            same = begun and recorded.get(each.name) == each.scene.to_toml()
-        if begun and not (same or overwrite):
+        if begun and not overwrite and not _holds(each.path, each.scene):
             raise InputError(
                 "out",
                 "hold runs of this scene",
@@ -450,7 +433,13 @@ def _unfinished(
 
 
 def _holds(path: Path, scene: Scene) -> bool:
-    """Return whether a run's folder holds this scene; versions and comments are ignored."""
+    """Return whether a run's folder holds this scene; versions and comments are ignored.
+
+    For a scene that requires a fidelity, the folder holds the scene with the chosen settings.
+    """
+    from tissue.evaluation.charts.frontier import with_fidelity
+
+    scene, _ = with_fidelity(scene)
     try:
         kept = read_toml((path / "scene.toml").read_text("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError):
@@ -459,59 +448,29 @@ def _holds(path: Path, scene: Scene) -> bool:
     return entries == tomllib.loads(scene.to_toml())
 
 
-def _record(runs: list[SweptRun], out: Path) -> None:
-    """Record the scenes of runs that require a fidelity, before the runs begin."""
-    demanding = {
-        each.name: each.scene.to_toml()
-        for each in runs
-        if each.scene is not None and each.scene.fidelity is not None
-    }
-    if demanding:
-        with whole_file(out / RECORD) as temporary:
-            scenes = _recorded(out) | demanding
-            temporary.write_text(json.dumps(scenes, indent=2) + "\n", "utf-8")
-
-
-def _recorded(out: Path) -> dict[str, str]:
-    """Return the recorded scenes by run; empty without a readable record."""
-    try:
-        held = read_json((out / RECORD).read_text("utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return held if isinstance(held, dict) else {}
-
-
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
     """Run the remaining runs; yield the name and the problem (or an empty text) of each one."""
     total = len(left)
+    jobs = [
+        (each.path, each.scene.model_dump_json(exclude_unset=True), replaces)
+        for each, replaces in left
+        if each.scene is not None
+    ]
     if workers <= 1:
-        for number, (each, replaces) in enumerate(left):
-            yield each.name, run(each, replaces, partial(_share, report, each.name, number, total))
+        for number, job in enumerate(jobs):
+            share = partial(_share, report, job[0].name, number, total)
+            yield job[0].name, run(job, progress=share)
         return
-    with worker_pool(workers) as pool:
-        registered = registered_parts(each.scene for each, _ in left if each.scene is not None)
-        if registered and (missing := pool.submit(unknown_parts, registered).result()):
-            named = " and the ".join(map(" ".join, missing))
-            raise InputError(
-                "workers",
-                "be 1 for parts that are registered only in this process",
-                f"{workers} with the {named}",
-                (
-                    'register them above if __name__ == "__main__" in the script, or in an '
-                    "installed package"
-                ),
-            )
-        waiting = {pool.submit(run, each, replaces, False): each.name for each, replaces in left}
-        while waiting:
-            done = 1.0 - len(waiting) / total
-            report(f"{total - len(waiting)} of {total} runs are done", done)
-            for future in first_done(pool, waiting, partial(_same_share, report, done)):
-                error = future.exception()
-                if error is not None and not isinstance(error, BrokenExecutor):
-                    raise error
-                yield waiting.pop(future), LOST if error is not None else future.result()
+    done = 0
+    same = partial(_same_share, report)
+    report(f"0 of {total} runs are done", 0.0)
+    for batch in finished(run, jobs, workers=workers, scheduler=None, report=same):
+        for (path, *_), problem in batch:
+            yield path.name, str(problem)
+        done += len(batch)
+        report(f"{done} of {total} runs are done", done / total)
 
 
 def _share(report: Progress, name: str, number: int, total: int, doing: str, share: float) -> None:
@@ -519,27 +478,31 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
     report(f"run {number + 1} of {total}, {name}: {doing}", (number + share) / total)
 
 
-def _same_share(report: Progress, done: float, doing: str, share: float) -> None:
-    """Report a message without a change of the completed share."""
-    report(doing, done)
+def _same_share(report: Progress, doing: str, share: float = 1.0) -> None:
+    """Report a message with the completed share 1, at which a progress bar stays."""
+    report(doing, 1.0)
 
 
 def _run(
-    each: SweptRun,
-    replaces: bool,
-    progress: Bar,
+    job: tuple[Path, str, bool],
+    progress: Bar = False,
     *,
     pictures: bool | str,
     band: int | None,
     **settings: Any,
 ) -> str:
-    """Simulate and save one run; return its problem, or an empty text."""
-    assert each.scene is not None
+    """Simulate and save one run; return its problem, or an empty text.
+
+    `job` contains the folder of the run, its scene as JSON, and whether the run may replace an
+    earlier run in the folder.
+    """
+    path, scene, replaces = job
     # The stages of a band count from zero again, which would move the bar back.
-    sampling = partial(_same_share, progress, 1.0) if callable(progress) else progress
+    sampling = partial(_same_share, progress) if callable(progress) else progress
     try:
-        run = simulate(each.scene, out=each.path, overwrite=replaces, progress=progress, **settings)
-        run.save(each.path, pictures=pictures)
+        read = stated(Scene, json.loads(scene))
+        run = simulate(read, out=path, overwrite=replaces, progress=progress, **settings)
+        run.save(path, pictures=pictures)
         if band is not None:
             there = {"compute": settings["compute"], "cores": settings["cores"]}
             run.band(band, pictures=pictures, progress=sampling, **there)

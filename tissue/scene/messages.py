@@ -1,7 +1,8 @@
 """Error messages for a scene: key, requirement, value and remedy."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
@@ -26,12 +27,83 @@ Table = Mapping[str, object]
 Key = tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Place of a key in a scene.
+
+    Attributes
+    ----------
+    names
+        Names of the outer tables and of the key.
+    table
+        Given table that contains the key.
+    model
+        Chosen class of this table.
+    kinds
+        All classes that this table may have.
+    field
+        Field of the key; None for a key that the class does not have.
+    is_inside
+        True for a fault inside the value of the key, such as an entry of a list.
+    """
+
+    names: Key
+    table: Table
+    model: type[BaseModel]
+    kinds: Sequence[type[BaseModel]]
+    field: FieldInfo | None
+    is_inside: bool = False
+
+    @classmethod
+    def of(cls, location: Sequence[int | str], table: Table, model: type[BaseModel]) -> "_Place":
+        """Return the place of a dotted key, or of a fault that pydantic found.
+
+        The location of a fault also names the classes of tables, and types of values.
+        """
+        names: Key = ()
+        kinds: Sequence[type[BaseModel]] = (model,)
+        field = None
+        steps = list(location)
+        while steps:
+            names += (str(steps.pop(0)),)
+            field = model.model_fields.get(names[-1])
+            below = [] if field is None else _parts(field)
+            if steps and steps[0] in [part.__name__ for part in below]:
+                del steps[0]
+            if field is None or not below:
+                break
+            if steps:
+                table = _inner(table, names[-1])
+                kinds = below
+                model = _chosen(field, table)
+        values = None if field is None else _values(field)
+        if values is not None and steps:
+            table = _inner(table, names[-1])
+            names += (str(steps.pop(0)),)
+            field = values
+        is_inside = bool(steps) and isinstance(steps[0], int)
+        return cls(names, table, model, kinds, field, is_inside)
+
+    @property
+    def key(self) -> str:
+        """Dotted key."""
+        return ".".join(map(shown, self.names))
+
+    @property
+    def value(self) -> object:
+        """Given value; None for a missing key."""
+        return self.table.get(self.names[-1])
+
+    @property
+    def holders(self) -> list[type[BaseModel]]:
+        """Classes of the table that have the key, in the order of the union."""
+        return [part for part in self.kinds if self.names[-1] in part.model_fields]
+
+
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
     """Return the error, with a message for users, for a fault that pydantic found in a table."""
-    path = _without_tags(fault["loc"], table, model)
-    numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
-    names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
-    key = ".".join(map(shown, names))
+    place = _Place.of(fault["loc"], table, model)
+    key = place.key
     kind = str(fault["type"])
     context = fault.get("ctx", {})
     if isinstance(error := context.get("error"), InputError):
@@ -41,31 +113,32 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if kind == "value_error":  # raised by the validator of a registered part
         return InputError(str(error))
     if kind == "idle_keys":
-        return _idle_error(names, context["refused"])
+        return _idle_error(place.names, context["refused"])
     if kind == "extra_forbidden":
-        return _unknown_key(names, table, model)
-    if names == ("device", "kind") and kind == "missing":
-        given = [f"{name} = {shown(value)}" for name, value in entries(_inner(table, "device"))]
+        return _unknown_key(place, table, model)
+    if place.names == ("device", "kind") and kind == "missing":
+        given = [f"{name} = {shown(value)}" for name, value in entries(place.table)]
         return InputError(
             f"device must be given for {', '.join(given) or 'a table [device]'}. Set "
             "device = touch, or remove the table [device]"
         )
-    field = _field_at(names, table, model)
-    if kind == "missing" and len(path) == len(names):
-        return InputError(key, "be given", "nothing", _addition(names, field))
+    field = place.field
+    assert field is not None
+    if kind == "missing" and not place.is_inside:
+        return InputError(key, "be given", "nothing", _addition(place.names, field))
     if kind == "union_tag_not_found":
         return InputError(f"{key}.kind", "be given", "nothing", SEE)
-    if kind == "union_tag_invalid" and isinstance(_value_at(names, table), Mapping):
+    if kind == "union_tag_invalid" and isinstance(place.value, Mapping):
         choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
-        return unknown_name(f"{key}.kind", choices, _value_at((*names, "kind"), table))
+        return unknown_name(f"{key}.kind", choices, place.value.get("kind"))
     # The fault of one entry of a list: the user sees the whole list.
-    got = fault["input"] if len(path) == len(names) else _value_at(names, table)
+    got = place.value if place.is_inside else fault["input"]
     choices = choices_of(field)
     # A key that takes a number or a name, such as auto, states both.
     is_number = _alternatives(field.annotation)[0] in (int, float)
     if choices and not is_number:
         return unknown_name(key, choices, got)
-    wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
+    wanted = " or ".join((_requirement(field, kind, place.is_inside), *choices))
     remedy = _corrected(key, got, kind, is_number=is_number) or _remedy(field)
     if is_number and got in NOTHING and not field.is_required():
         remedy += (
@@ -97,22 +170,22 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
     return InputError(" and ".join(given), wanted, got, f"{first.remedy}, or {remove}")
 
 
-def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> InputError:
+def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputError:
     """Return the error for a key that the chosen table does not have.
 
     The error suggests keys of the same meaning. These keys belong to this table, to another kind of
     this table, or to another table.
     """
-    if _holders(names, table, model):
-        return _of_another_kind(names, names, table, model)
+    names = place.names
+    if place.holders:
+        return _of_another_kind(place, place, table)
     keys = dict(_keys(table, model, present=names[:-1]))
     meant = _meant(names, keys)
     if meant and not keys.get(meant[0], True):
-        return _of_another_kind(names, meant[0], table, model)
-    known = list(_model_at(names[:-1], table, model).model_fields)
-    if isinstance(_value_at(names, table), Mapping):
+        return _of_another_kind(place, _Place.of(meant[0], table, model), table)
+    known = list(place.model.model_fields)
+    if isinstance(place.value, Mapping):
         meant = [(*names[:-1], name) for name in closest(names[-1], known)]
-    key = ".".join(map(shown, names))
     if meant and meant[0][:-1] != names[:-1]:
         wanted = "be a key of this scene"
         suggested = did_you_mean([".".join(full) for full in meant])
@@ -120,7 +193,7 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
         wanted = f"be one of {', '.join(known)}"
         suggested = did_you_mean([full[-1] for full in meant])
     remedy = _of_density(names, table) or "rename or remove it"
-    return InputError(key, wanted, f"{shown(names[-1])}{suggested}", remedy)
+    return InputError(place.key, wanted, f"{shown(names[-1])}{suggested}", remedy)
 
 
 def _of_density(names: Key, table: Table) -> str:
@@ -174,31 +247,30 @@ def _keys(
         if not parts:
             yield full, True
             continue
-        chosen = _model_at((name,), table, model)
-        yield from _keys(_inner(table, name), chosen, full, present=present)
+        inner = _inner(table, name)
+        chosen = _chosen(field, inner)
+        yield from _keys(inner, chosen, full, present=present)
         for part in parts:
             if full == present or hasattr(part, "drive"):
                 new = part.model_fields.keys() - chosen.model_fields.keys()
                 yield from (((*full, key), False) for key in part.model_fields if key in new)
 
 
-def _of_another_kind(
-    names: tuple[str, ...], meant: tuple[str, ...], table: Table, model: type[BaseModel]
-) -> InputError:
+def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
     """Return the error for a key that only other kinds of its table have.
 
     Parameters
     ----------
-    names
+    given
         Key that the user wrote.
     meant
         Key that the user probably meant.
-    table, model
-        The table of the scene, and its class.
+    table
+        The table of the scene.
     """
-    part = ".".join(meant[:-1])
-    others = _holders(meant, table, model)
-    chosen = _model_at(meant[:-1], table, model)
+    part = ".".join(meant.names[:-1])
+    others = meant.holders
+    chosen = meant.model
     kind = kinds_of(chosen)[0]
     where = f"a {kind}"
     remedy = f"set {part}.kind = {kinds_of(others[0])[0]}"
@@ -207,7 +279,7 @@ def _of_another_kind(
         if usable:
             remedy = f"set anatomy.kind = {kinds_of(usable[0])[0]}"
         elif _tool_of(chosen) not in (Tool, Probe):
-            return _of_another_tool(names, table, chosen)
+            return _of_another_tool(given, table, chosen)
         if issubclass(chosen, Tooth):
             # A user who wants a tooth wants no other anatomy.
             remedy = ""
@@ -219,23 +291,23 @@ def _of_another_kind(
         where = f"a {kind} {_source(chosen)}"
         is_plain = "procedural" in sources
         remedy = "leave its file out" if is_plain else f"use one {' or '.join(sources)}"
-    elif meant[-1] == getattr(others[0], "drive", "") and hasattr(chosen, "drive"):
+    elif meant.names[-1] == getattr(others[0], "drive", "") and hasattr(chosen, "drive"):
         remedy = f"set {part}.{chosen.drive}, which drives this scene, or {remedy}"
-    got = shown(_value_at(names, table))
-    if names != meant:
-        got += did_you_mean([".".join(meant)])
-    key = ".".join(map(shown, names))
-    remedy = _of_density(names, table) or (f"{remedy}, or remove it" if remedy else "remove it")
-    return InputError(key, f"be left out for {where}", got, remedy)
+    got = shown(given.value)
+    if given != meant:
+        got += did_you_mean([meant.key])
+    remedy = _of_density(given.names, table) or (
+        f"{remedy}, or remove it" if remedy else "remove it"
+    )
+    return InputError(given.key, f"be left out for {where}", got, remedy)
 
 
-def _of_another_tool(names: Key, table: Table, chosen: type[BaseModel]) -> InputError:
+def _of_another_tool(place: _Place, table: Table, chosen: type[BaseModel]) -> InputError:
     """Return the error for a key of tissues that the tool of the scene cannot enter.
 
     `chosen` is the anatomy of the scene, for example the layers for a needle. If the tool of the
     scene does not fit this anatomy, the error names the first anatomy for this tool.
     """
-    key = ".".join(map(shown, names))
     tool = kinds_of(_tool_of(chosen))[0]
     anatomy = kinds_of(chosen)[0]
     written = _inner(table, "tool").get("kind")
@@ -246,10 +318,10 @@ def _of_another_tool(names: Key, table: Table, chosen: type[BaseModel]) -> Input
                 anatomy = kind
                 break
     return InputError(
-        key,
+        place.key,
         f"be left out for a {tool}",
-        shown(_value_at(names, table)),
-        f"a {tool} needs anatomy.kind = {anatomy}. Remove {key}, or press a shaped "
+        shown(place.value),
+        f"a {tool} needs anatomy.kind = {anatomy}. Remove {place.key}, or press a shaped "
         "organ with a probe: anatomy.kind = liver and tool.kind = sphere-probe",
     )
 
@@ -266,24 +338,12 @@ def _source(part: type[BaseModel]) -> str:
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
     """Return the dotted keys that a pydantic fault reports as keys without effect in the scene."""
-    names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
+    place = _Place.of(fault["loc"], table, Scene)
     if fault["type"] == "idle_keys":
-        return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
-    if fault["type"] == "extra_forbidden" and _holders(names, table, Scene):
-        return [".".join(names)]
+        return [".".join((*place.names, key)) for key in fault["ctx"]["refused"]]
+    if fault["type"] == "extra_forbidden" and place.holders:
+        return [".".join(place.names)]
     return []
-
-
-def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Return those tables of a union that contain a given key, in the order of the union."""
-    if len(names) < 2:
-        return []
-    outer = _model_at(names[:-2], table, model)
-    if names[-2] not in outer.model_fields:
-        return []
-    return [
-        part for part in _parts(outer.model_fields[names[-2]]) if names[-1] in part.model_fields
-    ]
 
 
 def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
@@ -407,30 +467,16 @@ def _toml(value: object) -> str:
     return f'"{value}"' if isinstance(value, str) else shown(value)
 
 
-def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:
-    """Return the field of the last key, in a scene or in a table of values of the scene."""
-    if len(names) > 2:
-        values = _values(_model_at(names[:-2], table, model).model_fields[names[-2]])
-        if values is not None:
-            return values
-    return _model_at(names[:-1], table, model).model_fields[names[-1]]
-
-
 def _values(field: FieldInfo) -> FieldInfo | None:
     """Return the field for the values of a mapping; None for a field that is not a mapping."""
     part = _alternatives(field.annotation)[0]
     return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
 
-def _model_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> type[BaseModel]:
-    """Return the model that contains the keys under ``names``."""
-    for name in names:
-        field = model.model_fields[name]
-        table = _inner(table, name)
-        mark = _by_kind(field)
-        chosen = mark.chosen(table) if mark is not None else None
-        model = chosen or _parts(field)[0]
-    return model
+def _chosen(field: FieldInfo, table: Table) -> type[BaseModel]:
+    """Return the class of a given table; for an unknown kind, the first class of the field."""
+    mark = _by_kind(field)
+    return (mark and mark.chosen(table)) or _parts(field)[0]
 
 
 def _by_kind(field: FieldInfo) -> ByKind | None:
@@ -472,39 +518,3 @@ def _limits(annotation: object) -> list[object]:
 def _inner(table: Table, name: str) -> Table:
     inner = table.get(name, {})
     return inner if isinstance(inner, Mapping) else {}
-
-
-def _value_at(names: tuple[str, ...], table: Table) -> object:
-    for name in names[:-1]:
-        table = _inner(table, name)
-    return table.get(names[-1])
-
-
-def _without_tags(
-    location: tuple[int | str, ...], table: Table, model: type[BaseModel]
-) -> list[int | str]:
-    """Return the location of a fault without the steps that pydantic adds.
-
-    Such a step is the class of a part. For a value that may have several types, it is a type that
-    the value does not have.
-    """
-    path = list(location)
-    inner: type[BaseModel] | None = model
-    place = 0
-    while inner is not None and place < len(path) and isinstance(path[place], str):
-        field = inner.model_fields.get(str(path[place]))
-        if field is None:
-            break
-        place += 1
-        parts = _parts(field)
-        if not parts:
-            is_number = place < len(path) and isinstance(path[place], int)
-            return path if is_number else path[: place + (_values(field) is not None)]
-        tag = path[place] if place < len(path) else None
-        if _by_kind(field) is not None:
-            inner = next((part for part in parts if part.__name__ == tag), None)
-            if inner is not None:
-                del path[place]
-        else:
-            inner = parts[0]
-    return path

@@ -1,12 +1,13 @@
 """Texts of scenes for editors and reports.
 
-The functions return the folders of the files of a scene, the names of parts that only this process
-knows, and the JSON schema. They also read and write the site in a scene's file.
+The functions return the folders of the files of a scene, and the JSON schema. They also read and
+write the site in a scene's file.
 """
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -16,18 +17,15 @@ from meshes.base.errors import InputError
 from meshes.base.text_tables import read_toml
 from meshes.base.whole_file import whole_file
 from tissue.scene.load import scene_table, scene_text
-from tissue.scene.plugins import OFFERED, ask_packages, offered_names
-from tissue.scene.registry import TABLES
+from tissue.scene.plugins import OFFERED, ask_packages
 from tissue.scene.scene import Scene
 
 __all__ = [
     "anatomy_of",
     "folders_of",
-    "registered_parts",
     "save_site",
     "scene_for_editors",
     "schema_text",
-    "unknown_parts",
     "with_site",
 ]
 
@@ -65,36 +63,8 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(each)
 
 
-def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
-    """Return kind and name of the parts of scenes that only the code of this process registered.
-
-    Built-in parts and parts of installed packages are left out.
-    """
-    offered = {name for names in offered_names().values() for name in names}
-    named = {text.partition(":")[0] for scene in scenes for text in _texts_of(scene)}
-    found = {
-        name: kind
-        for kind, tables in TABLES.items()
-        for table in tables
-        for name in table.known
-        if name in named and name not in table.built_in and name not in offered
-    }
-    return [(kind, name) for name, kind in found.items()]
-
-
-def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return those of the given parts (kind, name) that are unknown on this machine.
-
-    A part is known if it is built in, registered by this process or offered by an installed
-    package.
-    """
-    return [
-        (kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])
-    ]
-
-
-_TABLE = re.compile(r"^\s*\[+[^\]]*\]+\s*(#.*)?$")
-_ANATOMY = re.compile(r"^\s*\[\s*anatomy\s*\]\s*(#.*)?$")
+_TABLE = re.compile(r"(?m)^[ \t]*\[+[^\]\n]*\]+[ \t]*(#.*)?\r?$")
+_ANATOMY = re.compile(r"(?m)^[ \t]*\[[ \t]*anatomy[ \t]*\][ \t]*(#[^\r\n]*)?")
 
 
 def anatomy_of(scene: Path) -> dict[str, object]:
@@ -131,7 +101,7 @@ def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) 
 def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) -> str:
     """Return the text of a scene with new ``anatomy.centre_mm`` and ``anatomy.normal``.
 
-    Comments and all other lines stay unchanged.
+    Comments within the two lists are removed. All other text stays unchanged.
 
     Raises
     ------
@@ -143,19 +113,27 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
         "centre_mm": [round(float(value), 3) + 0.0 for value in centre_mm],
         "normal": [round(float(value), 6) + 0.0 for value in normal],
     }
-    end = "\r\n" if "\r\n" in text else "\n"
-    lines = text.split(end)
-    first = next((number for number, line in enumerate(lines) if _ANATOMY.match(line)), None)
-    if first is None:
+    head = _ANATOMY.search(text)
+    if head is None:
         raise InputError(
             "scene", "have a line [anatomy]", "none", "write anatomy.centre_mm and normal by hand"
         )
+    following = _TABLE.search(text, head.end())
+    end = len(text) if following is None else following.start()
+    table = text[head.end() : end]
+    line_end = "\r\n" if "\r\n" in text else "\n"
     for key, value in values.items():
-        _put(lines, first + 1, key, f"{key} = {value}")
-    changed = end.join(lines)
+        table, count = re.subn(rf"(?m)^(\s*{key}\s*=\s*)\[[^\]]*\]", rf"\g<1>{value}", table)
+        if count == 0:
+            table = f"{line_end}{key} = {value}{table}"
+    changed = text[: head.end()] + table + text[end:]
     before = read_toml(text)
     before["anatomy"] |= values
-    if read_toml(changed) != before:
+    try:
+        is_same = read_toml(changed) == before
+    except tomllib.TOMLDecodeError:
+        is_same = False
+    if not is_same:
         raise InputError(
             "scene",
             "state anatomy.centre_mm and normal on lines of their own",
@@ -163,37 +141,6 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
             "write them by hand",
         )
     return changed
-
-
-def _put(lines: list[str], first: int, key: str, line: str) -> None:
-    """Replace a key's lines in the table from line ``first``, or add a line at its end.
-
-    A comment in the replaced lines is kept.
-    """
-    last = first
-    for number in range(first, len(lines)):
-        if _TABLE.match(lines[number]):
-            break
-        if re.match(rf"\s*{key}\s*=", lines[number]):
-            stop = number
-            while stop < len(lines) - 1 and not _closed(lines[number : stop + 1]):
-                stop += 1
-            comments = [
-                found[0]
-                for each in lines[number : stop + 1]
-                if (found := re.search(r"\s*#.*$", each))
-            ]
-            lines[number : stop + 1] = [line + "".join(comments)]
-            return
-        if lines[number].strip() and not lines[number].lstrip().startswith("#"):
-            last = number + 1
-    lines.insert(last, line)
-
-
-def _closed(lines: list[str]) -> bool:
-    """Return True if an array of numbers that begins in the first line ends in the last."""
-    plain = "".join(re.sub(r"#.*", "", line) for line in lines)
-    return plain.count("[") == plain.count("]")
 
 
 STATED = {

@@ -14,7 +14,7 @@ from meshes.voxels.volume import FULL
 from tissue.motion.drilling_recording import EVENTS, POSES, SHAFT_TO_X
 from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import CarvedRun
-from tissue.simulation.trace import RECORDING, write_trace
+from tissue.simulation.trace import RECORDING, write_table
 
 __all__ = ["write_formats", "write_recording"]
 
@@ -51,7 +51,7 @@ def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
         if kind == RECORDING:
             write_recording(run, folder / "recording.hdf5")
         else:
-            write_trace(run.trace, folder, kind)
+            write_table(run.trace, folder / f"trace.{kind}")
 
 
 def write_recording(run: CarvedRun, path: Path) -> None:

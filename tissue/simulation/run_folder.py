@@ -3,11 +3,12 @@
 import json
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from meshes.base.errors import InputError, counted, is_file
 from meshes.base.file_limits import require_regular
@@ -45,7 +46,6 @@ Summary = dict[str, Any]
 """Contents of ``summary.json``; see docs/files.md."""
 FORMAT = 1
 """Version of the format of run folders."""
-STATUS = ("running", "complete", "interrupted", "failed")
 PARTS = {
     "anatomy.kind": "tissue",
     "cutting.material": "material",
@@ -99,6 +99,49 @@ PICTURES = (
     "wall",
 )
 """Names of pictures that any run may have; an anatomy may have additional pictures."""
+
+
+class _Entries(BaseModel):
+    """Base of the entries that are checked in a summary."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class _Event(_Entries):
+    """Event of a run."""
+
+    time_s: float
+    what: str
+
+
+class _Load(_Entries):
+    """Figures of force or torque."""
+
+    peak: float
+
+
+class _WrittenSummary(_Entries):
+    """Entries that every summary has, and entries with default values."""
+
+    scene: str
+    status: Literal["running", "complete", "interrupted", "failed"]
+    layers: list[str] = []
+    events: list[_Event] = []
+
+    @field_validator("layers")
+    @classmethod
+    def _differ(cls, layers: list[str]) -> list[str]:
+        if len(set(layers)) < len(layers):
+            raise ValueError("equal names")
+        return layers
+
+
+class _CompleteSummary(_WrittenSummary):
+    """Additional entries of a complete run."""
+
+    simulated_s: float
+    force_N: _Load
+    torque_Nm: _Load
 
 
 def run_file_names() -> tuple[str, ...]:
@@ -453,34 +496,18 @@ def read_summary(folder: Path) -> Summary:
         got = "something else" if held is None else "an empty one"
         raise InputError("summary.json", "be a table in JSON", f"{got} in {path}", AGAIN)
     require_version("summary.json", held, FORMAT, where=path, remedy=AGAIN)
-    wanted: dict[str, bool] = {
-        "scene": _is_text(held.get("scene")),
-        "status": held.get("status") in STATUS,
-    }
-    layers = held.get("layers", [])
-    wanted["layers"] = (
-        isinstance(layers, list) and all(map(_is_text, layers)) and len(set(layers)) == len(layers)
-    )
-    events = held.get("events", [])
-    wanted["events"] = isinstance(events, list) and all(
-        isinstance(each, Mapping) and _is_number(each.get("time_s")) and _is_text(each.get("what"))
-        for each in events
-    )
-    if held.get("status") == "complete":
-        wanted["simulated_s"] = _is_number(held.get("simulated_s"))
-        for name in ("force_N", "torque_Nm"):
-            wanted[name] = isinstance(held.get(name), Mapping) and _is_number(
-                held[name].get("peak")
-            )
-    for name, is_good in wanted.items():
-        if not is_good:
-            raise InputError(
-                "summary.json",
-                f"hold {name} as `tissue run` writes it",
-                # A wrong entry may be long, so the message is cut.
-                f"{str(held.get(name))[:60]} in {path}",
-                AGAIN,
-            )
+    kind = _CompleteSummary if held.get("status") == "complete" else _WrittenSummary
+    try:
+        kind.model_validate(held)
+    except ValidationError as error:
+        name = str(error.errors()[0]["loc"][0])
+        raise InputError(
+            "summary.json",
+            f"hold {name} as `tissue run` writes it",
+            # A wrong entry may be long, so the message is cut.
+            f"{str(held.get(name))[:60]} in {path}",
+            AGAIN,
+        ) from None
     return held
 
 
@@ -491,11 +518,3 @@ def _table_of(folder: Path) -> Summary | None:
     except (OSError, ValueError):
         return None
     return held if isinstance(held, dict) else None
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

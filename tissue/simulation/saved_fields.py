@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from meshes.base.arrays import Singles
-from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
 from meshes.base.isolated_parser import parse_isolated
 from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.vtk_files import mesh_in_scene
+from tissue.simulation.vtk_files import mesh_in_scene, read_collection
 
 if TYPE_CHECKING:
     import pyvista
@@ -23,7 +21,6 @@ __all__ = [
     "field_limits",
     "field_names",
     "field_values",
-    "frames_of",
     "require_whole",
 ]
 
@@ -88,42 +85,8 @@ def field_names(folder: Path) -> list[str]:
     return fields.names if len(fields.times_s) else []
 
 
-def frames_of(folder: Path) -> list[tuple[float, str]]:
-    """Read times [s] and files of the frames in ``fields.pvd``, in the order of time.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or its times do not increase.
-    """
-    from xml.etree import ElementTree
-
-    index = require_regular(folder / "fields.pvd")
-    try:
-        root = ElementTree.fromstring(index.read_bytes())
-        frames = [
-            (float(one.attrib["timestep"]), one.attrib["file"]) for one in root.iter("DataSet")
-        ]
-        times = [time for time, _ in frames]
-        inside = all(
-            (folder / file).resolve().is_relative_to(folder.resolve()) for _, file in frames
-        )
-        if (
-            root.tag != "VTKFile"
-            or not np.isfinite(times).all()
-            or (np.diff(times) <= 0.0).any()
-            or not inside
-        ):
-            raise ValueError(index)
-    except (ElementTree.ParseError, KeyError, ValueError, LookupError):
-        raise InputError(
-            "fields.pvd", "be a ParaView collection", index, "run the scene again"
-        ) from None
-    return frames
-
-
-def require_whole(saved: SavedRun) -> None:
-    """Check that the bone and the frames of a run are not damaged.
+def require_whole(saved: SavedRun, *, surfaces: bool = False) -> None:
+    """Check that the bone and the frames of a run, and its surfaces if requested, are not damaged.
 
     The check is needed because a damaged file can make VTK end this process.
 
@@ -134,7 +97,11 @@ def require_whole(saved: SavedRun) -> None:
     """
     wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
     if (saved.path / "fields.pvd").is_file():
-        wanted |= {name: [] for _, name in frames_of(saved.path)}
+        wanted |= {name: [] for *_, name in read_collection(saved.path / "fields.pvd")}
+    if surfaces:
+        carving = (saved.path / "carving").glob("*.vtp")
+        names = ("bone.vtp", *(f"carving/{path.name}" for path in carving))
+        wanted |= {name: ["layer"] for name in names}
     there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
     if there:
         parse_isolated(
@@ -172,24 +139,16 @@ class SavedFields:
     Raises
     ------
     InputError
-        As for `frames_of`, or if a listed file is missing.
+        As for `tissue.simulation.vtk_files.read_collection`.
     """
 
     def __init__(self, folder: Path) -> None:
         import pyvista
 
         self._placement = saved_placement(folder)
-        frames = frames_of(folder)
-        self._files = [folder / file for _, file in frames]
-        missing = [file for file in self._files if not file.is_file()]
-        if missing:
-            raise InputError(
-                "fields.pvd",
-                "name frames that are there",
-                f"{len(missing)} missing, first {missing[0]}",
-                "run the scene again",
-            )
-        self.times_s = np.array([time for time, _ in frames])
+        frames = read_collection(folder / "fields.pvd")
+        self._files = [folder / file for *_, file in frames]
+        self.times_s = np.array([time for time, *_ in frames])
         first: Any = pyvista.read(self._files[0]) if frames else pyvista.UnstructuredGrid()
         cells, points = (_shown(data) for data in (first.cell_data, first.point_data))
         cells.sort(key=lambda name: not name.startswith(STRESS))

@@ -35,7 +35,6 @@ __all__ = [
     "read_trace",
     "write_columns",
     "write_table",
-    "write_trace",
 ]
 
 FLUSH_EVERY_S = 0.1
@@ -276,13 +275,6 @@ def check_format(kind: str) -> None:
             f"a format that needs {writer}",
             f"run {install_command(extra)}",
         )
-
-
-def write_trace(trace: Table, folder: Path, kind: str) -> Path:
-    """Write ``folder/trace.kind`` and return its path."""
-    path = folder / f"trace.{kind}"
-    write_columns({name: trace[name] for name in trace}, path)
-    return path
 
 
 def write_columns(columns: Columns, path: Path) -> None:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
 from tissue.fem.fields import FieldSeries, Frame
@@ -28,6 +30,7 @@ __all__ = [
     "image_in_scene",
     "mesh_in_file",
     "mesh_in_scene",
+    "read_collection",
     "write_collection",
     "write_fields",
     "write_vtk",
@@ -145,6 +148,37 @@ def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> N
             "  <Collection>\n" + "".join(lines) + "  </Collection>\n</VTKFile>\n",
             "utf-8",
         )
+
+
+def read_collection(index: Path) -> list[tuple[float, int, str]]:
+    """Read times [s], parts and files from a .pvd file that a run wrote.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, its times and parts are not in order, or it lists a file that is
+        missing or outside its folder.
+    """
+    from xml.etree import ElementTree
+
+    require_regular(index)
+    folder = index.parent.resolve()
+    try:
+        root = ElementTree.fromstring(index.read_bytes())
+        entries = [
+            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"])
+            for one in root.iter("DataSet")
+        ]
+        moments = [entry[:2] for entry in entries]
+        files = [(folder / name).resolve() for *_, name in entries]
+        are_there = all(file.is_relative_to(folder) and file.is_file() for file in files)
+        if root.tag == "VTKFile" and moments == sorted({*moments}) and are_there:
+            return entries
+    except (ElementTree.ParseError, LookupError, ValueError):
+        pass
+    raise InputError(
+        index.name, "be a ParaView collection with its files", index, "run the scene again"
+    )
 
 
 def _points(mesh: "pyvista.PointSet") -> Array:

@@ -12,13 +12,13 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 from typing import IO
 
 from meshes.base.errors import InputError
 from tissue.system.child import CHECK_S, HangDetector, child_command
+from tissue.system.stopping import returned_within
 
 __all__ = [
     "REMEDY",
@@ -226,24 +226,19 @@ def await_display() -> str | None:
 def _answers(library: ctypes.CDLL, name: str) -> bool:
     """Return True if a display can be opened.
 
-    The call runs in a thread, because a display that accepts the connection and never answers would
-    block it.
+    A display that accepts the connection and never answers blocks the call.
     """
-    output: SimpleQueue[bool] = SimpleQueue()
     library.XOpenDisplay.restype = ctypes.c_void_p
     library.XCloseDisplay.argtypes = [ctypes.c_void_p]
 
     def ask() -> None:
+        """Open and close the display; raise an error if it cannot be opened."""
         display = library.XOpenDisplay(name.encode())
-        if display:
-            library.XCloseDisplay(display)
-        output.put(bool(display))
+        if not display:
+            raise OSError(name)
+        library.XCloseDisplay(display)
 
-    threading.Thread(target=ask, daemon=True).start()
-    try:
-        return output.get(timeout=ANSWERS_S)
-    except Empty:
-        return False
+    return returned_within(ANSWERS_S, ask)
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:

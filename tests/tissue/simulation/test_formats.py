@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.simulation.trace import FORMATS, Table, TraceLayout, write_trace
+from tissue.simulation.trace import FORMATS, Table, TraceLayout, write_table
 
 LAYERS = ("subchondral_bone", "trabecular")
 
@@ -47,7 +47,8 @@ READERS = {"parquet": _parquet, "npz": _npz, "mat": _mat, "h5": _h5}
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_a_format_reads_back_equal(trace, tmp_path, kind):
-    path = write_trace(trace, tmp_path, kind)
+    path = tmp_path / f"trace.{kind}"
+    write_table(trace, path)
     assert path == tmp_path / f"trace.{kind}"
     back = READERS[kind](path)
     assert set(back) == set(trace.columns)

@@ -2,10 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,7 +10,6 @@ from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.show.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
@@ -24,7 +20,7 @@ from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, 
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.simulation.trace import Table
-from tissue.simulation.vtk_files import mesh_in_scene
+from tissue.simulation.vtk_files import mesh_in_scene, read_collection
 
 if TYPE_CHECKING:
     import pyvista
@@ -229,7 +225,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
     index = saved.path / "carving.pvd"
     whole = saved.path / "bone.vtp"
     if saved.complete and (index.is_file() or whole.is_file()):
-        entries = _entries(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
+        entries = read_collection(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
         read: dict[str, Any] = {}
         for time_s, part, name in entries:
             # a surface that does not change is listed at every moment
@@ -249,23 +245,6 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
         # moments without a change are left out, except the first
         if bone.at(tick) or tick == 0:
             yield float(times[tick]), False, bone.cut(bone.layers)
-
-
-def _entries(index: Path) -> list[tuple[float, int, str]]:
-    """Read times [s], parts and files from ``carving.pvd``; refuse files outside the folder."""
-    with suppress(ElementTree.ParseError, KeyError, ValueError, LookupError, OSError):
-        root = ElementTree.fromstring(index.read_bytes())
-        found = [
-            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"])
-            for one in root.iter("DataSet")
-        ]
-        folder = index.parent.resolve()
-        if all(
-            (folder / name).resolve().is_relative_to(folder) and (folder / name).is_file()
-            for *_, name in found
-        ):
-            return found
-    raise InputError("carving.pvd", "be a ParaView collection", index, "run the scene again")
 
 
 def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) -> Record:
