@@ -2,7 +2,7 @@
 
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from tissue.environments.environment import ContactEnvironment, Entry, Restorabl
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.thrust import SpeedSearch, implicit_speed
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Drilling"]
 
@@ -32,8 +29,6 @@ SPACING_M = 5e-5
 BUR_MM = 1.0
 FLUTES = 6
 SPIN_RPM = 400_000.0
-COLOURS = ("#CFE3F2", "#E8D3A2", "#D55E00", "#8C6D46", "#B0A0C0", "#D8D2C4")
-"""Colours of the layers in pictures."""
 HAND_KG = 0.1
 """Mass that moves with the bur [kg]: handpiece and part of the hand.
 
@@ -290,13 +285,3 @@ class Drilling(ContactEnvironment):
             "wanted_mm": 1e3 * self.wanted_m,
             "removed_mm3": {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")},
         }
-
-    def _draw(self, figure: "Figure") -> None:
-        """Draw a section along x under the bur, and the target depth."""
-        side = figure.subplots()
-        self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
-        wanted = 1e3 * (self.surface_m - self.wanted_m)
-        side.axhline(wanted, color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
-        # from the bottom of the region to a height above the bur at its start
-        side.set_ylim(-4.0, 2.5)
-        side.legend(loc="lower right", fontsize=8)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
 from os import PathLike
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.base.errors import InputError, require_positive, require_range
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
@@ -27,10 +27,6 @@ from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.cutting import VoxelBone
 from tissue.simulation.loop import Stepper
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["ContactEnvironment", "Entry", "RestorableBone"]
 
@@ -116,46 +112,6 @@ class RestorableBone:
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
-    def draw_section(
-        self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
-    ) -> None:
-        """Draw the layers of the remaining bone in a plane section.
-
-        The plane is perpendicular to the axis ``across`` (0 to 2), at the coordinate ``at_m`` [m].
-        """
-        from matplotlib.colors import ListedColormap
-
-        volume = self.volume
-        place = int((at_m - volume.origin_m[across]) / volume.spacing_m)
-        place = min(max(place, 0), volume.shape[across] - 1)
-        # at least half full (255 = full)
-        left = np.take(self.model.remaining(), place, axis=across) > 127
-        shown = np.where(left, np.take(volume.layer, place, axis=across).astype(np.int64), -1)
-        first, second = (axis for axis in range(3) if axis != across)
-        low = 1e3 * volume.origin_m
-        high = low + 1e3 * volume.spacing_m * np.array(volume.shape)
-        panel.imshow(
-            shown.T,
-            origin="lower",
-            extent=(low[first], high[first], low[second], high[second]),
-            # -1 stands for removed bone, which is white; limits at halves put one colour on each
-            # integer.
-            cmap=ListedColormap(["#FFFFFF", *colours]),
-            vmin=-1.5,
-            vmax=len(colours) - 0.5,
-        )
-        panel.set_xlabel(f"{'xyz'[first]} / mm")
-        panel.set_ylabel(f"{'xyz'[second]} / mm")
-
-    def draw_under_tool(self, panel: "Axes", tip_m: Array, colours: tuple[str, ...]) -> None:
-        """Draw the section in the x-z plane through the tip, and the outline of the round tool."""
-        from matplotlib.patches import Circle
-
-        self.draw_section(panel, 1, tip_m[1], colours)
-        x, _, z = 1e3 * tip_m
-        radius = 1e3 * self.model.cutter.profile.radius_m
-        panel.add_patch(Circle((x, z + radius), radius, fill=False, color="0.2"))
-
 
 FORCE_WEIGHT = 1.0
 """Penalty for a force of twice the limit during a whole episode."""
@@ -215,11 +171,8 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         Time after which an episode is truncated [s]; None for the default of the task.
     force_limit_N
         Contact force above which the reward is reduced [N]; None for the default of the task.
-    render_mode
-        None or ``rgb_array``. With ``rgb_array``, `render` returns a picture.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
     entries: ClassVar[tuple[Entry, ...]]
     action_count: ClassVar[int]
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
@@ -240,7 +193,6 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         ticks: int = 20,
         duration_s: float | None = None,
         force_limit_N: float | None = None,
-        render_mode: str | None = None,
     ) -> None:
         # from one action per tick to five actions per second
         self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
@@ -257,12 +209,6 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             600.0,
             f"use {self.usual_duration_s:g}",
         )
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(
-                "render_mode", "be None or rgb_array", f"{render_mode!r}", "leave it out"
-            )
-        self.metadata = {**self.metadata, "render_fps": max(round(1.0 / (self.ticks * TICK_S)), 1)}
-        self.render_mode = render_mode
         self._steps = max(round(self.duration_s / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
@@ -426,24 +372,6 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         whole = np.concatenate([np.atleast_1d(each) for each in values])
         return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
 
-    def render(self) -> Bytes | None:
-        """Return a picture, shape (height, width, 3); None if there is no render mode."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        if self.render_mode is None:
-            return None
-        self._require_episode("render")
-        # 640 x 360 pixels
-        figure = Figure(figsize=(6.4, 3.6), dpi=100, layout="constrained")
-        force = np.linalg.norm(self.mean_force_N)
-        done_s = (1.0 - self.time_left) * self.duration_s
-        figure.suptitle(f"{done_s:.2f} s, {force:.3g} N, score {self.score:.3f}", fontsize=10)
-        self._draw(figure)
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        return np.array(canvas.buffer_rgba(), np.uint8)[..., :3]
-
     def _require_episode(self, method: str) -> None:
         if not self.drawn:
             raise InputError(method, "follow reset", "no episode", "call reset first")
@@ -483,10 +411,6 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     @abstractmethod
     def _facts(self) -> dict[str, Any]:
         """Return additional entries of ``info``."""
-
-    @abstractmethod
-    def _draw(self, figure: "Figure") -> None:
-        """Draw the current state."""
 
 
 def _force(wrench: Array) -> float:

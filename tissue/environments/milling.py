@@ -2,7 +2,7 @@
 
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,9 @@ from tissue.environments.environment import ContactEnvironment, Entry, Restorabl
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["Milling"]
 
 LAYERS = ("target", "tolerance", "spared")
-COLOURS = ("#D55E00", "#F0C090", "#D8D2C4")
-"""Names of the layers, and colours of the layers in pictures."""
 BLOCK_MM = (13.2, 10.8, 3.6)
 """Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels.
 
@@ -196,15 +191,6 @@ class Milling(ContactEnvironment):
         share, over = self._shares()
         volumes = {"removed_mm3": share * self._target_mm3, "overcut_mm3": over * self._target_mm3}
         return {"removed_share": share, **volumes, "tip_mm": self.tip_mm}
-
-    def _draw(self, figure: "Figure") -> None:
-        """Draw sections under the burr along x, and through the pocket at half its depth."""
-        side, top = figure.subplots(1, 2)
-        self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
-        # from the bottom of the block to the top of a burr at the surface
-        side.set_ylim(-3.6, 4.5)
-        self.bone.draw_section(top, 2, -0.5e-3 * self.pocket_mm[2], COLOURS)
-        top.plot(*self.tip_mm[:2], "+", color="0.2")
 
 
 def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:

@@ -1,7 +1,7 @@
 """Environment for finding a stiff nodule in a slab of soft tissue by palpation."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import ToolPath
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.simulation.builders.organ_given import SoftMaterial
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Palpation"]
 
@@ -122,7 +119,7 @@ class Palpation(ContactEnvironment):
     # actions. It is the RMS over four episodes, against a solution in every tick
     # (tests/bench/bench_session.py --part solves).
     solve_ticks = 5
-    episode = ("tip_m", "nodule_m", "_turn", "_velocity_m_s", "_touched", "_path")
+    episode = ("tip_m", "nodule_m", "_turn", "_velocity_m_s", "_touched")
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -131,8 +128,6 @@ class Palpation(ContactEnvironment):
         self._turn = np.eye(3)
         self._velocity_m_s = np.zeros(3)
         self._touched = False
-        self._path: list[tuple[float, ...]] = []
-        """Tip [mm] and upward force [N] at the end of each step, for pictures."""
 
     @cached_property
     def model(self) -> LiverModel:
@@ -174,7 +169,6 @@ class Palpation(ContactEnvironment):
         self.tip_m[:] = (0.0, 0.0, START_M)
         self._velocity_m_s[:] = 0.0
         self._touched = False
-        self._path = []
 
     def begin(self, motion: ToolMotion) -> None:
         """Place the tool at the current position of the tip, converted to the frame of the slab.
@@ -213,7 +207,6 @@ class Palpation(ContactEnvironment):
         return self._touched and self.tip_m[2] >= CEILING_M
 
     def _observe(self) -> Singles:
-        self._path.append((*(1e3 * self.tip_m).tolist(), float(self._loads[2])))
         velocity = 1e3 * self._velocity_m_s
         return self._scaled(1e3 * self.tip_m, velocity, *self._loads_shown, self.time_left)
 
@@ -223,26 +216,3 @@ class Palpation(ContactEnvironment):
             "nodule_mm": 1e3 * self.nodule_m,
             "error_mm": self.error_mm,
         }
-
-    def _draw(self, figure: "Figure") -> None:
-        """Draw the path of the fingertip, coloured by its force, and the position of the nodule."""
-        from matplotlib.patches import Circle
-
-        top = figure.subplots()
-        x, y, _, force = np.array(self._path).T
-        shown = top.scatter(x, y, c=force, s=12, cmap="viridis")
-        figure.colorbar(shown, ax=top, label="force along z / N")
-        nodule_x, nodule_y = 1e3 * self.nodule_m
-        top.add_patch(
-            Circle(
-                (nodule_x, nodule_y),
-                1e3 * NODULE_RADIUS_M,
-                fill=False,
-                color="#D55E00",
-                linestyle="--",
-            )
-        )
-        top.plot(x[-1], y[-1], "o", color="0.2", fillstyle="none", markersize=10)
-        reach = 1e3 * REACH_M
-        top.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")
-        top.set(xlim=(-reach, reach), ylim=(-reach, reach))

@@ -1,4 +1,4 @@
-"""Environments for learning: contract, seeds, scores of known policies, vectors, pictures."""
+"""Environments for learning: contract, seeds, scores of known policies, vectors."""
 
 import pickle
 import sys
@@ -19,7 +19,7 @@ NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
 
 @pytest.fixture(scope="module", params=NAMES)
 def env(request):
-    made = gymnasium.make(request.param, render_mode="rgb_array")
+    made = gymnasium.make(request.param)
     yield made
     made.close()
 
@@ -107,17 +107,6 @@ def test_an_action_of_another_shape_is_refused_with_the_shape(env):
             InputError, match=rf"action must be an array of shape \({count},\).*{got}"
         ):
             env.unwrapped.step(action)
-
-
-def test_a_picture_shows_the_episode(env):
-    env.reset(seed=0)
-    before = env.render()
-    for _ in range(8):
-        env.step(
-            -env.action_space.high if env.spec.id != "tissue/Drilling-v0" else env.action_space.high
-        )
-    after = env.render()
-    assert before.dtype == np.uint8 and before.shape == (360, 640, 3) and (before != after).any()
 
 
 def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_path):

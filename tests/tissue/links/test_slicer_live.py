@@ -9,7 +9,7 @@ from igtl_client import IgtlClient
 
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
-from tissue.links.slicer_process import SlicerFrame
+from tissue.links.slicer_process import scene_to_ras
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.live.publisher import SlicerLink
 from tissue.simulation.live.run import LiveSettings, live
@@ -78,8 +78,11 @@ def greeted_address(run):
 
 def target(tip_mm, turn=None):
     """A transform that asks for a tip in a scene without a file [mm], turned from the identity."""
-    pose = SlicerFrame(None).pose(tip_mm, np.eye(3) if turn is None else turn)
-    return igtl.packed("TRANSFORM", "tissue-target", igtl.transform_body(pose), time_s=0.0)
+    pose = np.eye(4)
+    pose[:3, 3] = tip_mm
+    pose[:3, :3] = np.eye(3) if turn is None else turn
+    body = igtl.transform_body(scene_to_ras({}) @ pose)
+    return igtl.packed("TRANSFORM", "tissue-target", body, time_s=0.0)
 
 
 def test_a_pose_of_a_client_moves_the_tool_on_the_devices_spring():

@@ -13,7 +13,8 @@ from meshes.base.placement import Placement
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
 from tissue.links import slicer_process
-from tissue.links.slicer_process import Publisher, SlicerFrame
+from tissue.links.slicer_process import Publisher, scene_to_ras
+from tissue.show.figures.tool_mesh import pose
 from tissue.simulation.live.shared import BoneShared, SharedArrays, SharedTissue
 from tissue.simulation.live.window import CLOCK
 
@@ -269,13 +270,12 @@ def asked(shown, *, taken, ignored=0):
 def test_a_pose_of_a_client_comes_to_the_ticks_in_their_frame_and_within_the_box(stage, pressed):
     shown = stage(pressed, placement=PLACEMENT)
     client = shown.client()
-    frame = SlicerFrame(PLACEMENT)
-    cos, sin = np.cos(0.3), np.sin(0.3)
-    turn = np.array([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]])
-    client.send(target(frame.pose([1.0, -2.0, 3.0], turn)))
+    to_ras = scene_to_ras({"file_to_scene_mm": PLACEMENT.file_to_scene_mm})
+    turn = [np.sin(0.15), 0.0, 0.0, np.cos(0.15)]
+    client.send(target(to_ras @ pose([1.0, -2.0, 3.0], turn)))
     expected = [1.0, -2.0, 3.0, np.sin(0.15), 0.0, 0.0, np.cos(0.15)]
     np.testing.assert_allclose(asked(shown, taken=1), expected, atol=1e-5)
-    client.send(target(frame.pose([100.0, -2.0, -100.0], turn)))
+    client.send(target(to_ras @ pose([100.0, -2.0, -100.0], turn)))
     np.testing.assert_allclose(asked(shown, taken=2)[:3], [9.0, -2.0, -4.0], atol=1e-5)
 
 

@@ -1,6 +1,5 @@
 """Figures of a soft organ: under a press, and undeformed with its supports."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,13 +8,12 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.scene.tool import Needle
-from tissue.show.figures.figure import field_colours, field_words, halo
+from tissue.show.figures.figure import EDGE, field_colours, field_words
 from tissue.show.figures.organ_surface import (
     SHOWN,
     at_nodes,
     drawn_surface,
     inclusions,
-    section_cap,
     with_normals,
 )
 from tissue.show.figures.rendering import (
@@ -34,7 +32,6 @@ from tissue.simulation.vtk_files import CELL_TYPES, frame_mesh
 
 if TYPE_CHECKING:
     import pyvista
-    from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
 __all__ = ["draw_held", "draw_press"]
@@ -46,8 +43,8 @@ ACROSS = (0.0, -1.0, 0.0)
 (perpendicular to it).
 """
 TOOL = (0.72, 0.72, 0.75)
-INCLUSION = "#56B4E9"
-"""Colours of the tool and of an inclusion's edge, which is visible on light and dark colours."""
+INCLUSION = (0.337, 0.706, 0.914)
+"""Colours of the tool and of an inclusion's outline, which is visible on light and dark colours."""
 NUDGE = (0.0, 1e-4, 0.0)
 """Distance between a section and the tip of the tool [mm]; with it, the section does not cut a row
 of nodes.
@@ -56,24 +53,6 @@ ABOVE = 0.2
 """Height of the drawn part of a needle above an organ, relative to the height of the organ."""
 HEIGHTS_PX = 90, 150
 """Heights above and below the renderings [pixels]."""
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """Field of the picture: name, ends of the colour scale, and whether the organ is cut open."""
-
-    name: str
-    ends: tuple[float, float]
-    opened: bool
-
-    @property
-    def colours(self) -> "ScalarMappable":
-        """Mapping from values to colours; the scale is logarithmic if it begins above 0."""
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import LogNorm, Normalize
-
-        scale = LogNorm if self.ends[0] > 0.0 else Normalize
-        return ScalarMappable(scale(*self.ends), field_colours(*self.ends))
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
@@ -100,6 +79,9 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
 def draw_press(run: Run, path: Path) -> str | None:
     """Draw the deformed organ in the frame of `moment_of_press`, whole and cut open at the tool.
 
+    The whole organ has the colours of the displacement, and the section those of the von Mises
+    stress. Both pictures show the section along a needle, because of the needle's track.
+
     Parameters
     ----------
     run
@@ -114,71 +96,69 @@ def draw_press(run: Run, path: Path) -> str | None:
     """
     series = run.parts.fields
     trace = run.trace
-    tool = tool_surface(run.scene.tool)
-    # both pictures show the section along a needle from the front, because of the needle's track
-    flat = isinstance(run.scene.tool, Needle)
+    along_needle = isinstance(run.scene.tool, Needle)
+    eye = ACROSS if along_needle else EYE
     assert series is not None
     frame, why = moment_of_press(series, trace)
     if frame is None:
         return "nothing has moved"
     row = row_at(trace, frame.time_s)
+    tip_mm = trace.vectors("tool", "mm")[row]
     moved = _displacement(frame)
     mesh = frame_mesh(series, frame)
     unit_mm = np.float32(IN_MM[moved.rpartition("_")[2]])
     mesh.points = np.asarray(mesh.points) + unit_mm * mesh.point_data[moved]
-    shown: list[_Shown] = []
-    # one stress: there are two panels
-    for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
-        if (array := field_values(mesh, name)) is not None:
-            shown.append(_Shown(name, field_limits(name, [array]), opened=flat or bool(shown)))
-    tips = trace.vectors("tool", "mm")[row]
-    eye = ACROSS if flat else EYE
-    edge = _edge_of_inclusion(mesh, tips)
+    stress = [name for name in frame.cells if name.startswith("von_mises_")][:1]
+    names = [name for name in (moved, *stress) if field_values(mesh, name) is not None]
+    colours = [_colours(name, field_values(mesh, name)) for name in names]
+    opened = [along_needle or index > 0 for index in range(len(names))]
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        """Return the deformed organ, whole and cut open, with the tool."""
+        """Return the deformed organ with the tool for each field."""
         import pyvista
 
-        place = pose(tips, tool_turns(trace)[row])
-        probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
-        surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
-        organ = np.asarray(surfaces[0].points)
-        # a needle is several times as long as an organ is high, so with its shaft the organ would
-        # be small
-        if flat and probe.n_points:
-            probe = probe.clip(
-                normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2]))
-            )
-        side = with_normals(probe) if probe.n_points else probe
-        paint(side, np.tile(TOOL, (side.n_points, 1)))
-        seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
-        camera = Camera.seeing(seen, eye, (0.0, 0.0, 1.0))
-        return [(each.append_polydata(side) if side.n_cells else each, camera) for each in surfaces]
+        organs = []
+        for name, mapped, is_open in zip(names, colours, opened, strict=True):
+            body = drawn_surface(mesh, at_nodes(mesh, name))
+            if is_open:
+                body = _cut_open(mesh, body, name, tip_mm, eye)
+            body = paint(body, np.asarray(mapped.to_rgba(body.point_data[SHOWN]))[:, :3])
+            outline = _outline(mesh, tip_mm) if is_open else []
+            organs.append(body.append_polydata(*outline) if outline else body)
+        tool = tool_surface(run.scene.tool) or pyvista.PolyData()
+        if tool.n_points:
+            tool = tool.transform(pose(tip_mm, tool_turns(trace)[row]), inplace=False)
+            # a needle is several times as long as an organ is high
+            if along_needle:
+                low, high = organs[0].bounds[4:]
+                tool = tool.clip(normal="z", origin=(0.0, 0.0, high + ABOVE * (high - low)))
+            tool = paint(with_normals(tool), np.tile(TOOL, (tool.n_points, 1)))
+        shown = [organ.append_polydata(tool) for organ in organs]
+        camera = Camera.seeing(shown[0].points, eye, (0.0, 0.0, 1.0))
+        return [(each, camera) for each in shown]
 
     def annotate(shaded: Shaded) -> None:
-        """Name the inclusion, and draw a colour bar under each panel."""
+        """Draw a colour bar under each panel."""
         foot = HEIGHTS_PX[1] / shaded.size_px[1]
-        for axes, each in zip(shaded.panels, shown, strict=True):
+        for axes, name, mapped, is_open in zip(shaded.panels, names, colours, opened, strict=True):
             left, _, wide, _ = axes.get_position().bounds
-            if each.opened and edge is not None:
-                _name_inclusion(axes, *edge, shaded.cameras[0])
             # in the upper part under each panel, with space for ticks and label below
             place = shaded.chart.add_axes(
                 (left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot)
             )
-            bar = shaded.chart.colorbar(each.colours, cax=place, orientation="horizontal")
-            words = field_words(each.name)
-            bar.set_label(words + (", cut open at the tool" if each.opened else ""))
-            if each.ends[0] > 0.0:  # a logarithmic scale, whose default ticks would overlap
-                # four ticks with two digits fit the width of the bar
-                ticks = np.geomspace(*each.ends, 4).tolist()
+            bar = shaded.chart.colorbar(mapped, cax=place, orientation="horizontal")
+            bar.set_label(field_words(name) + (", cut open at the tool" if is_open else ""))
+            low, high = mapped.get_clim()
+            # the default ticks of a logarithmic scale would overlap
+            if low is not None and high is not None and low > 0.0:
+                ticks = np.geomspace(low, high, 4).tolist()
                 bar.set_ticks(ticks, labels=[f"{float(f'{tick:.2g}'):g}" for tick in ticks])
                 bar.minorticks_off()
         draw_axes(shaded.chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", shaded.cameras[0])
 
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
     title = f"{run.scene.name}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
-    if flat:
+    if along_needle:
         modulus_kPa = run.scene.constants.values("soft", "liver")["modulus_kPa"]
         title += f"\nstress for soft.liver.modulus_kPa = {modulus_kPa:.3g}, "
         title += "not for the needle's constants"
@@ -187,60 +167,50 @@ def draw_press(run: Run, path: Path) -> str | None:
     )
 
 
-def _organ(
+def _colours(name: str, values: Array) -> "ScalarMappable":
+    """Return the mapping from values of a field to colours.
+
+    The scale is logarithmic if it begins above 0.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm, Normalize
+
+    ends = field_limits(name, [values])
+    scale = LogNorm if ends[0] > 0.0 else Normalize
+    return ScalarMappable(scale(*ends, clip=True), field_colours(*ends))
+
+
+def _cut_open(
     mesh: "pyvista.UnstructuredGrid",
-    shown: _Shown,
+    boundary: "pyvista.PolyData",
+    name: str,
     tip_mm: Array,
-    edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """Return the organ in the colours of a field, with the outline of an inclusion.
-
-    If `shown` requests it, the organ is cut open at the tool.
-    """
-    whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
-    parts = [whole]
-    if shown.opened:
-        place = tip_mm + NUDGE
-        cap = section_cap(mesh, whole, shown.name, place_mm=place, normal=np.array(ACROSS))
-        # The section is lit as if it faced the eye, so its colours are those of the scale.
-        facing = (np.array(eye) / np.linalg.norm(eye)).astype(np.float32)
-        cap.point_data["Normals"] = np.tile(facing, (cap.n_points, 1))
-        parts = [whole.clip(normal=ACROSS, origin=tuple(place)), cap]
-    for part in parts:
-        values = np.maximum(np.asarray(part.point_data[SHOWN]), shown.ends[0])
-        paint(part, np.asarray(shown.colours.to_rgba(values))[:, :3])
-    if shown.opened and edge is not None:
-        from matplotlib.colors import to_rgb
-
-        # 0.25 % of the organ's diagonal, about two pixels of the picture
-        tube = with_normals(edge[1].tube(radius=0.0025 * whole.length).triangulate())
-        parts.append(paint(tube, np.tile(to_rgb(INCLUSION), (tube.n_points, 1))))
-    return parts[0].append_polydata(*parts[1:]) if len(parts) > 1 else parts[0]
+    """Return the boundary of an organ behind the tool, closed by a section with field values."""
+    origin = tuple(tip_mm + NUDGE)
+    body = mesh.copy(deep=False)
+    body.clear_data()
+    body.point_data[SHOWN] = at_nodes(mesh, name)
+    # a triangle whose back faces the eye would be dark
+    section = body.slice(normal=ACROSS, origin=origin).triangulate().flip_faces()
+    # the section is lit as if it faced the eye, so its colours are those of the scale
+    facing = np.array(eye, dtype=np.float32) / np.float32(np.linalg.norm(eye))
+    section.point_data["Normals"] = np.tile(facing, (section.n_points, 1))
+    return boundary.clip(normal=ACROSS, origin=origin).append_polydata(section)
 
 
-def _edge_of_inclusion(
-    mesh: "pyvista.UnstructuredGrid", tip_mm: Array
-) -> "tuple[str, pyvista.PolyData] | None":
-    """Return the name and the outline of an inclusion in the section at the tool, or None."""
-    names = tuple(str(name) for name in mesh.field_data["layer_names"])
-    layer = np.asarray(mesh.cell_data["layer"])
-    inside = inclusions(
-        np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer
-    )
-    if not len(inside):
-        return None
-    boundary = mesh.extract_cells(inside.tolist()).extract_surface(algorithm="dataset_surface")
-    line = boundary.slice(normal=ACROSS, origin=tuple(tip_mm + NUDGE))
-    return (names[layer[inside[0]]], line) if line.n_cells else None
-
-
-def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
-    """Write the name of the inclusion below its outline."""
-    pixels = camera.pixels(line.points)
-    # the lowest point of the outline; y of pixels increases downward
-    x, y = pixels[pixels[:, 1].argmax()]
-    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
+def _outline(mesh: "pyvista.UnstructuredGrid", tip_mm: Array) -> "list[pyvista.PolyData]":
+    """Return the outline of an inclusion in the section at the tool, as a tube, if any."""
+    corners = np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)]
+    inside = inclusions(corners, np.asarray(mesh.cell_data["layer"]))
+    body = mesh.extract_cells(inside.tolist()).extract_surface(algorithm="dataset_surface")
+    line = body.slice(normal=ACROSS, origin=tuple(tip_mm + NUDGE))
+    if not line.n_cells:
+        return []
+    # 0.25 % of the organ's diagonal, about two pixels of the picture
+    tube = with_normals(line.tube(radius=0.0025 * mesh.length).triangulate())
+    return [paint(tube, np.tile(INCLUSION, (tube.n_points, 1)))]
 
 
 def _displacement(frame: Frame) -> str:
@@ -253,9 +223,14 @@ def _largest(frame: Frame) -> float:
     return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
 
 
-FREE = (0.93, 0.91, 0.87)
-HELD = (0.902, 0.624, 0.0)
-TOUCHABLE = (0.0, 0.447, 0.698)
+MARKS = {
+    "free": (0.93, 0.91, 0.87),
+    "may be touched": (0.0, 0.447, 0.698),
+    "held": (0.902, 0.624, 0.0),
+}
+"""Colours of the parts of a boundary."""
+SETS = {"may be touched": "touchable", "held": "held"}
+"""Set of nodes of each marked part; a part that is listed later is drawn over earlier ones."""
 EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
 HELD_HEIGHTS_PX = 110, 80
 
@@ -269,8 +244,21 @@ def draw_held(run: Run, path: Path) -> str | None:
     -------
     None, or the reason why the picture could not be drawn.
     """
-    assert run.parts.fields is not None
-    surface = _surface(run.parts.fields)
+    import pyvista
+
+    series = run.parts.fields
+    assert series is not None
+    kind = CELL_TYPES[series.cells.shape[1]]
+    grid = pyvista.UnstructuredGrid({kind: series.cells}, 1e3 * series.nodes_m)
+    nodes = np.arange(len(series.nodes_m))
+    sets = [series.node_sets.get(name, ()) for name in SETS.values()]
+    members = np.column_stack([np.isin(nodes, each) for each in sets])
+    surface = drawn_surface(grid, members.astype(np.float32))
+    whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
+    colours = np.tile(MARKS["free"], (surface.n_cells, 1))
+    for name, members in zip(SETS, whole.T, strict=True):
+        colours[members] = MARKS[name]
+    paint(surface, colours)
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
         return [
@@ -278,18 +266,13 @@ def draw_held(run: Run, path: Path) -> str | None:
         ]
 
     def annotate(shaded: Shaded) -> None:
-        """Draw a legend of the held, the touchable and the free faces."""
+        """Draw a legend of the parts."""
         from matplotlib.patches import Patch
 
-        named = {"held": HELD, "may be touched": TOUCHABLE, "free": FREE}
-        # the two faces of a closed cut lie on each other, and neither can be seen
-        middles_mm = np.round(surface.cell_centers().points, 3)
-        _, place, count = np.unique(middles_mm, axis=0, return_inverse=True, return_counts=True)
-        seen = surface.cell_data["colours"][count[place.ravel()] == 1]
         handles = [
-            Patch(facecolor=colour, edgecolor="0.4", label=name)
-            for name, colour in named.items()
-            if (seen == np.rint(255.0 * np.array(colour))).all(axis=1).any()
+            Patch(facecolor=colour, label=name, **EDGE)
+            for name, colour in MARKS.items()
+            if (colours == colour).all(axis=1).any()
         ]
         shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
 
@@ -297,24 +280,3 @@ def draw_held(run: Run, path: Path) -> str | None:
     return draw_shaded(
         make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES)
     )
-
-
-def _surface(series: FieldSeries) -> "pyvista.PolyData":
-    """Return the boundary with different colours for held triangles and triangles that can be
-    touched.
-    """
-    import pyvista
-
-    grid = pyvista.UnstructuredGrid(
-        {CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m
-    )
-    marks = {"touchable": TOUCHABLE, "held": HELD}
-    nodes = np.arange(len(series.nodes_m))
-    member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])
-    surface = drawn_surface(grid, member.astype(np.float32))
-    colours = np.tile(FREE, (surface.n_cells, 1))
-    # a triangle is coloured if all of its nodes belong to the set
-    whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
-    for index, colour in enumerate(marks.values()):
-        colours[whole[:, index]] = colour
-    return paint(surface, colours)

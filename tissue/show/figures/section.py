@@ -25,7 +25,6 @@ from tissue.show.figures.figure import (
     save,
     styled,
 )
-from tissue.show.figures.organ_surface import interpolate_in_layers
 from tissue.show.figures.tool_mesh import row_at, tool_turns
 from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.run import Run
@@ -44,6 +43,8 @@ REMOVED_TINT = 0.28
 PATH = "#CC79A7"
 """Colour of the path of the tip."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
+LAYERS_APART_MM = 1e4
+"""Distance between layers in the search for the nearest cell [mm], larger than every bone."""
 DECADES = 3.0
 """Largest span of a logarithmic scale [decades]; over more decades, neighbouring values look the
 same.
@@ -295,20 +296,28 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
 
 
 def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Array:
-    """Return the stress at the centres of the voxels of a section, from cells of the same layer
-    [MPa].
+    """Return the stress at the voxels of a section [MPa], shape (nu, nv).
+
+    Each voxel has the stress of the nearest cell of its layer.
     """
+    from scipy.spatial import cKDTree
+
+    values = frame.cells[STRESS]
+    there = np.flatnonzero(np.isfinite(values))
+    if not len(there):
+        return np.full(section.layer.shape, np.nan)
     u0, u1, v0, v1 = section.extent_mm
     (columns, rows) = section.layer.shape
-    places = np.empty((*section.layer.shape, 3))
     across, axis, normal = section.axes
+    # the layer is a fourth coordinate, so far apart that cells of the own layer are nearest
+    places = np.empty((columns, rows, 4))
     places[..., across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
     places[..., axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
     places[..., normal] = section.place_mm
-    values = interpolate_in_layers(
-        series, frame.cells[STRESS], 1e-3 * places.reshape(-1, 3), section.layer.ravel()
-    )
-    return values.reshape(section.layer.shape)
+    places[..., 3] = LAYERS_APART_MM * section.layer
+    centres_mm = 1e3 * series.nodes_m[series.cells[there]].mean(axis=1)
+    known = np.column_stack([centres_mm, LAYERS_APART_MM * series.layer[there]])
+    return np.asarray(values[there[cKDTree(known).query(places)[1]]])
 
 
 def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
