@@ -1,7 +1,8 @@
 """Atomic writing of files, checks of output files, and versions of file formats."""
 
+import csv
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,7 @@ __all__ = [
     "require_version",
     "whole_file",
     "write_columns",
+    "write_rows",
     "write_text",
 ]
 
@@ -215,8 +217,13 @@ def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
     import numpy as np  # the command line imports this module and should not load NumPy
 
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
-    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
-    write_text(path, "\n".join(lines) + "\n")
+    write_rows(path, [columns, *rows])
+
+
+def write_rows(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    """Write rows as CSV in one step, numbers with all digits."""
+    with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def write_text(path: Path, text: str) -> None:

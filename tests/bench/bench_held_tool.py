@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from harness import machine, table
 
-from tissue.evaluation.atlas.conditioning import (
+from tissue.evaluation.atlas.held_tool import (
     OBLIQUE,
     DevicePath,
     amplification,

@@ -98,4 +98,4 @@ def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
     out = finished(command, "chart", scene, "--quick", "--out", tmp_path / "charts")
     assert scene in out
     rows = (tmp_path / "charts" / f"{scene}.csv").read_text("utf-8").splitlines()
-    assert len(rows) >= 2 and rows[1].split(",")[1] == scene
+    assert len(rows) >= 2 and rows[1].split(",")[0] == scene

@@ -37,7 +37,6 @@ FOLDERS = {
         ("chart", "prediction", "wall"),
         "errors.csv prediction_wall.png prediction_tasks.png",
     ),
-    "perception": (("chart", "perception"), "perception-people.png"),
     "study": (("study", "run", "--trials", 1), "plan.toml study.json"),
     "study plan": (("study", "plan", "--trials", 1), "plan.toml trials.csv"),
 }
@@ -179,7 +178,6 @@ def test_no_command_touches_what_it_did_not_write(command, tmp_path, monkeypatch
         "swept": ("sweep", *WALL, "--set", "seed=1,2", "--workers", 1),
         "compared": ("compare", "made", "reference"),
         "assessed": ("assess", "made", "--against", "reference"),
-        "felt": ("chart", "perception"),
     }
     mine = {}
     for folder, arguments in writing.items():

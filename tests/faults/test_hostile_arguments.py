@@ -93,7 +93,7 @@ def test_tables_are_read_to_a_stated_depth():
         ("out/summary.json", ("view", "out", "--screenshot", "x.png")),
         ("out/summary.json", ("report", "out")),
         ("out/study.json", ("study", "report", "out")),
-        ("x.json", ("chart", "perception", "--observer", "x.json", "--out", "out")),
+        ("x.json", (*WALL, "--set", "perception=observer:x.json", "--out", "out")),
         ("x.trials.jsonl", ("calibrate", "--observer", "simulated:1", "--out", "x.json")),
         ("m.toml", (*WALL, "--set", "materials=m.toml", "--out", "out")),
     ],
@@ -141,7 +141,7 @@ def test_the_character_nul_is_refused(refused, tmp_path):
         ("sweep", "wall", "--set", "seed=1,2"),
         ("stability", "wall"),
         ("compare", "a", "b"),
-        ("chart", "perception"),
+        ("chart", "wall", "--quick"),
         ("study", "plan"),
         ("fit", "wall", "--measured", "x.csv"),
         ("import", "x.nrrd"),
@@ -287,8 +287,8 @@ def here(tmp_path, monkeypatch):
             ),
         ),
         (
-            ("chart", "perception", "--quick"),
-            "--quick must be left out with perception. Remove it",
+            ("chart", "prediction", "--quick"),
+            "--quick must be left out with prediction. Remove it",
         ),
         (
             ("calibrate", "--population", "x", "--trials", "5"),

@@ -164,7 +164,6 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
         ("folder", ["study", "run", "--trials", "1", "--tasks", "T2"]),
         ("folder", ["chart", "milling", "--quick", "--overwrite"]),
         ("folder", ["chart", "prediction", "wall", "--overwrite"]),
-        ("folder", ["chart", "perception", "--overwrite"]),
         ("folder", ["stability", "--only", "locking", "--overwrite"]),
         ("file.json", ["calibrate", "--observer", "simulated:1", "--overwrite"]),
         ("file.npz", ["train", "wall", "--overwrite"]),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.evaluation.statistics.comparison import tukey_groups
+from tissue.evaluation.statistics.comparison import tukey_tests
 from tissue.evaluation.statistics.hpi import composite_index, weights_of
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
 from tissue.evaluation.statistics.mixed import mixed_model
@@ -168,9 +168,9 @@ def test_tukey_of_plants():
         (0.494, -0.1972161, 1.1852161, 0.1979960),
         (0.865, 0.1737839, 1.5562161, 0.0120064),
     )
-    for pair, (difference, low, high, p) in zip(
-        tukey_groups(PLANTS, names, metric="g"), published, strict=True
-    ):
+    values, groups = np.concatenate(PLANTS)[:, None], np.repeat([0, 1, 2], 10)
+    tests = tukey_tests(values, groups, names, between=True, metric="g")
+    for pair, (difference, low, high, p) in zip(tests, published, strict=True):
         assert pair.effect.value == pytest.approx(difference, abs=1e-9)
         assert (pair.effect.low, pair.effect.high) == pytest.approx((low, high), abs=2e-6)
         assert pair.p == pytest.approx(p, abs=2e-6)

@@ -184,7 +184,7 @@ def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = No
 
 
 @study.command
-def report(folder: Path, /, *, exploratory: Path | None = None) -> None:
+def report(folder: Path, /) -> None:
     """Write tables, figures and their interpretation into the folder of a study.
 
     The report shows the figures of the paper for comparison.
@@ -194,13 +194,10 @@ def report(folder: Path, /, *, exploratory: Path | None = None) -> None:
     folder
         Folder of the study, written by `tissue study run`. The report on an unfinished study
         contains the trials so far.
-    exploratory
-        Folder of an older study. The report shows the figures of this older study, labelled as
-        exploratory, next to the figures of the study.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report
 
-        written, sentences = write_report(folder, exploratory=exploratory, report=report)
+        written, sentences = write_report(folder, report=report)
     console.print(*sentences, sep="\n")
     console.print(f"open {written}")

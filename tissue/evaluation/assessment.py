@@ -1,13 +1,13 @@
 """Assessment of a trainee's run against a reference run of the same scene."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.same_task import (
     AssessedRun,
@@ -125,16 +125,13 @@ class Quantity:
             is_above = is_above & self.limited
         above = np.flatnonzero(is_above)
         found = []
-        for span in (
-            np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1)
-            if len(above)
-            else []
-        ):
-            worst = span[self.values[span].argmax()]
-            start, end, at = (float(time_s[index]) for index in (span[0], span[-1], worst))
-            found.append(
-                Breach(self.what, start, end, float(self.values[worst]), at, self.limit, self.unit)
-            )
+        for span in np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1):
+            # without any breach, the only span is empty
+            if len(span):
+                worst = span[self.values[span].argmax()]
+                start, end, at = time_s[[span[0], span[-1], worst]].tolist()
+                size = float(self.values[worst])
+                found.append(Breach(self.what, start, end, size, at, self.limit, self.unit))
         return found
 
 
@@ -232,136 +229,80 @@ def assess(
     require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
     theirs = _trace(reference, "reference")
-    aligned = _Aligned.of(mine, theirs)
-    force = np.linalg.norm(aligned.force, axis=1)
-    whole_ideal_force = np.linalg.norm(aligned.ideal_force, axis=1)
-    ideal_force = whole_ideal_force[aligned.rows]
-    limit = force_limit_N
-    if limit is None:
-        limit = FORCE_MARGIN * float(whole_ideal_force.max())
+    path = mine.vectors("tool", "mm")
+    model = theirs.vectors("tool", "mm")
+    rows = aligned_rows(path, model)
+    deviation = deviation_mm(path, model, rows)
+    axis, start = _approach(theirs)
+    depth = (start - path) @ axis
+    ideal_depth = (start - model) @ axis
+    forces = mine.vectors("model_force", "N")
+    ideal_forces = theirs.vectors("model_force", "N")
+    force = np.linalg.norm(forces, axis=1)
+    ideal_force = np.linalg.norm(ideal_forces, axis=1)
+    peak = float(ideal_force.max())
+    deepest = float(ideal_depth.max())
+    limit = FORCE_MARGIN * peak if force_limit_N is None else force_limit_N
     # a reference without a force would give a default limit of zero
     require_positive(
         "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
     )
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
-    _require_shared_contact(force, ideal_force)
+    if not force.any():
+        raise NoSharedContactError("touches nothing")
+    if not ideal_force[rows].any():
+        raise NoSharedContactError("touches only where the reference run does not")
     # In free air, the distance from the path harms no tissue.
-    touches = (force > 0.0) | (ideal_force > 0.0)
-    deepest = float(aligned.ideal_depth.max())
-    ideal_depth = aligned.ideal_depth[aligned.rows]
+    touches = (force > 0.0) | (ideal_force[rows] > 0.0)
     quantities = (
-        Quantity(
-            "distance from the path", "mm", aligned.deviation, deviation_limit_mm, limited=touches
-        ),
-        Quantity("force", "N", force, limit, ideal_force),
-        Quantity("depth", "mm", aligned.depth, deepest + overshoot_limit_mm, ideal_depth),
+        Quantity("distance from the path", "mm", deviation, deviation_limit_mm, limited=touches),
+        Quantity("force", "N", force, limit, ideal_force[rows]),
+        Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, ideal_depth[rows]),
     )
     time = mine["time_s"]
-    breaches = sorted(
-        (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
-    )
+    breaches = [each for one in quantities for each in one.breaches(time)]
     kept = _keep_clear(trainee.summary, mine)
+    others = _keep_clear(reference.summary, theirs)
+    worst = int(deviation.argmax())
     figures = {
         "scene": trainee.summary.get("scene"),
-        "time_in_contact_s": _both(_contact_s, mine, theirs),
-        **aligned.figures(time),
-        "least_distance_mm": _least_distances(kept, _keep_clear(reference.summary, theirs)),
+        "time_in_contact_s": {"trainee": _contact_s(mine), "reference": _contact_s(theirs)},
+        "deviation_mm": {
+            "mean": float(deviation.mean()),
+            "worst": float(deviation[worst]),
+            "worst_at_s": float(time[worst]),
+        },
+        "peak_force_N": {"trainee": float(force.max()), "reference": peak},
+        "force_error": force_error(forces, ideal_forces[rows]),
+        "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
+        "least_distance_mm": {
+            name: {
+                "trainee": each["least_distance_mm"],
+                "reference": others[name]["least_distance_mm"],
+            }
+            for name, each in kept.items()
+            if name in others
+        },
         "keep_clear": kept,
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
+    known = {each["what"] for each in reference.summary.get("events", ())}
     scale = Materials.cited if reference.scene is None else reference.scene.constants
     hand, unscored = _steadiness(trainee, mine, scale)
     return Assessment(
         hand,
         figures,
-        tuple(breaches),
-        _new_events(trainee.summary, reference.summary),
+        tuple(sorted(breaches, key=lambda each: each.start_s)),
+        tuple(
+            (each["time_s"], each["what"])
+            for each in trainee.summary.get("events", ())
+            if each["what"] not in known
+        ),
         time,
         *quantities,
         tuple(_notes(trainee, reference)),
         unscored,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Aligned:
-    """Paths and forces of a run and of the reference, aligned by place.
-
-    Attributes
-    ----------
-    rows
-        Row of the reference that is aligned with each tick of the run, shape (ticks,).
-    deviation
-        Distance of the tool from the reference's path in each tick [mm], shape (ticks,).
-    depth, ideal_depth
-        Depths of the run and of the reference along the axis of the reference's tool, from its
-        first contact [mm], one for each tick of the run and of the reference.
-    force, ideal_force
-        Forces on the tool [N], shape (ticks, 3), one for each tick of the run and of the reference.
-    """
-
-    rows: Ints
-    deviation: Array
-    depth: Array
-    ideal_depth: Array
-    force: Array
-    ideal_force: Array
-
-    @classmethod
-    def of(cls, mine: Table, theirs: Table) -> "_Aligned":
-        """Return the alignment of two traces; raise InputError if the reference has no contact."""
-        path = mine.vectors("tool", "mm")
-        model = theirs.vectors("tool", "mm")
-        rows = aligned_rows(path, model)
-        axis, start = _approach(theirs)
-        return cls(
-            rows,
-            deviation_mm(path, model, rows),
-            (start - path) @ axis,
-            (start - model) @ axis,
-            mine.vectors("model_force", "N"),
-            theirs.vectors("model_force", "N"),
-        )
-
-    def figures(self, time_s: Array) -> dict[str, Any]:
-        """Return the figures of path and force, see `Assessment.figures`."""
-        worst = int(self.deviation.argmax())
-        peaks = {
-            name: float(np.linalg.norm(force, axis=1).max())
-            for name, force in (("trainee", self.force), ("reference", self.ideal_force))
-        }
-        return {
-            "deviation_mm": {
-                "mean": float(self.deviation.mean()),
-                "worst": float(self.deviation[worst]),
-                "worst_at_s": float(time_s[worst]),
-            },
-            "peak_force_N": peaks,
-            "force_error": force_error(self.force, self.ideal_force[self.rows]),
-            "overshoot_mm": overshoot_mm(self.depth, target_mm=float(self.ideal_depth.max())),
-        }
-
-
-def _require_shared_contact(size: Array, ideal_size: Array) -> None:
-    """Check that the trainee's run has contact, and the reference run at some aligned place too.
-
-    `size` is the size of the trainee's force in every tick [N], shape (ticks,). `ideal_size` is the
-    size of the force of the reference run at the aligned places [N], shape (ticks,).
-    """
-    if not size.any():
-        raise NoSharedContactError("touches nothing")
-    if not ideal_size.any():
-        raise NoSharedContactError("touches only where the reference run does not")
-
-
-def _new_events(mine: Summary, theirs: Summary) -> tuple[tuple[float, str], ...]:
-    """Return time [s] and sentence of each event that occurs only in the trainee's run."""
-    known = {each["what"] for each in theirs.get("events", ())}
-    return tuple(
-        (each["time_s"], each["what"])
-        for each in mine.get("events", ())
-        if each["what"] not in known
     )
 
 
@@ -391,11 +332,6 @@ def _trace(run: AssessedRun, name: str) -> Table:
             "run the scene again",
         )
     return run.trace
-
-
-def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str, float]:
-    """Apply a function to the traces of the trainee's run and of the reference run."""
-    return {"trainee": of(mine), "reference": of(theirs)}
 
 
 def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Steadiness | None, str]:
@@ -439,20 +375,6 @@ def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | N
             "first_breach_s": first_s,
         }
     return found
-
-
-def _least_distances(
-    mine: Mapping[str, Mapping[str, float | None]], theirs: Mapping[str, Mapping[str, float | None]]
-) -> dict[str, dict[str, float | None]]:
-    """Return the smallest distance of the tool from each structure to keep clear [mm], by run."""
-    return {
-        name: {
-            "trainee": each["least_distance_mm"],
-            "reference": theirs[name]["least_distance_mm"],
-        }
-        for name, each in mine.items()
-        if name in theirs
-    }
 
 
 def _contact_s(trace: Table) -> float:

@@ -1,7 +1,6 @@
 """Ranking of trainees by breaches and scores of their runs, with learning curves."""
 
-import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_rows
 from tissue.evaluation.assessment import Assessment, NoSharedContactError, assess
 from tissue.evaluation.same_task import AssessedRun, OtherTaskError, coupling_notes
 from tissue.evaluation.statistics.intervals import mean_interval
@@ -33,20 +32,6 @@ __all__ = [
 ]
 
 FILES = ("ranking.csv", "ranking.png")
-COLUMNS = (
-    "rank",
-    "trainee",
-    "attempt",
-    "score",
-    "score_low",
-    "score_high",
-    "tremor_mm",
-    "mean_deviation_mm",
-    "overshoot_mm",
-    "peak_force_N",
-    "force_error",
-    "limits_exceeded",
-)
 LEAST_ATTEMPTS = 3
 """Smallest number of attempts of a trainee from whose spread an interval is computed."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -68,6 +53,11 @@ class Attempt:
         """Tremor and score of the hand in the run. Every attempt has a score."""
         assert self.found.steadiness is not None, self.name
         return self.found.steadiness
+
+    def least_mm(self, structure: str) -> float:
+        """Return the smallest distance of the tool from a structure [mm], NaN if unknown."""
+        kept = self.found.figures["keep_clear"]
+        return float(kept[structure]["least_distance_mm"]) if structure in kept else float("nan")
 
 
 @dataclass(frozen=True)
@@ -104,13 +94,9 @@ class Person:
         if count >= LEAST_ATTEMPTS:
             found = mean_interval(self.scores)
             return found.low, found.high
-        each = [one.steadiness for one in self.attempts]
-        below = np.array([one.score - one.low for one in each])
-        above = np.array([one.high - one.score for one in each])
-        return (
-            self.mean - float(np.linalg.norm(below)) / count,
-            self.mean + float(np.linalg.norm(above)) / count,
-        )
+        ends = [(one.steadiness.low, one.steadiness.high) for one in self.attempts]
+        below, above = np.linalg.norm(np.array(ends) - self.scores[:, None], axis=0) / count
+        return self.mean - float(below), self.mean + float(above)
 
     @property
     def gain(self) -> tuple[float, float, float] | None:
@@ -155,6 +141,13 @@ class Ranking:
     left_out: tuple[str, ...] = ()
     notes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
+    @property
+    def structures(self) -> list[str]:
+        """Names of the structures that the runs had to keep clear of."""
+        attempts = (attempt for person in self.people for attempt in person.attempts)
+        kept = (name for each in attempts for name in each.found.figures["keep_clear"])
+        return list(dict.fromkeys(kept))
+
 
 def is_run(folder: Path) -> bool:
     """Return whether a folder is the folder of a run."""
@@ -184,7 +177,10 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
     """
     people = []
     left_out = []
-    notes = _Notes(reference)
+    notes: dict[str, list[str]] = {}
+    device = reference.scene and reference.scene.device
+    # without a device, the reference has no coupling: the first ranked run has the compared one
+    first: tuple[AssessedRun, str] | None = None
     for person in _folders(folder):
         runs = [person] if is_run(person) else [each for each in _folders(person) if is_run(each)]
         if not runs:
@@ -195,28 +191,31 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
                 f"remove the folder {person}",
             )
         attempts = []
-        for run in runs:
-            assessed = load(run)
+        for path in runs:
+            run = load(path)
             try:
-                found = assess(assessed, reference)
+                found = assess(run, reference)
             except NoSharedContactError as problem:
-                left_out.append(f"{run} {problem.reason}")
+                left_out.append(f"{path} {problem.reason}")
                 continue
             except OtherTaskError as problem:
                 left_out.append(
-                    f"{run} is of another task than the reference: {problem.difference}. "
+                    f"{path} is of another task than the reference: {problem.difference}. "
                     "Run the scene of the reference"
                 )
                 continue
             except InputError as refusal:
-                raise InputError(f"{run}: {refusal}") from refusal
+                raise InputError(f"{path}: {refusal}") from refusal
             if found.steadiness is None:
                 breached = ", ".join(found.breached)
                 harm = f"breached {breached} and " if breached else ""
-                left_out.append(f"{run} {harm}has no score: {found.unscored}")
-            else:
-                notes.add(run.relative_to(folder).as_posix(), assessed, found)
-                attempts.append(Attempt(run.name, found))
+                left_out.append(f"{path} {harm}has no score: {found.unscored}")
+                continue
+            name = path.relative_to(folder).as_posix()
+            first = first or (run, name)
+            for note in (*found.notes, *(() if device else coupling_notes(run, *first))):
+                notes.setdefault(note, []).append(name)
+            attempts.append(Attempt(path.name, found))
         if attempts:
             people.append(Person(person.name, tuple(attempts)))
     if not people and left_out:
@@ -230,36 +229,8 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         )
     people.sort(key=lambda person: (person.breached_share, -person.mean))
     scene = str(reference.summary.get("scene"))
-    return Ranking(scene, tuple(people), tuple(left_out), notes.runs)
-
-
-class _Notes:
-    """Collector of notes on differences between scenes, with the runs that each note concerns.
-
-    Runs with different scales of the coupling are not comparable. If the reference run has no
-    device, it has no coupling. The couplings are then compared with the coupling of the first
-    ranked run.
-    """
-
-    def __init__(self, reference: AssessedRun) -> None:
-        self._reference = reference
-        self._first: tuple[str, AssessedRun] | None = None
-        self._runs: dict[str, list[str]] = {}
-
-    def add(self, name: str, run: AssessedRun, found: Assessment) -> None:
-        """Add the notes of a ranked run."""
-        notes = list(found.notes)
-        scene = self._reference.scene
-        if scene is None or scene.device is None:
-            first_name, first = self._first = self._first or (name, run)
-            notes += coupling_notes(run, first, first_name)
-        for note in notes:
-            self._runs.setdefault(note, []).append(name)
-
-    @property
-    def runs(self) -> dict[str, tuple[str, ...]]:
-        """Names of the runs of each note."""
-        return {note: tuple(runs) for note, runs in self._runs.items()}
+    noted = {note: tuple(names) for note, names in notes.items()}
+    return Ranking(scene, tuple(people), tuple(left_out), noted)
 
 
 def ranking_lines(found: Ranking) -> list[str]:
@@ -267,66 +238,36 @@ def ranking_lines(found: Ranking) -> list[str]:
     people = counted(len(found.people), "trainee")
     runs = counted(sum(len(person.attempts) for person in found.people), "run")
     lines = [f"{found.scene}: {people}, {runs}; {SCALE}"]
-    if structures := _structures(found):
+    structures = found.structures
+    if structures:
         lines.append(
             f"order: first by the share of runs that breached {' or '.join(structures)}, "
             "the smallest first, then by the mean score"
         )
     for place, person in enumerate(found.people, 1):
         low, high = person.interval
-        count = len(person.attempts)
         line = (
             f"{place}. {person.name}: {person.mean:.0f} (95 %: {low:.0f} to {high:.0f}), "
-            f"{counted(count, 'attempt')}"
+            f"{counted(len(person.attempts), 'attempt')}"
         )
         if (gain := person.gain) is not None:
             line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
             if gain[1] <= 0.0 <= gain[2]:
                 line += ": the attempts show no change, because this interval contains 0"
         lines.append(line)
-        lines += [f"   least distance to {each}" for each in _distance_texts(person, structures)]
+        for name in structures:
+            distances = ", ".join(
+                f"{each.least_mm(name):.2f} mm" + " (breached)" * (name in each.found.breached)
+                for each in person.attempts
+            )
+            lines.append(f"   least distance to {name}: {distances}")
     for note, noted in found.notes.items():
         lines.append(f"note: {note}")
-        lines += [f"   {each}" for each in _runs_by_trainee(noted)]
+        by_trainee: dict[str, list[str]] = {}
+        for run in noted:
+            by_trainee.setdefault(run.partition("/")[0], []).append(run)
+        lines += [f"   {', '.join(each)}" for each in by_trainee.values()]
     return lines + [f"left out: {each}" for each in found.left_out]
-
-
-def _runs_by_trainee(runs: Sequence[str]) -> Iterator[str]:
-    """Yield the names of the runs of each trainee in one text."""
-    held: dict[str, list[str]] = {}
-    for run in runs:
-        held.setdefault(run.partition("/")[0], []).append(run)
-    for each in held.values():
-        yield ", ".join(each)
-
-
-def _structures(found: Ranking) -> list[str]:
-    """Return the names of the structures that the runs had to keep clear of."""
-    return list(
-        dict.fromkeys(
-            name
-            for person in found.people
-            for attempt in person.attempts
-            for name in attempt.found.figures["keep_clear"]
-        )
-    )
-
-
-def _least_mm(attempt: Attempt, structure: str) -> float:
-    """Return the smallest distance of the tool from a structure in a run [mm], NaN if unknown."""
-    kept = attempt.found.figures["keep_clear"]
-    return float(kept[structure]["least_distance_mm"]) if structure in kept else float("nan")
-
-
-def _distance_texts(person: Person, structures: Sequence[str]) -> Iterator[str]:
-    """Yield a text for each structure, with the smallest distance in each attempt and breaches."""
-    for name in structures:
-        each = [
-            f"{_least_mm(attempt, name):.2f} mm"
-            + (" (breached)" if name in attempt.found.breached else "")
-            for attempt in person.attempts
-        ]
-        yield f"{name}: {', '.join(each)}"
 
 
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -335,47 +276,45 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
     Raises InputError if the folder is a file, or holds another ranking.
     """
     with OwnedFolder(folder, "ranking", FILES, overwrite=overwrite):
-        with (
-            whole_file(folder / FILES[0]) as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as file,
-        ):
-            writer = csv.writer(file)
-            structures = _structures(found)
-            distances = [f"least_distance_{name}_mm" for name in structures]
-            writer.writerow([*COLUMNS, *distances, *(f"breached_{name}" for name in structures)])
-            writer.writerows(_rows(found, structures))
+        rows = [
+            _row(found, place, person, attempt)
+            for place, person in enumerate(found.people, 1)
+            for attempt in person.attempts
+        ]
+        write_rows(folder / FILES[0], [rows[0], *(row.values() for row in rows)])
         _draw(found, folder / FILES[1])
     return [folder / name for name in FILES]
 
 
-def _rows(found: Ranking, structures: Sequence[str]) -> list[tuple[object, ...]]:
-    """Return a table row for each run: values of `COLUMNS`, distances, and breaches."""
-    return [
-        (
-            place,
-            person.name,
-            attempt.name,
-            round(attempt.steadiness.score, 2),
-            round(attempt.steadiness.low, 2),
-            round(attempt.steadiness.high, 2),
-            round(attempt.steadiness.tremor_mm, 4),
-            round(attempt.found.figures["deviation_mm"]["mean"], 4),
-            round(attempt.found.figures["overshoot_mm"], 4),
-            round(attempt.found.figures["peak_force_N"]["trainee"], 4),
-            round(attempt.found.figures["force_error"], 4),
-            len({breach.what for breach in attempt.found.breaches}),
-            *(round(_least_mm(attempt, name), 4) for name in structures),
-            *(name in attempt.found.breached for name in structures),
-        )
-        for place, person in enumerate(found.people, 1)
-        for attempt in person.attempts
-    ]
+def _row(found: Ranking, place: int, person: Person, attempt: Attempt) -> dict[str, object]:
+    """Return the table row of a run, keyed by the names of the columns."""
+    hand = attempt.steadiness
+    figures = attempt.found.figures
+    row = {
+        "rank": place,
+        "trainee": person.name,
+        "attempt": attempt.name,
+        "score": round(hand.score, 2),
+        "score_low": round(hand.low, 2),
+        "score_high": round(hand.high, 2),
+        "tremor_mm": round(hand.tremor_mm, 4),
+        "mean_deviation_mm": round(figures["deviation_mm"]["mean"], 4),
+        "overshoot_mm": round(figures["overshoot_mm"], 4),
+        "peak_force_N": round(figures["peak_force_N"]["trainee"], 4),
+        "force_error": round(figures["force_error"], 4),
+        "limits_exceeded": len({breach.what for breach in attempt.found.breaches}),
+    }
+    least = {
+        f"least_distance_{name}_mm": round(attempt.least_mm(name), 4) for name in found.structures
+    }
+    breached = {f"breached_{name}": name in attempt.found.breached for name in found.structures}
+    return row | least | breached
 
 
 def _draw(found: Ranking, path: Path) -> None:
     """Draw scores, smallest distances to structures and, for several attempts, learning curves."""
     people = found.people
-    structures = _structures(found)
+    structures = found.structures
     most = max(len(person.attempts) for person in people)
     count = 1 + bool(structures) + (most > 1)
     # inches: a row for each trainee, and space for title and axis
@@ -384,7 +323,7 @@ def _draw(found: Ranking, path: Path) -> None:
     panels = chart.subplots(1, count, squeeze=False)[0]
     _draw_scores(people, panels[0])
     if structures:
-        _draw_distances(people, structures, panels[1])
+        _draw_distances(found, panels[1])
     for axes in panels[: 1 + bool(structures)]:
         axes.set_ylim(len(people) - 0.4, -0.6)
         axes.set_yticks(range(len(people)), [person.name for person in people])
@@ -392,12 +331,12 @@ def _draw(found: Ranking, path: Path) -> None:
     if most > 1:
         _draw_learning(people, panels[-1])
         panels[-1].set_xticks(range(1, most + 1))
-    title = f"{found.scene}: steadiness of the hand, mean with 95 % interval"
-    spread = (
-        f"interval from the spread of {LEAST_ATTEMPTS} or more attempts; with fewer attempts, "
-        "from the intervals of the runs"
+    chart.suptitle(
+        f"{found.scene}: steadiness of the hand, mean with 95 % interval\ninterval from the "
+        f"spread of {LEAST_ATTEMPTS} or more attempts; with fewer attempts, from the intervals of "
+        "the runs",
+        size=9,
     )
-    chart.suptitle(f"{title}\n{spread}", size=9)
     save(chart, path)
 
 
@@ -409,7 +348,7 @@ def _look(place: int) -> tuple[str, str]:
     return COLOURS[place % len(COLOURS)], MARKERS[place // len(COLOURS) % len(MARKERS)]
 
 
-def _draw_scores(people: Sequence[Person], axes: "Axes") -> None:
+def _draw_scores(people: Iterable[Person], axes: "Axes") -> None:
     """Draw the mean score of each trainee with its interval, and the score of each run."""
     for place, person in enumerate(people):
         colour, marker = _look(place)
@@ -424,29 +363,29 @@ def _draw_scores(people: Sequence[Person], axes: "Axes") -> None:
     axes.set_xlabel("score")
 
 
-def _draw_distances(people: Sequence[Person], structures: Sequence[str], axes: "Axes") -> None:
+def _draw_distances(found: Ranking, axes: "Axes") -> None:
     """Draw the smallest distance of the tool from each structure in each run, and mark breaches."""
-    for index, name in enumerate(structures):
-        marker = MARKERS[index % len(MARKERS)]
-        breached_at: list[tuple[float, int]] = []
-        distances: list[tuple[float, int]] = []
-        for place, person in enumerate(people):
-            for attempt in person.attempts:
-                point = (_least_mm(attempt, name), place)
-                (breached_at if name in attempt.found.breached else distances).append(point)
-        for points, colour, text in (
-            (distances, "0.4", f"{name}, not breached"),
-            (breached_at, BREACHED, f"{name}, breached"),
+    for index, name in enumerate(found.structures):
+        for breached, colour, text in (
+            (False, "0.4", "not breached"),
+            (True, BREACHED, "breached"),
         ):
+            points = [
+                (attempt.least_mm(name), place)
+                for place, person in enumerate(found.people)
+                for attempt in person.attempts
+                if (name in attempt.found.breached) == breached
+            ]
             if points:
-                across, rows = zip(*points, strict=True)
-                axes.plot(across, rows, marker, color=colour, label=text)
+                marker = MARKERS[index % len(MARKERS)]
+                label = f"{name}, {text}"
+                axes.plot(*np.array(points).T, marker, color=colour, label=label)
     axes.axvline(0.0, color=BREACHED, linestyle="--")
     axes.set_xlabel("least distance of each run / mm")
     axes.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
 
 
-def _draw_learning(people: Sequence[Person], axes: "Axes") -> None:
+def _draw_learning(people: Iterable[Person], axes: "Axes") -> None:
     """Draw the score against the number of the attempt, for each trainee with several attempts."""
     for place, person in enumerate(people):
         if len(person.attempts) > 1:

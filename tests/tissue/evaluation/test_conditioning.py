@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
-from tissue.evaluation.atlas.conditioning import (
+from tissue.evaluation.atlas.held_tool import (
     OBLIQUE,
     Course,
     DevicePath,

@@ -203,8 +203,7 @@ def test_the_interval_of_a_mean_covers_95_percent_and_a_gain_is_the_slope():
 
 def test_a_gain_whose_interval_contains_zero_shows_no_change(monkeypatch):
     monkeypatch.setattr(Scored, "name", "p03", raising=False)
-    monkeypatch.setattr(ranking, "_distance_texts", lambda *_: ())
-    monkeypatch.setattr(ranking, "_structures", lambda _: [])
+    monkeypatch.setattr(ranking.Ranking, "structures", [])
     few = [21.0, 37.0, 22.0]
     many = 10.0 + 4.0 * np.arange(6)
     words = "the attempts show no change, because this interval contains 0"

@@ -11,14 +11,13 @@ from meshes.base.arrays import Array
 from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters.cutter import Cutter
-from tissue.cutters.profile import Profile, ball_burr, cylinder
+from tissue.cutters.profile import ball_burr
 from tissue.evaluation.atlas.page import (
     ENGINE,
     FAILING,
     GREY,
     ORANGE,
     THEORY,
-    Answer,
     Conduct,
     Data,
     Page,
@@ -27,18 +26,14 @@ from tissue.evaluation.atlas.page import (
     error_of,
     log_slope,
     panel,
-    refused,
-    shown,
     sweep,
 )
-from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
 from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
-from tissue.motion.thrust import PushAlongAxis, implicit_speed
-from tissue.scene.load import load_scene
+from tissue.motion.thrust import implicit_speed
 
 __all__ = ["Contrast", "CutCells", "ExplicitCutting"]
 
@@ -53,22 +48,17 @@ MASS_KG = 0.05
 """Mass of the tool in the sweep of the time step [kg]."""
 
 
-def bone_model(size_mm: tuple[float, float, float], profile: Profile, flutes: int) -> BoneModel:
-    """Return a cutter at 1,000 rpm in a block of cortical bone."""
-    # voxels of 0.1 mm are the default of a scene; 100 rad/s is the spin that `ExplicitCutting`
-    # names
-    volume = voxelise(cortical_block(size_mm=size_mm), spacing_m=1e-4)
-    return BoneModel(volume, Cutter(profile, flutes, 100.0), (cutting_coefficients("bone"),))
-
-
 @cache
 def drag_N_s_m() -> float:
     """Compute the increase of a burr's force with its speed, 1 mm deep in cortical bone [N s/m].
 
     The burr plunges along its axis. The value is the resistance that the bone model returns.
     """
-    # a block that is wider than the burr and 1 mm deeper than the plunge
-    model = bone_model((7, 7, 2), ball_burr(diameter_m=6e-3), 2)
+    # a block that is wider than the burr and 1 mm deeper than the plunge, in the voxels of a scene
+    volume = voxelise(cortical_block(size_mm=(7, 7, 2)), spacing_m=1e-4)
+    # 100 rad/s is the spin that `ExplicitCutting` names
+    cutter = Cutter(ball_burr(diameter_m=6e-3), 2, 100.0)
+    model = BoneModel(volume, cutter, (cutting_coefficients("bone"),))
     motion = ToolMotion(speed_m_s=1e-3)
     motion.heading[0] = (0.0, 0.0, -1.0)
     model.place(motion)
@@ -94,39 +84,6 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
         if abs(speed) > 1e12 * settled:
             break
     return abs(speed / settled - 1.0)
-
-
-def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
-    """Push a drill into bone for 0.5 s; return its mean axial force and its largest speed.
-
-    The mean force [N] is over the last 0.2 s, the largest speed [m/s] over the whole run.
-    """
-    # a drill of 4 mm in a block that is wide enough for it and 1 mm deeper than its path
-    model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
-    push = PushAlongAxis(
-        # 0.1 mm above the bone; at most 5 mm/s, and 4 mm deep
-        np.array([0.0, 0.0, 1e-4]),
-        axis=(0, 0, 1),
-        thrust_N=thrust_N,
-        mass_kg=mass_kg,
-        max_feed_m_s=5e-3,
-        depth_m=4e-3,
-    )
-    motion = ToolMotion()
-    push.begin(motion)
-    model.place(motion)
-    response = model.respond(motion)
-    axial = []
-    speed = []
-    # 0.5 s: at 5 mm/s at most, the drill goes no deeper than 2.5 of the 4 mm
-    for tick in range(500):
-        push.advance(1e-3 * tick, 1e-3, response, motion)
-        model.advance(motion)
-        response = model.respond(motion)
-        axial.append(response.wrench[2])
-        speed.append(motion.speed_m_s)
-    # in the last 0.2 s the drill is fully engaged
-    return np.mean(axial[-200:]), max(speed)
 
 
 class ExplicitCutting(Page):
@@ -192,23 +149,6 @@ class ExplicitCutting(Page):
             f"{0.5e-3 * drag_N_s_m():.1f} kg runs away. The implicit step is within {worst:.0e} of "
             f"the steady feed up to {1e3 * step['step_s'].max():.0f} ms.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Push a tool too light for explicit steps of 1 ms, and load a scene with a NaN thrust."""
-        # at 1 ms, an explicit step of 10 g would be 380 times too long
-        force, speed = plunge(0.01, 40.0)
-        scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
-        return [
-            shown(
-                "a drill of 10 g pushed with 40 N at the tick of 1 ms",
-                # 1 % is the tolerance of the thrust balance (`docs/models.md`); 5 mm/s is the feed
-                # limit of `plunge`
-                abs(force / 40.0 - 1.0) < 0.01 and speed <= 5e-3,
-                f"cuts with {force:.2f} N, at no time faster than its limit of "
-                f"{1e3 * speed:.1f} mm/s",
-            ),
-            refused("a scene with a thrust that is NaN", lambda: load_scene("glenoid", scene)),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the longest stable time step against the mass."""
@@ -341,29 +281,6 @@ class CutCells(Page):
             f"below {worst:.0f}. The compliance at a force on top decreases by up to "
             f"{100 * cost:.1f} %. Cells with a fill below {LEAST_FILL:g} are dropped.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Load a body with a singular matrix, and build cells too empty to carry a load."""
-        random = np.random.default_rng(0)
-        # a tenth filled, without inner stiffness: singular as at every fill, see `judge`
-        body = cut_block(0.1, 0.0)
-        load = random.normal(size=(body.grid.node_count, 3)) * body.carrying[:, None]
-        outcome = body.solve(load).outcome
-        dropped = int((cut_block(0.5 * LEAST_FILL, INNER_STRENGTH).cells.live == 0).sum())
-        return [
-            shown(
-                "a load on cells without inner stiffness",
-                outcome is not SolverOutcome.CONVERGED,
-                f"{outcome.name}: {outcome.value}",
-                Conduct.REFUSES,
-            ),
-            shown(
-                f"cells filled to {0.5 * LEAST_FILL:g}",
-                dropped == CELLS**2,
-                f"{dropped} cells carry no load and are left out",
-                Conduct.FALLS_BACK,
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the condition number against the filled fraction of the cut cells."""
@@ -506,28 +423,6 @@ class Contrast(Page):
             f"{plain[0]:.0f} to {plain[-1]:.0f} iterations (at most {MOST} are run). The "
             f"multigrid takes {multigrid.min():.0f} to {multigrid.max():.0f}.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Request a solve with too few iterations, and a solve without supports."""
-        body = soft_middle(8, REAL)
-        # two of the 6 to 8 iterations that a cold solve takes
-        short = body.solve(pushed(body), limit=2, cold=True)
-        loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))
-        unheld = loose.solve(pushed(loose))
-        return [
-            shown(
-                "a solve in two iterations",
-                short.outcome is SolverOutcome.NOT_CONVERGED,
-                f"{short.outcome.name}, error {short.error:.0e}: {short.outcome.value}",
-                Conduct.REFUSES,
-            ),
-            shown(
-                "a body without supports",
-                unheld.outcome is SolverOutcome.UNSUPPORTED,
-                f"{unheld.outcome.name}: {unheld.outcome.value}",
-                Conduct.REFUSES,
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw iterations against the contrast."""

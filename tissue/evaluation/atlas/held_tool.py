@@ -1,39 +1,55 @@
-"""Page on hand-held cutting tools: change of the tool path caused by a shift of the device path."""
+"""Page on a tool in a hand: change of the tool path after a small change of the device path.
 
-from collections.abc import Iterator
-from functools import cache
+The device path of a closed loop is recorded once. The recorded path is then replayed without
+feedback, unchanged and shifted. The functions read the trace and the true poses of the device.
+"""
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from tissue.evaluation.atlas.conditioning import (
-    OBLIQUE,
-    DevicePath,
-    amplification,
-    force_error,
-    in_a_hand,
-    recorded_path,
-    replayed,
-)
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from tissue.evaluation.atlas.page import (
     GREEN,
     GREY,
     ORANGE,
     THEORY,
-    Answer,
     Conduct,
     Data,
     Page,
     Table,
     Verdict,
     panel,
-    shown,
 )
-from tissue.scene.load import load_scene
+from tissue.evaluation.charts.settings import by_hand, force_only
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand_motion import HandMotion
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.quaternion import Quaternion, Triple
+from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.simulate import RunObserver, simulate
 
-__all__ = ["HeldTool"]
+__all__ = [
+    "OBLIQUE",
+    "Course",
+    "DevicePath",
+    "HeldTool",
+    "amplification",
+    "force_error",
+    "in_a_hand",
+    "recorded_path",
+    "replayed",
+]
 
+OBLIQUE = np.array([0.48, -0.36, 0.8])
+"""Unit direction of a shift. It is not parallel to any axis of a scene."""
 LIGHT = 1e-4
 """Factor on the mass of the tool in runs that approximate a massless, quasi-static tool.
 
@@ -43,7 +59,6 @@ mass, so this factor reduces the damping to a hundredth.
 SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries": 1.6}
 """Duration of the run of each cutting scene [s]. The run includes one second of contact."""
 SHIFTS_M = np.array([1e-9, 1e-6, 1e-5])
-SEED = 1
 MOST = 10.0
 """Amplification above which a tool counts as ill-conditioned.
 
@@ -55,35 +70,140 @@ STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), (
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
 
 
-def _columns(scene: Scene, path: DevicePath, rule: str, *, mass_share: float) -> Table:
-    """Measure amplification and force error for each shift of the device path."""
-    reference = replayed(scene, path, mass_share=mass_share)
-    rows = []
-    for shift_m in SHIFTS_M.tolist():
-        course = replayed(scene, path.shifted(shift_m * OBLIQUE), mass_share=mass_share)
-        rows.append((amplification(course, reference, shift_m)[0], force_error(course, reference)))
-    amplified, error = np.array(rows).T
-    return {rule: amplified, f"{rule}_force": error}
+@dataclass(frozen=True)
+class DevicePath:
+    """True poses of a device in every tick.
+
+    Attributes
+    ----------
+    positions_m
+        Positions [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), shape (n, 4).
+    """
+
+    positions_m: Array
+    quaternions: Array
+
+    def shifted(self, shift_m: Array) -> "DevicePath":
+        """Return the path shifted by a constant vector [m], shape (3,)."""
+        return DevicePath(self.positions_m + shift_m, self.quaternions)
 
 
-@cache
-def _measured() -> Data:
-    """Replay the path of one hand in every scene, with the tool's mass and almost without mass."""
-    data: Data = {}
-    for name, seconds in SECONDS.items():
-        scene = in_a_hand(load_scene(name), seed=SEED, seconds=seconds)
-        path = recorded_path(scene)
-        engine = _columns(scene, path, "engine", mass_share=1.0)
-        light = _columns(scene, path, "massless", mass_share=LIGHT)
-        data[name] = {"shift_m": SHIFTS_M} | engine | light
-    return data
+@dataclass(frozen=True)
+class Course:
+    """Path and forces of a tool whose device follows a given path.
+
+    Attributes
+    ----------
+    tips_m
+        Positions of the tip in every tick [m], shape (n, 3).
+    forces_N
+        Forces of the tissue before they are scaled for the device [N], shape (n, 3).
+    touches
+        True for ticks in contact, shape (n,).
+    mass_kg
+        Mass of the tool in this run [kg]; None for a tool without inertia.
+    """
+
+    tips_m: Array
+    forces_N: Array
+    touches: NDArray[np.bool_]
+    mass_kg: float | None = None
+
+    @property
+    def first(self) -> int:
+        """First tick in contact. InputError is raised if no tick is in contact."""
+        if not self.touches.any():
+            raise InputError(
+                "duration_s", "reach the first contact", "no contact", "use a longer duration_s"
+            )
+        return int(np.argmax(self.touches))
+
+
+class _PoseObserver(RunObserver):
+    """Run observer that records true poses of a simulated device, and scales the tool's mass."""
+
+    def __init__(self, mass_share: float = 1.0) -> None:
+        self.positions_m: list[Triple] = []
+        self.quaternions: list[Quaternion] = []
+        self.mass_kg: float | None = None
+        self._mass_share = mass_share
+        self._device: object = None
+
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Find the device, and scale the mass of the tool before the first tick."""
+        assert isinstance(parts.motion, HandMotion)
+        self._device = parts.motion.held.device
+        # only a tool with inertia has a mass
+        tool: Any = parts.motion.tool
+        if hasattr(tool, "mass_kg"):
+            tool.mass_kg *= self._mass_share
+            self.mass_kg = tool.mass_kg
+
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
+        """Record the true pose of the device."""
+        if isinstance(self._device, SimulatedDevice):
+            self.positions_m.append(self._device.true_position_m)
+            self.quaternions.append(self._device.orientation)
+        return True
+
+
+def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
+    """Return the scene with its tool on a device that an expert's hand holds.
+
+    Parts of the scene without influence on the force are left out.
+    """
+    # The path is replayed without feedback, so that a prediction would only cost time.
+    run: dict[str, object] = {"seed": seed, "duration_s": seconds, "prediction": "none"}
+    return changed(by_hand(scene), run | {"hand": "expert"} | force_only(scene))
+
+
+def recorded_path(scene: Scene) -> DevicePath:
+    """Run the closed loop of a scene, and return the true poses of the device."""
+    observer = _PoseObserver()
+    simulate(scene, allow_unstable=True, observer=observer)
+    return DevicePath(np.array(observer.positions_m), np.array(observer.quaternions))
+
+
+def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Course:
+    """Run a scene along a given device path; forces do not change this path.
+
+    As on a simulated device, the velocity is the difference of two successive positions divided by
+    the duration of a tick. The mass of a tool with inertia is multiplied by ``mass_share``.
+    """
+    times_s = TICK_S * np.arange(len(path.positions_m), dtype=np.float64)
+    device = RecordedDevice(times_s, path.positions_m, path.quaternions)
+    observer = _PoseObserver(mass_share)
+    trace = simulate(scene, allow_unstable=True, device=device, observer=observer).trace
+    tips_m = 1e-3 * trace.vectors("tool", "mm")
+    return Course(tips_m, trace.vectors("force", "N"), trace["contact_mm2"] > 0.0, observer.mass_kg)
+
+
+def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
+    """Return the distance between two tool paths divided by the shift between their device paths.
+
+    Two values are returned: the ratio one second after the first contact (or at the end of a
+    shorter run), and the largest ratio of the run. ``shift_m`` is the shift between the device
+    paths [m]. For a tool without contact, the ratio is 1.
+    """
+    away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
+    later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
+    return away_m[later] / shift_m, away_m.max() / shift_m
+
+
+def force_error(course: Course, reference: Course) -> float:
+    """Return the RMS difference of the forces divided by the RMS force of the reference.
+
+    Only ticks with contact in at least one of the two runs are used.
+    """
+    touching = course.touches | reference.touches
+    difference = (course.forces_N - reference.forces_N)[touching]
+    return float(np.linalg.norm(difference) / np.linalg.norm(reference.forces_N[touching]))
 
 
 class HeldTool(Page):
-    """Amplification of a shift of the device path by a cutting tool.
-
-    The tool has either the mass that the engine uses, or almost no mass.
-    """
+    """Amplification of a shift of the device path, with the tool's mass and almost without mass."""
 
     name = "held_tool"
     title = "Cutting tool in a hand: amplification of a small shift"
@@ -98,16 +218,27 @@ class HeldTool(Page):
     )
 
     def measure(self) -> Data:
-        """Replay the shifted paths. The tables are cached for further calls."""
-        return dict(_measured())
+        """Replay the shifted path of one hand in every scene, for both masses of the tool."""
+        data: Data = {}
+        for name, seconds in SECONDS.items():
+            scene = in_a_hand(load_scene(name), seed=1, seconds=seconds)
+            path = recorded_path(scene)
+            table: Table = {"shift_m": SHIFTS_M}
+            for rule, share in zip(RULES, (1.0, LIGHT), strict=True):
+                reference = replayed(scene, path, mass_share=share)
+                rows = []
+                for shift_m in SHIFTS_M.tolist():
+                    course = replayed(scene, path.shifted(shift_m * OBLIQUE), mass_share=share)
+                    grown, _ = amplification(course, reference, shift_m)
+                    rows.append((grown, force_error(course, reference)))
+                table[rule], table[f"{rule}_force"] = np.array(rows).T
+            data[name] = table
+        return data
 
     def judge(self, data: Data) -> Verdict:
-        """Check the largest amplifications, with and almost without mass, against the bound."""
-        largest = {
-            rule: {name: table[rule].max() for name, table in data.items()} for rule in RULES
-        }
-        worst = {rule: max(each, key=each.__getitem__) for rule, each in largest.items()}
-        grown = {rule: largest[rule][worst[rule]] for rule in RULES}
+        """Compare the largest amplifications, with and almost without mass, with the bound."""
+        worst = {rule: max(data, key=lambda name: data[name][rule].max()) for rule in RULES}
+        grown = {rule: data[name][rule].max() for rule, name in worst.items()}
         error = {
             rule: 100.0 * max(table[f"{rule}_force"].max() for table in data.values())
             for rule in RULES
@@ -121,10 +252,6 @@ class HeldTool(Page):
             f"most {grown['engine']:.3g} times the shift ({worst['engine']}), and the force by at "
             f"most {error['engine']:.2g} %. The bound is {MOST:g} times.",
         )
-
-    def ask(self) -> list[Answer]:
-        """List the amplifications; replay an unchanged path, and a shifted path on a wall."""
-        return [*_rows(_measured()), *_replays()]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the amplification against the shift, with and almost without mass of the tool."""
@@ -145,37 +272,3 @@ class HeldTool(Page):
                 legend="best" if engine else "",
                 title=title,
             )
-
-
-def _rows(data: Data) -> Iterator[Answer]:
-    """Yield the amplifications of each scene."""
-    for name, table in data.items():
-        engine, massless = (
-            ", ".join(f"{value:.3g}" for value in table[rule].tolist()) for rule in RULES
-        )
-        yield shown(
-            f"{name}, shifted by 1 nm, 1 µm and 10 µm",
-            (table["engine"] <= MOST).all(),
-            f"{engine} times the shift; in the massless limit {massless} times",
-        )
-
-
-def _replays() -> Iterator[Answer]:
-    """Yield the answers for a path that is replayed twice, and for a shifted path on a wall."""
-    # The burr touches after 0.4 s, the ball after 0.5 s.
-    scene = in_a_hand(load_scene("milling"), seed=SEED, seconds=0.6)
-    path = recorded_path(scene)
-    first = replayed(scene, path)
-    second = replayed(scene, path)
-    same = np.array_equal(first.tips_m, second.tips_m)
-    same = same and np.array_equal(first.forces_N, second.forces_N)
-    yield shown(
-        "milling, the same path twice", same, "equal tool paths and forces, to the last bit"
-    )
-    wall = in_a_hand(load_scene("wall"), seed=SEED, seconds=1.5)
-    path = recorded_path(wall)
-    shift_m = 1e-6
-    moved = replayed(wall, path.shifted(shift_m * OBLIQUE))
-    grown, _ = amplification(moved, replayed(wall, path), shift_m)
-    # measured: 1.000, because a wall only holds back a part of the shift
-    yield shown("a ball on a wall, shifted by 1 µm", grown < 1.1, f"{grown:.4g} times the shift")

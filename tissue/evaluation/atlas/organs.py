@@ -6,16 +6,15 @@ from scipy.linalg import eigvalsh
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Ints
-from meshes.tets.quality import SLIVER, describe, repair_tets
+from meshes.tets.quality import SLIVER, repair_tets
 from meshes.tets.structured import box
-from meshes.tets.tetrahedra import TetMesh, mean_ratio, signed_volumes
+from meshes.tets.tetrahedra import TetMesh, mean_ratio
 from tissue.evaluation.atlas.page import (
     ENGINE,
     FAILING,
     GREEN,
     ORANGE,
     THEORY,
-    Answer,
     Conduct,
     Curve,
     Data,
@@ -24,8 +23,6 @@ from tissue.evaluation.atlas.page import (
     error_of,
     log_slope,
     panel,
-    refused,
-    shown,
     sweep,
 )
 from tissue.fem.assembly import assemble, traction
@@ -36,10 +33,6 @@ from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
-from tissue.scene.load import load_scene
-from tissue.scene.organ import Organ, SlabAnatomy
-from tissue.simulation.builders.organ import elasticity_of
-from tissue.simulation.simulate import simulate
 
 __all__ = ["BadTetrahedra", "LargeRotation", "Locking"]
 
@@ -124,24 +117,6 @@ class Locking(Page):
             f"{ratio[0]:.2f} and {100 * linear[-1]:.0f} % at {ratio[-1]:.4f}. Quadratic tetrahedra "
             f"stay within {100 * off:.1f} % up to {last:.4f}{lost}.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Request a Poisson's ratio of 0.5, and an organ of linear tetrahedra at 0.49."""
-        _, note = elasticity_of(
-            # the mesh does not matter: the note depends only on order and Poisson's ratio
-            box((0.02, 0.02, 0.02), (1, 1, 1)),
-            SlabAnatomy(kind="slab", nodule_diameter_mm=0.0),
-            Organ(order=1, poisson_ratio=0.49),
-        )
-        return [
-            refused("ν = 0.5", lambda: lame(YOUNG, 0.5)),
-            shown(
-                "an organ of linear tetrahedra at ν = 0.49",
-                "lock" in note,
-                f"runs, and its summary states: {note}",
-                Conduct.FALLS_BACK,
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the deflection relative to Timoshenko's beam against 1 - 2 nu."""
@@ -245,42 +220,6 @@ class LargeRotation(Page):
             f"cos θ) to {off:.0e}. By the corotational and the neo-Hookean law it is at most "
             f"{worst / YOUNG_PA:.0e} of E.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Rotate a bar too far in one step, and press a ball deep into a linear organ."""
-        # nearly incompressible, as soft tissue
-        solver = bar_solver(Law.NEO_HOOKEAN, 0.45)
-        nodes = solver.body.nodes_m
-        # half a turn in one step maps cells through themselves, so that no Newton step can follow
-        goal = np.where(nodes[:, :1] > LENGTH_M - 1e-9, turned(nodes, 180.0), 0.0)
-        outcome = solver.solve(goal).outcome
-        # a coarse slab that builds in seconds; 4 mm is beyond 0.37 of the ball's radius, the limit
-        # of the linear law
-        small_slab = {
-            "anatomy.size_mm": [60, 60, 30],
-            "anatomy.edge_mm": 15,
-            "anatomy.touch_edge_mm": 6,
-            "anatomy.nodule_diameter_mm": 0,
-            "organ.interval_ms": 10_000,
-            "motion.points_mm": [[0, 0, 1], [0, 0, -4]],
-            "motion.feed_mm_s": 50,
-        }
-        run = simulate(load_scene("palpation", small_slab))
-        events = "; ".join(event for _, event in run.events)
-        return [
-            shown(
-                "one end rotated by 180° in one step",
-                outcome is not SolverOutcome.CONVERGED,
-                f"{outcome.name}: {outcome.value}",
-                Conduct.REFUSES,
-            ),
-            shown(
-                "a ball pressed 4 mm into a linear organ",
-                "linear elasticity" in events,
-                f"runs and reports: {events}",
-                Conduct.FALLS_BACK,
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the false stress against the angle of rotation."""
@@ -390,33 +329,6 @@ class BadTetrahedra(Page):
             f"(theory: −1), from {first:.0f} to {table['condition'].max():.1e}. After repair it is "
             f"at most {worst:.0f}, and the worst quality is {quality:.2f}.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Repair meshes with inverted cells, with folded cells and with a flat cell."""
-        nodes, cells = squashed(1.0)
-        turned_cells = cells.copy()
-        # three arbitrary cells of the 384
-        turned_cells[[17, 200, 301]] = cells[[17, 200, 301]][:, [1, 0, 2, 3]]
-        repaired, repairs = repair_tets(nodes, turned_cells)
-        volume = signed_volumes(repaired.nodes_m, repaired.cells).sum()
-        # 1e-12 is the rounding of a sum of 384 volumes
-        whole = "Turned 3 inverted" in repairs[0] and abs(volume / SIZE_M**3 - 1.0) < 1e-12
-        folded = nodes.copy()
-        # 1.6 edges to the side: the node passes through its neighbours' faces
-        folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
-        # as flat as the slivers of the sweep
-        mesh, sliver = repair_tets(*squashed(1e-4))
-        flat = len(sliver) > 0 and mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER
-        return [
-            shown(
-                "three inverted cells, from a file",
-                whole,
-                " ".join((*describe(repaired), *repairs)),
-                Conduct.FALLS_BACK,
-            ),
-            refused("a mesh that folds over itself", lambda: repair_tets(folded, cells)),
-            shown("a sliver", flat, " ".join((*describe(mesh), *sliver)), Conduct.FALLS_BACK),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the condition number against the height of the flattened cell."""

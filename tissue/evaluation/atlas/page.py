@@ -1,7 +1,6 @@
 """Pages of the stability atlas, and the files of all pages.
 
-A page has a sweep of a parameter, a verdict, a figure with panels, and answers of the engine to
-requests.
+A page varies a parameter, judges the measured data, and draws them.
 """
 
 import platform
@@ -16,7 +15,7 @@ from io import BytesIO
 from math import sqrt
 from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -39,7 +38,6 @@ __all__ = [
     "GREY",
     "ORANGE",
     "THEORY",
-    "Answer",
     "Conduct",
     "Curve",
     "Data",
@@ -52,9 +50,7 @@ __all__ = [
     "log_slope",
     "panel",
     "picture",
-    "refused",
     "shade",
-    "shown",
     "sweep",
     "write_atlas",
 ]
@@ -83,57 +79,26 @@ The values are one for each value of the sweep, or a single constant.
 
 
 class Conduct(Enum):
-    """Behaviour of the engine where a method fails.
-
-    The value of a member is its text on the page.
-    """
+    """Behaviour of the engine in a part of a sweep. The value of a member is its text."""
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
     REFUSES = "refuses"
-    SILENT = "is silently wrong"
 
 
 TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
 """Background colour of a region of a chart, by the behaviour of the engine there."""
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Measured behaviour of the engine for one request.
-
-    Attributes
-    ----------
-    asked
-        Request to the engine, in words.
-    conduct
-        Behaviour of the engine.
-    result
-        Message of the engine, or numbers of its result, in words.
-    """
-
-    asked: str
-    conduct: Conduct
-    result: str
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Result of a sweep.
-
-    Attributes
-    ----------
-    fails
-        True if the tested method failed in the sweep where theory predicts the failure.
-    holds
-        True if the method of the engine worked as intended in the whole sweep.
-    sentence
-        Both results in words, with numbers of the sweep.
-    """
+class Verdict(NamedTuple):
+    """Result of a sweep."""
 
     fails: bool | np.bool_
+    """True if the tested method failed in the sweep where theory predicts the failure."""
     holds: bool | np.bool_
+    """True if the method of the engine worked as intended in the whole sweep."""
     sentence: str
+    """Both results in words, with numbers of the sweep."""
 
 
 class Page(ABC):
@@ -163,36 +128,8 @@ class Page(ABC):
         """Return the verdict on the data of the sweep."""
 
     @abstractmethod
-    def ask(self) -> list[Answer]:
-        """Send requests to the engine and return its answers."""
-
-    @abstractmethod
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the data into an empty figure."""
-
-
-def refused(asked: str, call: Callable[[], object]) -> Answer:
-    """Make a call that the engine should refuse with an InputError.
-
-    If the engine accepts the call, its answer counts as silently wrong. `asked` is the request in
-    words.
-    """
-    try:
-        call()
-    except InputError as error:
-        return Answer(asked, Conduct.REFUSES, str(error))
-    return Answer(asked, Conduct.SILENT, "accepted without a report")
-
-
-def shown(
-    asked: str, right: bool | np.bool_, result: str, conduct: Conduct = Conduct.HOLDS
-) -> Answer:
-    """Return the answer to a request, given the caller's check of the result.
-
-    If `right` is false, the answer counts as silently wrong. `asked` and `result` are the request
-    and its result in words.
-    """
-    return Answer(asked, conduct if right else Conduct.SILENT, result)
 
 
 def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
@@ -303,25 +240,28 @@ INDEX = "index.html"
 class Entry:
     """Page of the atlas with its results.
 
-    The results are the verdict, the answers, the picture as PNG, the names of the written files,
-    and the duration [s].
+    Attributes
+    ----------
+    page, verdict
+        Page, and verdict on its data.
+    picture
+        Figure as PNG.
+    files
+        Names of the written files.
+    took_s
+        Duration of the measurement [s].
     """
 
     page: Page
     verdict: Verdict
-    answers: Sequence[Answer]
     picture: bytes
     files: Sequence[str]
     took_s: float
 
     @property
     def shown(self) -> bool:
-        """True if the method failed, the engine held, and no answer was silently wrong.
-
-        A silently wrong answer is a wrong result that the engine returns without a message.
-        """
-        silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
-        return bool(self.verdict.fails and self.verdict.holds and not silent)
+        """True if the tested method failed and the method of the engine worked."""
+        return bool(self.verdict.fails and self.verdict.holds)
 
 
 def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> list[Page]:
@@ -367,77 +307,50 @@ def _written(page: Page, folder: Path) -> Entry:
     started = perf_counter()
     data = page.measure()
     verdict = page.judge(data)
-    answers = page.ask()
     drawn = picture(page, data)
-    took_s = perf_counter() - started
     with whole_file(folder / f"{page.name}.png") as temporary:
         temporary.write_bytes(drawn)
+    files = [f"{page.name}.png"]
     for table, columns in data.items():
-        write_columns(folder / f"{page.name}_{table}.csv", columns)
-    files = [f"{page.name}.png", *(f"{page.name}_{table}.csv" for table in data)]
-    return Entry(page, verdict, answers, drawn, files, took_s)
+        files.append(f"{page.name}_{table}.csv")
+        write_columns(folder / files[-1], columns)
+    return Entry(page, verdict, drawn, files, perf_counter() - started)
 
 
 def _document(entries: Sequence[Entry]) -> str:
     """Return the whole atlas as HTML."""
     good = sum(entry.shown for entry in entries)
     rows = "".join(
-        (
-            f'<tr><td><a href="#{escape(e.page.name)}">{escape(e.page.title)}</a></td><td '
-            f'class="what">{_mark(e)}</td></tr>'
-        )
-        for e in entries
+        f'<tr><td><a href="#{escape(each.page.name)}">{escape(each.page.title)}</a></td><td '
+        f'class="what">{"shown" if each.shown else "open: not as it should be"}</td></tr>'
+        for each in entries
     )
-    facts: Mapping[str, str] = {
+    facts = {
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "machine": f"{platform.machine()}, {platform.system()}",
         "Python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "scipy", "warp-lang")},
     }
-    made = "; ".join(f"{escape(name)} {escape(value)}" for name, value in facts.items())
+    made = escape("; ".join(f"{name} {value}" for name, value in facts.items()))
     return html_page(
         "Stability atlas",
         "<p>Each page takes a method past its region of failure. Points are measured, lines "
-        "are theory, and the "
-        "background shows the behaviour of the engine. Verdicts and answers are computed "
-        "from the runs of this atlas."
-        f"</p>\n<p>{good} of {len(entries)} pages show their boundary, with the engine "
-        "holding, falling back or "
-        f'refusing.</p>\n<p class="soft">{made}</p>\n<table><tr><th>page</th><th>behaviour '
-        "of the engine</th></tr>"
-        f"{rows}</table>\n" + "\n".join(map(_section, entries)),
-    )
-
-
-def _mark(entry: Entry) -> str:
-    """Return the behaviours of the engine on a page as text, or a text for an open page.
-
-    A page is open if `Entry.shown` is false: its results differ from the expected results.
-    """
-    found = {answer.conduct for answer in entry.answers}
-    return (
-        ", ".join(kind.value for kind in Conduct if kind in found)
-        if entry.shown
-        else "open: not as it should be"
+        "are theory, and the background shows the behaviour of the engine. Verdicts are computed "
+        f"from the runs of this atlas.</p>\n<p>{good} of {len(entries)} pages show their boundary, "
+        f'with the engine holding, falling back or refusing.</p>\n<p class="soft">{made}</p>\n'
+        f"<table><tr><th>page</th><th>boundary</th></tr>{rows}</table>\n"
+        + "\n".join(map(_section, entries)),
     )
 
 
 def _section(entry: Entry) -> str:
     """Return one page as HTML."""
     page = entry.page
-    answers = "".join(
-        (
-            f"<tr><td>{escape(a.asked)}</td><td "
-            f'class="what">{escape(a.conduct.value)}</td><td>{escape(a.result)}</td></tr>'
-        )
-        for a in entry.answers
-    )
     files = ", ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in entry.files)
     return (
         "<section "
         f'id="{escape(page.name)}"><h2>{escape(page.title)}</h2>\n<p>{escape(page.question)}</p>\n'
         f"{html_picture(page.title, entry.picture)}"
         f'<p class="verdict{"" if entry.shown else " open"}">{escape(entry.verdict.sentence)}</p>\n'
-        f"<table><tr><th>request</th><th>the engine</th><th>report</th></tr>{answers}</table>\n"
         f'<p class="soft">{escape(page.source)}. Data: {files}; {entry.took_s:.1f} s.</p></section>'
     )

@@ -1,9 +1,5 @@
 """Pages on predicted forces: prediction horizon, and walls on which no predictor was trained."""
 
-from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -15,15 +11,12 @@ from tissue.evaluation.atlas.page import (
     GREY,
     ORANGE,
     THEORY,
-    Answer,
     Conduct,
     Data,
     Page,
     Verdict,
     error_of,
     panel,
-    refused,
-    shown,
     sweep,
 )
 from tissue.evaluation.recorded_runs import Recording
@@ -40,7 +33,6 @@ from tissue.prediction.koopman import Koopman
 from tissue.prediction.predictor import Contact, Hold, Kalman, Linear, Predictor
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
-from tissue.simulation.builders.prediction import maker_of
 
 __all__ = ["Horizon", "TrainedElsewhere"]
 
@@ -183,42 +175,6 @@ class Horizon(Page):
             "hold.",
         )
 
-    def ask(self) -> list[Answer]:
-        """Give the Koopman predictor NaN samples, and build a Kalman filter with zero noise."""
-        predictor = guarded(fit("wall", recordings()))
-        # none of the seeds of `recordings`
-        recording = tapped(HOME_N_M, seed=9, seconds=2.0)
-        position = recording.position_m
-        force = recording.force_N
-        deep = int(np.argmax(np.linalg.norm(force, axis=1)))
-        for tick in range(deep):
-            predictor.meet(recording.contact[tick])
-            predictor.observe(position[tick], np.zeros(3), force[tick])
-        before = predictor.is_primary
-        predictor.observe(np.full(3, np.nan), np.zeros(3), force[deep])
-        # `HORIZON_TICKS` ahead
-        kept = np.linalg.norm(predictor.predict(5))
-        size = np.linalg.norm(force[deep])
-        # 15 samples in a row are too many to bridge by prediction
-        for tick in range(deep + 1, deep + 16):
-            predictor.observe(position[min(tick, len(force) - 1)], np.zeros(3), np.full(3, np.nan))
-        return [
-            refused("a Kalman filter without noise", lambda: Kalman(0.0)),
-            shown(
-                "5 ms ahead after a sample that is NaN",
-                # 5 ms ahead, the force changes by 5 % on average (`Horizon`), and more while a tap
-                # begins or ends
-                before and abs(kept - size) < 0.2 * size,
-                f"the sample is ignored: {kept:.3f} N where the force is {size:.3f} N",
-            ),
-            shown(
-                "5 ms ahead after 15 samples that are NaN",
-                np.isfinite(predictor.predict(5)).all(),
-                f"the last force is held: {np.linalg.norm(predictor.predict(5)):.3f} N",
-                Conduct.FALLS_BACK,
-            ),
-        ]
-
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the error of each predictor against the horizon."""
         table = data["horizon"]
@@ -333,40 +289,6 @@ class TrainedElsewhere(Page):
             f"and its error is {ratio.min():.2f} to {ratio.max():.2f} times that of hold on all "
             "walls.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Use the predictor file of another scene, and move outside the training range."""
-        trained = fit("wall", recordings())
-        with TemporaryDirectory() as folder:
-            path = trained.write(Path(folder) / "wall.npz")
-            other = refused(
-                "the Koopman predictor of another scene",
-                lambda: maker_of(
-                    "koopman",
-                    scene_name="molar",
-                    file=str(path),
-                    force_limit_N=SIX_DOF.force_limit_N,
-                    encoder_step_m=SIX_DOF.encoder_step_m,
-                )(),
-            )
-        # none of the seeds of `recordings`
-        recording = tapped(HOME_N_M, seed=9, seconds=1.0)
-        # 10 mm a tick along each axis, 17 m/s, which no hand reaches
-        away = np.cumsum(np.full((1000, 3), 1e-2), axis=0)
-        wild = replace(recording, position_m=recording.position_m + away)
-        forces, is_primary = forecast(guarded(trained), wild, [HORIZON_TICKS])
-        steps = np.abs(np.diff(np.linalg.norm(forces[:, 0], axis=1))).max()
-        return [
-            replace(other, result=other.result.replace(f"{folder}/", "")),
-            shown(
-                "a device that moves at 17 m/s",
-                # after 0.2 s the delays of 80 ticks hold nothing but the wild motion
-                np.isfinite(forces).all() and not is_primary[200:].any(),
-                "falls back to zero-order hold; no tick changes the force by more than "
-                f"{steps:.2f} N",
-                Conduct.FALLS_BACK,
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the error of each predictor against the stiffness of the wall."""

@@ -1,7 +1,6 @@
 """Pages on faulty device samples: lost, late, repeated and implausible samples."""
 
 from collections.abc import Callable
-from math import nan
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +13,6 @@ from tissue.evaluation.atlas.page import (
     GREY,
     ORANGE,
     THEORY,
-    Answer,
     Conduct,
     Data,
     Page,
@@ -22,15 +20,12 @@ from tissue.evaluation.atlas.page import (
     Verdict,
     error_of,
     panel,
-    refused,
-    shown,
 )
 from tissue.haptics.device.device import Device, Sample, device_parameters
 from tissue.haptics.device.recorded import Fault, FaultKind, FaultyDevice
 from tissue.haptics.device.sample_guard import FADE_S, FASTEST_M_S, OLDEST_S, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
-from tissue.haptics.loop.filters import ForceRange
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
 from tissue.models.tissue_model import TICK_S
@@ -175,25 +170,6 @@ class LostSamples(Page):
             f"a tick, as the line predicts to {100 * off:.0f} %. It is back 80 ms after the fault.",
         )
 
-    def ask(self) -> list[Answer]:
-        """Return the events that the guard reports for every kind of fault."""
-        answers = []
-        for kind in STYLES:
-            # 40 ms: twice the time of the fade, so that the force is gone and returns
-            fault = Fault(kind, FAULT_S, FAULT_S + 0.04)
-            size, guard = pressed(
-                lambda device, fault=fault: FaultyDevice(device, [fault]),  # type: ignore[misc]
-                seconds=FAULT_S + 0.1,
-                guarded=True,
-            )
-            assert guard is not None
-            # the first 0.1 s are the start of the device
-            events = [event for time_s, event in guard.events if time_s > 0.1]
-            right = events[-1] == "samples are good again" and np.isfinite(size).all()
-            asked = f"40 ms of {kind} samples"
-            answers.append(shown(asked, right, "; ".join(events), Conduct.FALLS_BACK))
-        return answers
-
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the force at the end of the gap against its length, with and without the guard."""
         panels = chart.subplots(1, 2, sharey=True)
@@ -282,35 +258,6 @@ class WildInput(Page):
             f"age) and rejects longer ones. It never commands more than {worst:.2f} N, and a "
             "rejected sample takes 5 % of the force.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Test NaN as a device sample, as a model's force, and as the input of a force range."""
-        first = SampleGuard(force_limit_N=OMNI.force_limit_N)
-        valid = first.validate_sample(Sample(0.0, (0.0, nan, 0.0)), 0.0)
-        guard = SampleGuard(force_limit_N=OMNI.force_limit_N)
-        # 30 ticks of 1 N, then 10 ticks of NaN, half of the time in which the force fades
-        for tick in range(40):
-            guard.validate_sample(Sample(TICK_S * tick, (0.0, 0.0, 0.0)), TICK_S * tick)
-            force, _ = guard.limit_force(np.array([0.0, nan if tick >= 30 else 1.0, 0.0]))
-        return [
-            shown(
-                "a first sample that is NaN",
-                valid is None,
-                first.events[0][1],
-                Conduct.FALLS_BACK,
-            ),
-            shown(
-                "a model that returns NaN for 10 ms",
-                np.isfinite(force).all() and 0.0 < force[1] < 1.0,
-                f"{guard.events[-1][1]}; {force[1]:.2f} of 1 N is left",
-                Conduct.FALLS_BACK,
-            ),
-            refused(
-                "the device's range for a force that is NaN",
-                # the limit does not matter
-                lambda: ForceRange(limit_N=3.3).play(np.array([nan, 0.0, 0.0])),
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the commanded force against the size of the jump."""

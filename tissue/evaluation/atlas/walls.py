@@ -14,7 +14,6 @@ from tissue.evaluation.atlas.page import (
     GREEN,
     ORANGE,
     THEORY,
-    Answer,
     Conduct,
     Data,
     Page,
@@ -22,9 +21,7 @@ from tissue.evaluation.atlas.page import (
     boundary,
     error_of,
     panel,
-    refused,
     shade,
-    shown,
     sweep,
 )
 from tissue.haptics.device.device import DeviceParameters, device_parameters
@@ -38,14 +35,10 @@ from tissue.haptics.loop.critical_stiffness import (
     passive_bound_N_m,
     quantised_bound_N_m,
 )
-from tissue.haptics.loop.filters import ForceRange
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
-from tissue.haptics.rigid_wall import knock
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.load import load_scene
-from tissue.simulation.simulate import simulate
 
 __all__ = ["Quantisation", "ThinWalls", "WallMap"]
 
@@ -125,23 +118,6 @@ class WallMap(Page):
             f"K = (b+B)/(T/2+t) allows up to {first_order:.1f} times, Padé up to {pade:.1f} times "
             "the measured stiffness.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Run a scene above its critical stiffness, and exceed the force limit of a device."""
-        # 6 kN/m is above the measured 4.3 kN/m without delay
-        stiff = {"device": "six-dof", "hand": "expert", "coupling.stiffness_N_m": 6000.0}
-        limit = device_parameters("six-dof").force_limit_N
-        # far beyond the range in which forces are compressed
-        played, compressed = ForceRange(limit_N=limit).play(np.array([0.0, 0.0, 5.0 * limit]))
-        return [
-            refused("the scene wall at 6 kN/m", lambda: simulate(load_scene("wall", stiff))),
-            shown(
-                "five times the force limit of the device",
-                compressed and played[2] < limit,
-                f"compressed to {played[2]:.2f} of {limit:g} N, and reported",
-                Conduct.FALLS_BACK,
-            ),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the stiffness against damping, delay and rate, in one panel each."""
@@ -229,21 +205,6 @@ def swing_steps(stiffness: float, friction: float) -> float:
     return worst
 
 
-def at_vendors_limit(name: str) -> Answer:
-    """Knock a device onto a wall whose stiffness is the limit that the vendor states."""
-    device = device_parameters(name)
-    allowed = 2.0 * device.friction_N / device.encoder_step_m
-    run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
-    # in the last 0.2 s, when the knock has died away
-    ripple = run.ripple_N(0.2)
-    return shown(
-        f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
-        # measured: a ripple of at most 0.016 N, less than the Coulomb friction of the devices
-        device.stiffness_limit_N_m < allowed and ripple < 0.05,
-        f"after a knock the force ripples by {ripple:.3f} N",
-    )
-
-
 class Quantisation(Page):
     """Encoder steps: a device keeps buzzing if friction does not dissipate the added energy."""
 
@@ -313,21 +274,6 @@ class Quantisation(Page):
             f"min(2b/T, 2f_c/Δ) is the swing larger than {worst:.2f} steps. The bound is safe and, "
             "with some friction, far from tight.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Run a scene with too stiff a wall, and three devices at their vendors' limits."""
-        touch = device_parameters("touch")
-        allowed = 2.0 * touch.friction_N / touch.encoder_step_m
-        # any duration will do: the scene is refused before its first tick
-        beyond = {"device": "touch", "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
-        return [
-            refused(
-                f"the scene wall on touch at {allowed:.0f} N/m, the limit of friction over "
-                "encoder step",
-                lambda: simulate(load_scene("wall", beyond)),
-            ),
-            *map(at_vendors_limit, ("touch", "omni", "six-dof")),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw quiet and buzzing stiffnesses against the friction."""
@@ -469,20 +415,6 @@ class ThinWalls(Page):
             f"{1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. With the proxy {kept} of "
             f"{len(thrown['end_m'])} devices come back, up to {thrown['speed_m_s'].max():g} m/s.",
         )
-
-    def ask(self) -> list[Answer]:
-        """Move a proxy through a thin wall in one tick, and place a proxy inside a wall."""
-        # 51 mm within a tick of 1 ms, across a wall a fifth as thick as a voxel
-        rest = point_proxy(2e-5, start_m=1e-3).advance(np.array([0.0, 0.0, -5e-2])).position_m[2]
-        return [
-            shown(
-                "a point at 50 m/s onto 20 µm of wall",
-                # on the surface of the wall, half of 20 um above its middle
-                abs(rest - 1e-5) < 1e-9,
-                f"stops {1e6 * rest:.0f} µm above its middle",
-            ),
-            refused("a proxy placed inside a wall", lambda: point_proxy(1e-3, start_m=0.0)),
-        ]
 
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the crossing speed against the thickness of the wall."""

@@ -1,22 +1,18 @@
 """Measurements of the settings of a scene, which are stored, and the Pareto-optimal settings."""
 
-import csv
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from hashlib import blake2b
-from io import StringIO
-from math import isnan, nan
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from meshes.base.cache import cache_folder, read_entry, write_entry
+import numpy as np
+
+from meshes.base.cache import Arrays, cached_arrays
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.law import LawError, law_error, with_law
+from meshes.base.whole_file import write_rows
+from tissue.evaluation.charts.law import with_law
 from tissue.evaluation.charts.measure import (
-    BOUNDS,
     Measured,
-    float32_error,
     measure,
     of_model,
     reference_gap,
@@ -28,7 +24,6 @@ from tissue.evaluation.charts.settings import (
     force_only,
     machine,
     scene_text,
-    setting_key,
     settings_of,
     sources,
 )
@@ -41,7 +36,6 @@ __all__ = [
     "Frontier",
     "choose",
     "frontier_of",
-    "measured_of",
     "undominated",
     "with_fidelity",
     "write_measured",
@@ -52,7 +46,6 @@ OFFERED_US = 800.0
 
 The loop of device and hand needs the remaining time of a tick of 1 ms.
 """
-COLUMNS = tuple(entry.name for entry in fields(Measured))
 
 
 @dataclass(frozen=True)
@@ -69,40 +62,17 @@ class Frontier:
         Relative uncertainty of the reference force, see `reference_gap`.
     settings
         Settings in the order of the points.
-    rounding
-        Relative change of the force by rounding to float32. NaN if it was not measured.
-    law
-        Error of the linear elastic law against a neo-Hookean law. None if it was not measured.
     """
 
     scene: Scene
     points: tuple[Measured, ...]
     gap: float
     settings: tuple[Setting, ...]
-    rounding: float = nan
-    law: LawError | None = None
 
     @property
     def best(self) -> tuple[Measured, ...]:
         """Measurements that are Pareto-optimal in tick time and force error, cheapest first."""
         return tuple(undominated(self.points))
-
-    @property
-    def bounds(self) -> tuple[Measured, ...]:
-        """Table rows of errors that no setting reduces: elastic law and rounding."""
-        law = nan if self.law is None else self.law.error
-        errors = {("linear law", "law"): law, ("float32", "rounding"): self.rounding}
-        return tuple(
-            Measured(
-                scene=self.scene.name,
-                setting=name,
-                family=family,
-                force_error=error,
-                machine=machine(),
-            )
-            for (name, family), error in errors.items()
-            if not isnan(error)
-        )
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
@@ -129,10 +99,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
     report
         Called with the name and the progress of each measurement.
     """
-    path = _store(scene, quick=quick)
-    known = _kept(path)
     settings = settings_of(scene, quick=quick)
-    short: Scene | None = None
     points = list[Measured]()
     offered = list[Setting]()
     full = False  # whether a finer setting took all the time that a tick has for it
@@ -140,78 +107,47 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         if full and setting.finer:
             continue
         report(f"{scene.name}: {setting.name}", index / (len(settings) + 1))
-        key = setting_key(scene, setting, quick=quick)
-        if key not in known:
-            short = short or short_of(scene, quick)
-            known[key] = replace(measure(short, setting, quick=quick), key=key)
-            known = _kept(path) | known  # another process may chart the scene too
-            write_entry(path, _table(list(known.values())))
-        points.append(known[key])
+        point = _measured(scene, setting, quick=quick)
+        points.append(point)
         offered.append(setting)
-        full = full or (setting.finer and known[key].p99_us > OFFERED_US)
+        full = full or (setting.finer and point.p99_us > OFFERED_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
-    found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(offered))
-    # rounding and law belong to the model, which the full chart by script measures
-    if quick or scene.device is not None:
-        return found
-    short = short or short_of(scene, quick)
-    return replace(found, rounding=float32_error(short), law=law_error(short, report=report))
+    return Frontier(scene, tuple(points), _gap(scene, quick=quick), tuple(offered))
 
 
-def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
-    """Return the relative uncertainty of the reference, and store it next to the measurements."""
-    gap_file = path.with_suffix(".gap")
-    if (kept := read_entry(gap_file)) is None:
-        short = short_of(of_model(scene), quick)
-        kept = repr(reference_gap(short, quick=quick, by_hand=scene.device is not None))
-        write_entry(gap_file, kept)
-    return float(kept)
+def _measured(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
+    """Return the measurement of a setting on this machine, from disk if it was measured before."""
 
+    def make() -> Arrays:
+        found = vars(measure(short_of(scene, quick), setting, quick=quick))
+        return {name: np.array(each) for name, each in found.items() if not isinstance(each, str)}
 
-def _store(scene: Scene, *, quick: bool) -> Path:
-    """Return the path of the file with a scene's measurements, in the cache folder."""
-    # 8 bytes: the name of the scene is in the file name too
-    text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
-    return (
-        cache_folder()
-        / "frontiers"
-        / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
+    key = (scene_text(scene), setting, quick, machine(), sources())
+    numbers = {name: each.item() for name, each in cached_arrays("setting", key, make).items()}
+    return Measured(
+        scene=scene.name,
+        setting=setting.name,
+        family=setting.family,
+        machine=machine(),
+        **numbers,
     )
 
 
-def _kept(path: Path) -> dict[str, Measured]:
-    """Read the measurements in a file of the cache, as a dictionary from key to measurement."""
-    return {point.key: point for point in measured_of(read_entry(path) or "")}
+def _gap(scene: Scene, *, quick: bool) -> float:
+    """Return the relative uncertainty of the reference, from disk if it was computed before."""
+    by_hand = scene.device is not None
+
+    def make() -> Arrays:
+        short = short_of(of_model(scene), quick)
+        return {"gap": np.array(reference_gap(short, quick=quick, by_hand=by_hand))}
+
+    key = (scene_text(scene), quick, sources())
+    return float(cached_arrays("gap", key, make)["gap"])
 
 
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
-    """Write measurements as a table.
-
-    The file is replaced at once, so a reader never sees an incomplete table.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_bytes(_table(points).encode())
-
-
-def measured_of(text: str) -> list[Measured]:
-    """Return the measurements in the text of a table.
-
-    The list is empty if the table has other columns, for example from an earlier version.
-    """
-    table = csv.DictReader(StringIO(text, newline=""))
-    if tuple(table.fieldnames or ()) != COLUMNS:
-        return []
-    return [Measured.of_row(row) for row in table if None not in row.values()]
-
-
-def _table(points: Sequence[Measured]) -> str:
-    """Return measurements as the text of a table."""
-    text = StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS)
-    writer.writeheader()
-    writer.writerows(point.row() for point in points)
-    return text.getvalue()
+    """Write measurements as a table."""
+    write_rows(path, [[each.name for each in fields(Measured)], *map(astuple, points)])
 
 
 SAFETY = 1.5
@@ -233,14 +169,13 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
 
     If only a tick time is demanded, the most accurate setting that satisfies it is chosen. Measured
     errors are multiplied by `SAFETY`. An error below `gap`, the uncertainty of the reference,
-    counts as `gap`. Rows of the families in `BOUNDS` are ignored.
+    counts as `gap`.
 
     Raises
     ------
     InputError
         If no setting satisfies the demand. The message names the setting that comes closest.
     """
-    settings = [point for point in points if point.family not in BOUNDS]
 
     def error_of(point: Measured) -> float:
         return max(SAFETY * point.force_error, gap)
@@ -251,13 +186,13 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
         tick = 0.0 if wanted.tick_ms is None else 1e-3 * point.p99_us / wanted.tick_ms
         return max(error, tick)
 
-    fits = [point for point in settings if excess(point) <= 1.0]
+    fits = [point for point in points if excess(point) <= 1.0]
     # with a demanded error, all that fits is accurate enough
     if fits and wanted.force_error is not None:
         return min(fits, key=lambda point: point.median_us)
     if fits:
         return min(fits, key=lambda point: point.force_error)
-    nearest = min(settings, key=excess)
+    nearest = min(points, key=excess)
     raise InputError(
         "fidelity",
         f"be reachable with a setting of {nearest.scene} on this machine",

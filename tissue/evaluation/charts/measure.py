@@ -1,6 +1,6 @@
 """Measurement of a setting: time of a tick, and force error against the reference."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from importlib.metadata import version
 from math import nan
 from time import perf_counter
@@ -21,7 +21,6 @@ from tissue.evaluation.charts.settings import (
     machine,
     placed,
     scene_text,
-    setting_key,
     settings_of,
     shares,
     sources,
@@ -42,12 +41,10 @@ from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 
 __all__ = [
-    "BOUNDS",
     "SETTLED",
     "Measured",
     "counts",
     "excerpt",
-    "float32_error",
     "force_and_reference_N",
     "measure",
     "of_model",
@@ -55,10 +52,6 @@ __all__ = [
     "reference_words",
     "short_of",
 ]
-
-
-LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
-"""Spacing of float32 numbers at 10 mm, the size of a path [mm]: about 1 nm."""
 
 
 def of_model(scene: Scene) -> Scene:
@@ -140,28 +133,6 @@ def reference_words(scene: Scene, gap: float) -> str:
     return f"{grid} (grid-convergence index {percent}, of the discretisation alone)"
 
 
-def float32_error(scene: Scene) -> float:
-    """Return the relative change of a cutting force if the path is shifted by `LAST_PLACE_MM`.
-
-    The removal of voxels is computed in float32, which rounds all coordinates to about
-    `LAST_PLACE_MM`. If a tool only grazes voxels, the rounding decides whether the tool touches
-    them. The relative change of the force is then much larger than the rounding error of a float32.
-    The result is NaN for models that compute in float64: organs, needles and walls.
-    """
-    motion = scene.motion
-    if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
-        return nan
-    path = tuple(
-        (x + LAST_PLACE_MM, y - LAST_PLACE_MM, z - LAST_PLACE_MM) for x, y, z in motion.points_mm
-    )
-    shifted = scene.model_copy(update={"motion": motion.model_copy(update={"points_mm": path})})
-    return force_error(
-        grid_force_N(shifted, {"stress": None}), grid_force_N(scene, {"stress": None})
-    )
-
-
-BOUNDS = ("law", "rounding")
-"""Families of table rows that contain an error that no setting reduces, not a setting."""
 EXCERPT_S = {True: 1.2, False: 3.0}
 """Simulated time after the first contact [s], for a quick chart (True) or a full chart (False)."""
 LATE_S = 0.3
@@ -200,14 +171,10 @@ class Measured:
 
     Attributes
     ----------
-    key
-        Hash of scene, setting, machine and code.
-    scene, setting, family
-        Names of the scene, of the setting, and of the family of the setting. Rows of the families
-        in `BOUNDS` are not settings.
+    scene, setting, family, machine
+        Names of the scene, of the setting and of its family, and machine of the measurement.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the ticks of a run: the largest value of all places. For a
-        row of the family "law", F_ref is the force of the neo-Hookean law.
+        ||F - F_ref|| / ||F_ref|| over the ticks of a run: the largest value of all places.
     error_50_ms
         Same error for forces that are averaged over 50 ms.
     median_us, p99_us, missed
@@ -224,38 +191,23 @@ class Measured:
         sweeps.
     built_s
         Mean time to build and run the scene once and to compute its force error [s].
-    machine
-        Machine of the measurement.
     """
 
-    key: str = ""
     scene: str
     setting: str
     family: str
     force_error: float
-    error_50_ms: float = nan
-    median_us: float = nan
-    p99_us: float = nan
-    missed: int = 0
-    far_us: float = nan
-    engaged_mm2: float = nan
-    elements: int = 0
-    step_mm: float = nan
-    met: float = nan
-    built_s: float = nan
+    error_50_ms: float
+    median_us: float
+    p99_us: float
+    missed: int
+    far_us: float
+    engaged_mm2: float
+    elements: int
+    step_mm: float
+    met: float
+    built_s: float
     machine: str
-
-    def row(self) -> dict[str, str]:
-        """Return the values as text, without rounding of numbers."""
-        return {
-            name: repr(value) if isinstance(value, float) else str(value)
-            for name, value in asdict(self).items()
-        }
-
-    @classmethod
-    def of_row(cls, row: dict[str, str]) -> "Measured":
-        """Return the measurement in a row of a table."""
-        return cls(**{each.name: each.type(row[each.name]) for each in fields(cls)})  # type: ignore[operator]
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:
@@ -389,7 +341,6 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     counted = touched[SETTLED:] if len(touched) > SETTLED else touched
     elements, met, step_mm = counts(run, counted)
     return Measured(
-        key=setting_key(scene, setting, quick=quick),
         scene=scene.name,
         setting=setting.name,
         family=setting.family,

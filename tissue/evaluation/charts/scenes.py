@@ -1,7 +1,6 @@
 """Charts of scenes: settings of scripted and of hand-held tools, as pictures and tables."""
 
 from collections.abc import Sequence
-from math import isnan
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -16,7 +15,6 @@ from tissue.evaluation.charts.settings import (
     untrained,
 )
 from tissue.scene.load import load_scene, scene_names
-from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.figure import figure, plain_numbers, save
@@ -59,7 +57,7 @@ def chart_scenes(
             frontiers = [
                 frontier_of(kind, quick=quick, report=report_share) for kind in charted(scene)
             ]
-            rows = [row for each in frontiers for row in (*each.points, *each.bounds)]
+            rows = [point for each in frontiers for point in each.points]
             found.append(frontiers)
             drawn.append([each for each in frontiers if len(each.points) > 1])
             draw_frontiers(drawn[-1], out / f"{scene.name}.png")
@@ -102,18 +100,6 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
         lines.append(f"{scene.name} {_how(scene)}, held to {reference_words(scene, each.gap)}")
-        if not isnan(each.rounding):
-            lines.append(
-                "  float32: a path moved by a last place, 1 nm, changes the force by "
-                f"{each.rounding:.1e}"
-            )
-        if scene.device is None and isinstance(scene.anatomy, SoftAnatomy):
-            law = (
-                each.law.line()
-                if each.law
-                else "every setting uses the linear law, not compared with the neo-Hookean law"
-            )
-            lines.append(f"  {law}")
         if any(point.family == "cutting" for point in each.points):
             lines.append(
                 "  simpler laws and drills: error against the scene's own law, not against "
@@ -159,8 +145,7 @@ COLUMNS = 4
 def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
     """Draw force error against tick time (median and 99th percentile), one panel per frontier.
 
-    The uncertainty of the reference is shaded. Horizontal lines show errors that no setting
-    reduces: the error of the linear law (dashed) and the error of float32 (dotted).
+    The uncertainty of the reference is shaded.
     """
     # inches for each panel with its legend to the right
     chart = figure(7.0 * len(found), 4.6)
@@ -232,14 +217,6 @@ def _draw_frontier(axes: Axes, found: Frontier) -> None:
         axes.plot(point.median_us, error, mark, color=colour, label=label)
         axes.plot(point.median_us, over, mark, color=colour, mfc="white")
     _draw_best(axes, found, "0.15", "frontier", [point.setting for point in found.best])
-    for row in found.bounds:
-        error = _percent(row.force_error)
-        rounding = row.family == "rounding"
-        label = f"float32 rounding, {error:.1g} %"
-        # the other family is the linear law
-        if not rounding:
-            label = f"linear law: {error:.2g} % off neo-Hookean"
-        axes.axhline(error, color="#882255", linestyle=":" if rounding else "--", label=label)
     axes.axvline(1e3, color=ORANGE, linestyle="--", label="1 ms")
     errors = [_percent(point.force_error) for point in found.points]
     low = 0.5 * min(*errors, *(_percent(point.error_50_ms) for point in found.points))

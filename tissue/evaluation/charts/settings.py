@@ -42,7 +42,6 @@ __all__ = [
     "placed",
     "refined",
     "scene_text",
-    "setting_key",
     "settings_of",
     "shares",
     "simpler",
@@ -475,11 +474,3 @@ def code_sha256() -> str:
             if path.is_file() and path.parent.name != "__pycache__":
                 digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
-    """Return a hash of a scene at a setting, of the machine and of the code."""
-    at = scene_text(changed(scene, setting.changes))
-    text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
-    # 24 digits: short enough for a table, and long enough to exclude equal keys by chance
-    return blake2b(text.encode(), digest_size=12).hexdigest()

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.stats import studentized_range, tukey_hsd
+from scipy.stats import studentized_range
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
@@ -28,10 +27,11 @@ from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
 from tissue.evaluation.statistics.sign_flips import SignTest, pair_scores, sign_test
 from tissue.evaluation.statistics.strata import (
     Strata,
+    effect_scores,
     group_means,
     multivariate,
-    scores_of,
     strata,
+    tukey,
 )
 from tissue.evaluation.statistics.trials import Cells, TrialTable
 
@@ -41,7 +41,7 @@ __all__ = [
     "compare",
     "corrected",
     "manova",
-    "tukey_groups",
+    "tukey_tests",
 ]
 
 ROUNDING = 1e-12
@@ -50,14 +50,12 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """Comparisons of methods and groups by one metric.
+    """Comparisons of methods and groups by one metric on one task.
 
     Attributes
     ----------
     metric, task
         Names of the compared metric and of the task.
-    cells
-        Mean of the metric for every user under every method.
     tests
         Tests of the method, of the group, and of their interaction. Tests for which the table has
         too few methods or groups are omitted.
@@ -71,7 +69,6 @@ class MetricComparison:
 
     metric: str
     task: str
-    cells: Cells
     tests: tuple[HypothesisTest, ...]
     pairs: tuple[HypothesisTest, ...]
     sizes: tuple[Effect, ...]
@@ -101,30 +98,36 @@ def compare(
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
-    level_count = cells.values.shape[1]
-    group_count = len(cells.group_names)
-    if level_count < 2 and group_count < 2:
+    groups = range(len(cells.group_names))
+    # a factor: its indices within users, names and values of its levels, and whether it is a group
+    factors = [
+        ((0,), cells.factors[0][1], cells.values.T, False),
+        (
+            (),
+            cells.group_names,
+            [cells.values[cells.groups == group].mean(axis=1) for group in groups],
+            True,
+        ),
+    ]
+    factors = [each for each in factors if len(each[1]) > 1]
+    if not factors:
         raise InputError(
             "table", "hold two methods or two groups", "one of each", "add a second method or group"
         )
     tests = []
     pairs: list[HypothesisTest] = []
-    sizes: tuple[Effect, ...] = ()
-    if level_count > 1:
-        names = cells.factors[0][1]
-        test, signs = stratum_test(cells, (0,), between=False, rng=rng)
+    sizes: list[Effect] = []
+    for chosen, names, samples, between in factors:
+        test, signs = stratum_test(cells, chosen, between=between, rng=rng)
         tests.append(test)
-        pairs += _pairs(signs, tukey_levels(cells.values, names, cells.groups, metric=metric))
-        sizes += _sizes(cells.values.T, names, paired=True)
-    if group_count > 1:
-        samples = [cells.values[cells.groups == group].mean(axis=1) for group in range(group_count)]
-        test, signs = stratum_test(cells, (), between=True, rng=rng)
-        tests.append(test)
-        pairs += _pairs(signs, tukey_groups(samples, cells.group_names, metric=metric))
-        sizes += _sizes(samples, cells.group_names, paired=False)
-    if level_count > 1 and group_count > 1:
+        others = tukey_tests(cells.values, cells.groups, names, between=between, metric=metric)
+        pairs += _pairs(signs, others)
+        for (before, first), (after, second) in combinations(zip(names, samples, strict=True), 2):
+            size = cohens_d(second, first, paired=not between)
+            sizes.append(replace(size, name=f"{size.name}, {after} minus {before}"))
+    if len(factors) > 1:
         tests.append(stratum_test(cells, (0,), between=True, rng=rng)[0])
-    return MetricComparison(metric, task, cells, tuple(tests), tuple(pairs), sizes)
+    return MetricComparison(metric, task, tuple(tests), tuple(pairs), tuple(sizes))
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
@@ -205,7 +208,7 @@ def stratum_test(
         signs.p,
         partial_eta_squared(float(exact.F), *exact.degrees),
         _symmetry(scores, groups),
-        _f_tests(exact, scores_of(values, sizes, within), groups, question),
+        _f_tests(exact, effect_scores(values, sizes, within), groups, question),
         " ".join(notes),
     )
     return test, signs
@@ -285,7 +288,7 @@ def manova(
     between = factor == "group"
     chosen = () if between else (0,)
     question = f"{', '.join(metrics)}: {factor}"
-    contrasts = [scores_of(each.values, each.sizes, chosen) for each in cells]
+    contrasts = [effect_scores(each.values, each.sizes, chosen) for each in cells]
     paper = multivariate(
         np.concatenate(contrasts, axis=-1), groups, between=between, question=question
     )
@@ -304,125 +307,57 @@ def manova(
     )
 
 
-def _pairs(signs: SignTest, tukey: Sequence[HypothesisTest]) -> list[HypothesisTest]:
-    """Return the sign-flip test of each pair, with Tukey's test of the pair as an alternative."""
+def _pairs(signs: SignTest, others: Sequence[HypothesisTest]) -> list[HypothesisTest]:
+    """Return the sign-flip test of each pair, with another test of the pair as an alternative."""
     found = []
-    for index, other in enumerate(tukey):
+    for index, other in enumerate(others):
         difference = signs.differences[index]
         error = signs.errors[index]
         reach = signs.critical * error
         effect = Effect("difference", difference, difference - reach, difference + reach)
-        found.append(
-            HypothesisTest(
-                "sign flips",
-                other.question,
-                "t",
-                difference / error,
-                (),
-                signs.pair_p[index],
-                effect,
-                alternatives=(other,),
-            )
+        test = HypothesisTest(
+            "sign flips", other.question, "t", difference / error, (), signs.pair_p[index], effect
         )
+        found.append(replace(test, alternatives=(other,)))
     return found
 
 
-def _sizes(
-    samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bool
-) -> tuple[Effect, ...]:
-    """Return Cohen's d of every pair of samples."""
-    found = []
-    for (before, first), (after, second) in combinations(zip(names, samples, strict=True), 2):
-        size = cohens_d(second, first, paired=paired)
-        found.append(replace(size, name=f"{size.name}, {after} minus {before}"))
-    return tuple(found)
-
-
-def tukey_groups(
-    samples: Sequence[ArrayLike], names: Sequence[str], *, metric: str
-) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of groups by Tukey and Kramer's test.
+def tukey_tests(
+    values: Array, groups: Ints, names: Sequence[str], *, between: bool, metric: str
+) -> list[HypothesisTest]:
+    """Compare every pair of groups, or of levels within users, by Tukey's test.
 
     Parameters
     ----------
-    samples
-        Values of two groups or more, one value per user, each of shape (users,).
+    values, groups, between
+        As in :func:`tissue.evaluation.statistics.strata.tukey`, for one population.
     names
-        Names of the groups.
+        Names of the groups, or of the levels.
     metric
         Name of the metric, for the question of the tests.
 
     Returns
     -------
-    tuple of HypothesisTest
+    list of HypothesisTest
         Tests in the order of pairs (0, 1), (0, 2), ... The effects are differences of means with
         simultaneous intervals.
-
-    Raises
-    ------
-    InputError
-        If the values do not vary within any group.
     """
-    groups = [np.asarray(each, dtype=float) for each in samples]
-    if max(np.ptp(group) for group in groups) == 0.0:
-        raise InputError(
-            "groups",
-            "have values that vary within a group",
-            "constant values",
-            "leave the metric out",
-        )
-    pooled = tukey_hsd(*groups)
-    ends = pooled.confidence_interval(LEVEL)
-    found = []
-    for pair in combinations(range(len(groups)), 2):
-        at = pair[::-1]
-        question = f"{metric}: {names[pair[1]]} minus {names[pair[0]]}"
-        difference = pooled.statistic[at]
-        effect = Effect("difference", difference, ends.low[at], ends.high[at])
-        p = pooled.pvalue[at]
-        test = HypothesisTest("Tukey HSD", question, "difference", difference, (), p, effect)
-        found.append(test)
-    return tuple(found)
-
-
-def tukey_levels(
-    values: Array, names: Sequence[str], groups: Ints, *, metric: str
-) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of levels of a factor within users by Tukey's test.
-
-    All users have values at all levels. The error term is the interaction of users with levels,
-    pooled over the levels.
-
-    Parameters
-    ----------
-    values
-        Cell means, shape (users, levels).
-    names
-        Names of the levels.
-    groups
-        Group of every user, shape (users,). The effect of the group, and its interaction with the
-        level, are removed from the error term.
-    metric
-        Name of the metric, for the question of the tests.
-    """
-    found = strata(values, groups, (values.shape[1],), (0,), between=False)
-    counts = np.bincount(groups)
-    means = group_means(values, groups).mean(axis=0)
-    error = np.sqrt(found.error_square * (1.0 / counts).sum() / len(counts) ** 2)
-    degrees = (len(means), found.degrees[1])
+    differences, errors, degrees = tukey(values, groups, between=between)
     # The quantile takes 0.3 s.
-    reach = studentized_range.ppf(LEVEL, *degrees) * error
-    tests = []
-    for a, b in combinations(range(len(names)), 2):
-        question = f"{metric}: {names[b]} minus {names[a]}"
-        difference = means[b] - means[a]
-        statistic = abs(difference) / error
+    reaches = studentized_range.ppf(LEVEL, *degrees) * errors
+    statistics = np.abs(differences) / errors
+    p_values = studentized_range.sf(statistics, *degrees)
+    test = "Tukey HSD" if between else "Tukey HSD within users"
+    found = []
+    for index, (first, second) in enumerate(combinations(names, 2)):
+        question = f"{metric}: {second} minus {first}"
+        difference = differences[index]
+        reach = reaches[index]
         effect = Effect("difference", difference, difference - reach, difference + reach)
-        p = studentized_range.sf(statistic, *degrees)
-        tests.append(
-            HypothesisTest("Tukey HSD within users", question, "q", statistic, degrees, p, effect)
+        found.append(
+            HypothesisTest(test, question, "q", statistics[index], degrees, p_values[index], effect)
         )
-    return tuple(tests)
+    return found
 
 
 def corrected(p_values: Sequence[float]) -> list[float]:

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from itertools import combinations
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,13 @@ from scipy.stats import binomtest, studentized_range
 from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
-from tissue.evaluation.statistics.strata import Strata, group_means, pillai, scores_of, strata
+from tissue.evaluation.statistics.strata import (
+    effect_scores,
+    group_means,
+    pillai,
+    strata,
+    tukey,
+)
 from tissue.evaluation.statistics.trials import Cells
 
 __all__ = ["QUESTIONS", "Power", "redrawn_power", "rejection_rates"]
@@ -174,16 +179,9 @@ def rejection_rates(
         lacks_methods = bool(chosen) and methods < 2
         if lacks_groups or lacks_methods or (metrics > 1 and chosen and between):
             continue
-        reject = partial(_rejections, groups=groups, question=question, rng=rng)
-        name = question
-        if metrics > 1:
-            by_pillai = _pillai_applies(null[0], groups, question)
-            reject = partial(
-                _joint_rejections, groups=groups, question=question, rng=rng, by_pillai=by_pillai
-            )
-            name = f"{question}, {metrics} metrics"
-        alarms = reject(null)
-        hits = reject(planted)
+        name = question if metrics == 1 else f"{question}, {metrics} metrics"
+        alarms = _rejections(null, groups, question, rng)
+        hits = _rejections(planted, groups, question, rng)
         users = int(np.bincount(groups).min())
         found += [
             Power(name, test, users, len(alarms[test]), _share(alarms[test]), _share(hits[test]))
@@ -195,51 +193,32 @@ def rejection_rates(
 def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
 ) -> dict[str, Rejects]:
-    """Return True for populations in which a test of one metric rejects, by name of the test."""
-    values = values[:, 0]
-    chosen, between = QUESTIONS[question]
-    sizes = (values.shape[-1],)
-    scores = pair_scores(values, sizes, chosen)
-    exact = strata(values, groups, sizes, chosen, between=between)
-    found = {
-        "sign flips": sign_test_p(scores, groups, between=between, rng=rng) <= ALPHA,
-        "F of strata": exact.p <= ALPHA,
-    }
-    if chosen:
-        found["Greenhouse-Geisser"] = exact.corrected_p <= ALPHA
-    if question == "method":
-        found["Tukey HSD within users"] = _tukey_levels(values, groups, exact)
-    if question == "group":
-        found["Tukey HSD"] = _tukey_groups(values.mean(axis=-1), groups)
-    return found
+    """Return True for populations in which a test rejects, by name of the test.
 
-
-def _joint_rejections(
-    values: Array, groups: Ints, question: str, rng: np.random.Generator, *, by_pillai: bool
-) -> dict[str, Rejects]:
-    """Return True for populations in which a joint test of several metrics rejects, by name."""
+    The values have the shape of `rejection_rates`. A multivariate test is left out if there are too
+    few users for it, or a metric is a linear combination of others.
+    """
     chosen, between = QUESTIONS[question]
-    sizes = (values.shape[-1],)
+    sizes = values.shape[-1:]
     scores = _joined(pair_scores(values, sizes, chosen))
     found = {"sign flips": sign_test_p(scores, groups, between=between, rng=rng) <= ALPHA}
-    if by_pillai:
-        contrasts = _joined(scores_of(values, sizes, chosen))
-        found["MANOVA, Pillai's trace"] = pillai(contrasts, groups, between=between).p <= ALPHA
-    return found
-
-
-def _pillai_applies(values: Array, groups: Ints, question: str) -> bool:
-    """Return whether Pillai's trace can be computed for one population.
-
-    There must be enough users, and no metric may be a linear combination of others.
-
-    `values` has shape (metrics, users, methods).
-    """
-    chosen, _ = QUESTIONS[question]
-    scores = _joined(scores_of(values, (values.shape[-1],), chosen))
-    users, width = scores.shape
-    residuals = scores - group_means(scores, groups)[groups]
-    return np.linalg.matrix_rank(residuals) == width < users - groups.max() - 1
+    if values.shape[1] > 1:
+        contrasts = _joined(effect_scores(values, sizes, chosen))
+        residuals = contrasts[0] - group_means(contrasts[0], groups)[groups]
+        users, width = residuals.shape
+        if np.linalg.matrix_rank(residuals) == width < users - groups.max() - 1:
+            found["MANOVA, Pillai's trace"] = pillai(contrasts, groups, between=between).p <= ALPHA
+        return found
+    exact = strata(values[:, 0], groups, sizes, chosen, between=between)
+    found["F of strata"] = exact.p <= ALPHA
+    if chosen:
+        found["Greenhouse-Geisser"] = exact.corrected_p <= ALPHA
+    # Tukey's test has pairs of methods or of groups, not pairs of both
+    if between and chosen:
+        return found
+    differences, errors, degrees = tukey(values[:, 0], groups, between=between)
+    reaches = (np.abs(differences) >= _critical_range(*degrees) * errors).any(axis=-1)
+    return found | {"Tukey HSD" if between else "Tukey HSD within users": reaches}
 
 
 @lru_cache(maxsize=64)
@@ -258,35 +237,6 @@ def _joined(scores: Array) -> Array:
     """
     moved = np.moveaxis(scores, -3, -2)
     return moved.reshape(*moved.shape[:-2], -1)
-
-
-def _tukey_levels(values: Array, groups: Ints, exact: Strata) -> Rejects:
-    """Return True where Tukey's test within users rejects for any pair, shape (populations,).
-
-    `values` has shape (populations, users, levels). `exact` is the F test of the levels.
-    """
-    counts = np.bincount(groups)
-    means = group_means(values, groups).mean(axis=-2)
-    error = np.sqrt(exact.error_square * (1.0 / counts).sum() / len(counts) ** 2)
-    critical = _critical_range(values.shape[-1], exact.degrees[1])
-    return np.asarray(np.ptp(means, axis=-1) >= critical * error)
-
-
-def _tukey_groups(values: Array, groups: Ints) -> Rejects:
-    """Return True where Tukey and Kramer's test rejects for any pair, shape (populations,).
-
-    The values have shape (populations, users).
-    """
-    counts = np.bincount(groups)
-    means = group_means(values[..., None], groups)[..., 0]
-    below = len(groups) - len(counts)
-    square = ((values - means[..., groups]) ** 2).sum(axis=-1) / below
-    critical = _critical_range(len(counts), below)
-    found = np.zeros(len(values), dtype=bool)
-    for first, second in combinations(range(len(counts)), 2):
-        error = np.sqrt(0.5 * square * (1.0 / counts[first] + 1.0 / counts[second]))
-        found |= np.abs(means[..., first] - means[..., second]) >= critical * error
-    return found
 
 
 def _share(rejects: Rejects) -> Effect:

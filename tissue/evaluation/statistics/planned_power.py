@@ -6,7 +6,8 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_range
-from tissue.evaluation.statistics.sign_flips import largest_squared_t, pair_differences
+from tissue.evaluation.statistics.sign_flips import largest_squared_t
+from tissue.evaluation.statistics.strata import pair_differences
 
 __all__ = ["EFFECT", "POPULATIONS", "POWER", "effect_names", "planned_people", "planned_power"]
 

@@ -8,18 +8,16 @@ different variances.
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
-from tissue.evaluation.statistics.strata import effect_scores, group_means
+from tissue.evaluation.statistics.strata import effect_scores, group_means, pair_differences
 
 __all__ = [
     "SignTest",
     "largest_squared_t",
-    "pair_differences",
     "pair_scores",
     "sign_test",
     "sign_test_p",
@@ -75,33 +73,13 @@ class SignTest:
     critical: float
 
 
-def pair_differences(count: int) -> Array:
-    """Return the weights of the differences between all pairs of `count` levels.
-
-    The weights have shape (pairs, count). In each pair, the earlier level is subtracted from the
-    later level.
-    """
-    pairs = list(combinations(range(count), 2))
-    weights = np.zeros((len(pairs), count))
-    for row, (first, second) in enumerate(pairs):
-        weights[row, first] = -1.0
-        weights[row, second] = 1.0
-    return weights
-
-
 def pair_scores(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
     """Compute the differences of every user between all pairs of levels of one effect.
 
     Parameters and shapes are those of :func:`effect_scores`. For an interaction, the scores are
     differences of differences. Without chosen factors, the score is the mean of the user.
     """
-    return effect_scores(
-        values,
-        sizes,
-        chosen,
-        contrasts=pair_differences,
-        mean_weight=lambda size: 1.0 / size,
-    )
+    return effect_scores(values, sizes, chosen, pair_differences, -1.0)
 
 
 def _compared(means: Array, variances: Array, *, between: bool) -> tuple[Array, Array]:

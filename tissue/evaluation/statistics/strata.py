@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import helmert
@@ -18,9 +20,10 @@ __all__ = [
     "effect_scores",
     "group_means",
     "multivariate",
+    "pair_differences",
     "pillai",
-    "scores_of",
     "strata",
+    "tukey",
 ]
 
 
@@ -60,13 +63,22 @@ def group_means(values: Array, groups: Ints) -> Array:
     return (member / member.sum(axis=1, keepdims=True)) @ values
 
 
+def pair_differences(count: int) -> Array:
+    """Return the weights of the differences between all pairs of levels, shape (pairs, count).
+
+    In each pair, the earlier level is subtracted from the later level.
+    """
+    first, second = np.array(list(combinations(range(count), 2)), dtype=int).reshape(-1, 2).T
+    unit = np.eye(count)
+    return unit[second] - unit[first]
+
+
 def effect_scores(
     values: Array,
     sizes: tuple[int, ...],
     chosen: tuple[int, ...],
-    *,
-    contrasts: Callable[[int], Array],
-    mean_weight: Callable[[int], float],
+    contrasts: Callable[[int], Array] = helmert,
+    power: float = -0.5,
 ) -> Array:
     """Compute the scores of every user: contrasts of the levels of an effect within users.
 
@@ -78,13 +90,13 @@ def effect_scores(
     sizes
         Number of levels of each factor.
     chosen
-        Indices of the factors in the effect.
+        Indices of the factors in the effect. Without any, the score is a mean of the user.
     contrasts
         Function that returns the weights of contrasts, shape (contrasts, levels), for a number of
-        levels. It is applied to the factors in the effect.
-    mean_weight
-        Function that returns the equal weight of each level, for a number of levels. It is applied
-        to the factors outside the effect.
+        levels. It is applied to the factors in the effect. Default: orthonormal contrasts.
+    power
+        Weight of each level of the factors outside the effect, as a power of the number of levels.
+        The default has unit length, as orthonormal contrasts.
 
     Returns
     -------
@@ -92,26 +104,32 @@ def effect_scores(
         Scores, shape (..., users, contrasts).
     """
     parts = [
-        contrasts(size) if index in chosen else np.full((1, size), mean_weight(size))
+        contrasts(size) if index in chosen else np.full((1, size), size**power)
         for index, size in enumerate(sizes)
     ]
     return values @ reduce(np.kron, parts).T
 
 
-def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
-    """Compute the scores of every user on orthonormal contrasts of an effect within users.
+def _squares(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, int, int]:
+    """Return squares and products of an effect and of its error, and their degrees of freedom.
 
-    Parameters and shapes are those of :func:`effect_scores`. Without chosen factors, the score is
-    the mean of the user multiplied by the square root of the number of levels.
+    Scores have shape (..., users, columns), squares and products (..., columns, columns). If
+    `between` is true, the effect is the difference of groups. Otherwise, the effect is the mean
+    over groups with equal weights.
     """
-    return effect_scores(
-        values,
-        sizes,
-        chosen,
-        contrasts=helmert,
-        # of unit length, as the contrasts
-        mean_weight=lambda size: size**-0.5,
-    )
+    counts = np.bincount(groups)
+    means = group_means(scores, groups)
+    residuals = scores - means[..., groups, :]
+    if between:
+        overall = (counts @ means / len(groups))[..., None, :]
+        shifts = (means - overall) * np.sqrt(counts)[:, None]
+        above = len(counts) - 1
+    else:
+        # the mean over groups of equal weight has the variance of sum(1 / n) / G**2
+        shifts = means.mean(axis=-2, keepdims=True) * len(counts) / np.sqrt((1.0 / counts).sum())
+        above = 1
+    effect, error = (np.swapaxes(each, -1, -2) @ each for each in (shifts, residuals))
+    return effect, error, above, len(groups) - len(counts)
 
 
 def strata(
@@ -144,53 +162,66 @@ def strata(
         of the group with the chosen factors. If false, the effect of the chosen factors, as the
         mean over groups with equal weights, is tested against zero.
     """
-    scores = scores_of(values, sizes, chosen)
-    contrasts = scores.shape[-1]
-    counts = np.bincount(groups)
-    group_count = len(counts)
-    user_count = len(groups)
-    means = group_means(scores, groups)
-    residuals = scores - means[..., groups, :]
-    products = np.swapaxes(residuals, -1, -2) @ residuals / (user_count - group_count)
-    error = np.trace(products, axis1=-2, axis2=-1) / contrasts
-    if between:
-        overall = (counts @ means / user_count)[..., None, :]
-        squares = ((means - overall) ** 2).sum(axis=-1) @ counts
-        above = contrasts * (group_count - 1)
-    else:
-        # the mean over groups of equal weight has the variance of sum(1 / n) / G**2
-        squares = (means.mean(axis=-2) ** 2).sum(axis=-1) * group_count**2 / (1.0 / counts).sum()
-        above = contrasts
-    below = contrasts * (user_count - group_count)
+    scores = effect_scores(values, sizes, chosen)
+    effect, error, above, below = _squares(scores, groups, between=between)
+    columns = scores.shape[-1]
+    degrees = (columns * above, columns * below)
+    left = np.trace(error, axis1=-2, axis2=-1)
+    square = left / degrees[1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        statistic = squares / above / error
-        epsilon = (error * contrasts) ** 2 / (contrasts * (products**2).sum(axis=(-2, -1)))
-    return Strata(
-        statistic,
-        f.sf(statistic, above, below),
-        error,
-        (above, below),
-        epsilon,
-        f.sf(statistic, epsilon * above, epsilon * below),
-    )
+        statistic = np.trace(effect, axis1=-2, axis2=-1) / degrees[0] / square
+        epsilon = left**2 / (columns * (error**2).sum(axis=(-2, -1)))
+    corrected = f.sf(statistic, epsilon * degrees[0], epsilon * degrees[1])
+    return Strata(statistic, f.sf(statistic, *degrees), square, degrees, epsilon, corrected)
 
 
-@dataclass(frozen=True)
-class Pillai:
-    """Pillai's trace and its F test, for one or more populations.
+def tukey(values: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, tuple[int, int]]:
+    """Return what Tukey's test compares: differences of all pairs, errors and degrees of freedom.
 
-    Attributes
+    Parameters
     ----------
-    trace, F, p
-        Trace, F statistic and p value of F, one for each population.
-    degrees
-        Degrees of freedom of F.
+    values
+        Means of users, shape (..., users, levels).
+    groups
+        Group of every user, shape (users,).
+    between
+        If true, compare groups (Tukey and Kramer). If false, compare levels within users. The
+        error is then the interaction of users with levels, without the effects of the groups.
+
+    Returns
+    -------
+    tuple
+        Differences and standard errors, each of shape (..., pairs), and the number of compared
+        means with the degrees of freedom of the error. A difference divided by its standard error
+        is a studentised range.
     """
+    counts = np.bincount(groups)
+    means = group_means(values, groups)
+    if between:
+        means = means.mean(axis=-1)
+        found = strata(values, groups, values.shape[-1:], between=True)
+        # of the mean of a user, whose score is larger by the root of the number of levels
+        square = found.error_square / values.shape[-1]
+        weights = 0.5 * np.abs(pair_differences(len(counts))) @ (1.0 / counts)
+    else:
+        means = means.mean(axis=-2)
+        found = strata(values, groups, values.shape[-1:], (0,), between=False)
+        square = found.error_square
+        weights = (1.0 / counts).sum(keepdims=True) / len(counts) ** 2
+    pairs = pair_differences(means.shape[-1])
+    errors = np.sqrt(np.multiply.outer(square, weights))
+    differences = means @ pairs.T
+    return differences, errors + 0.0 * differences, (len(pairs.T), found.degrees[1])
+
+
+class Pillai(NamedTuple):
+    """Pillai's trace and its F test, for one or more populations."""
 
     trace: Array
     F: Array
     p: Array
     degrees: tuple[float, float]
+    """Degrees of freedom of F."""
 
 
 def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
@@ -206,22 +237,8 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
         If true, compare groups. If false, test the mean over groups (with equal weights) against
         zero.
     """
-    counts = np.bincount(groups)
-    means = group_means(scores, groups)
-    residuals = scores - means[..., groups, :]
-    error = np.swapaxes(residuals, -1, -2) @ residuals
-    if between:
-        apart = (means - (counts @ means / counts.sum())[..., None, :]) * np.sqrt(counts)[:, None]
-        effect = np.swapaxes(apart, -1, -2) @ apart
-        above = len(counts) - 1
-    else:
-        middle = means.mean(axis=-2)
-        effect = (
-            middle[..., :, None] * middle[..., None, :] * len(counts) ** 2 / (1.0 / counts).sum()
-        )
-        above = 1
+    effect, error, above, below = _squares(scores, groups, between=between)
     trace = np.trace(np.linalg.solve(effect + error, effect), axis1=-2, axis2=-1)
-    below = groups.size - len(counts)
     width = scores.shape[-1]
     rank = min(width, above)
     degrees = (rank * (abs(width - above) + rank), rank * (below - width + rank))

@@ -3,7 +3,6 @@
 The order of the rows does not depend on the order in which trials finished.
 """
 
-import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_rows
 
 __all__ = ["Cells", "TrialTable"]
 
@@ -152,14 +151,8 @@ class TrialTable:
         exactly the same values can be read back.
         """
         columns = [getattr(self, name).tolist() for name in KEYS]
-        columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
-        with (
-            whole_file(path) as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as file,
-        ):
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow([*KEYS, *self.metrics])
-            writer.writerows(zip(*columns, strict=True))
+        columns += [values.tolist() for values in self.metrics.values()]
+        write_rows(path, [[*KEYS, *self.metrics], *zip(*columns, strict=True)])
 
     def __len__(self) -> int:
         return len(self.task)

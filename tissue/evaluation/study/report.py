@@ -14,7 +14,6 @@ from meshes.base.whole_file import package_version, write_text
 from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.discrimination import discrimination_section
-from tissue.evaluation.study.exploratory import exploratory_section, read_trials
 from tissue.evaluation.study.fidelity import (
     force_section,
     latency_section,
@@ -81,9 +80,7 @@ STUDY = (
 """Parameters of the study itself, each with name, value, range, confidence and source."""
 
 
-def write_report(
-    path: Path, *, exploratory: Path | None = None, report: Progress = silent
-) -> tuple[Path, list[str]]:
+def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
     """Write the report ``report/index.html`` and its tables into the folder of a study.
 
     Return the path of the report, and the sentences of its first three sections.
@@ -92,8 +89,6 @@ def write_report(
     ----------
     path
         Folder of the study.
-    exploratory
-        Folder of an older study, whose results are shown next to the results of this study.
     report
         Called with the progress.
 
@@ -104,16 +99,11 @@ def write_report(
         writes a report.
     """
     folder = StudyFolder(path)
-    old = None if exploratory is None else read_trials(exploratory)
     out = path / "report"
     folder.plan()  # refuses a folder that is no study before anything is made in it
     page = out / "index.html"
     with OwnedFolder(out, "study report", (), shared=["index.html"]):
         sections = sections_of(folder, report=report)
-        if exploratory is not None and old is not None:
-            # next to the registered figures, before the parameters
-            table = folder.table(*folder.plan().compared).complete()
-            sections.insert(-1, exploratory_section(table, old, exploratory.name))
         links = " · ".join(
             f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections
         )

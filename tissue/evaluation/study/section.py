@@ -1,6 +1,5 @@
 """Building blocks of the report of a study: sections, published results, texts and pictures."""
 
-import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from meshes.base.arrays import Array
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_rows
 from tissue.evaluation.statistics.intervals import Interval, signed_interval
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import METHODS, TASKS
@@ -165,13 +164,8 @@ class Section:
         """Write the table as CSV; return the name of the file, or an empty text without a table."""
         if not self.table:
             return ""
-        name = f"{self.name}.csv"
-        with (
-            whole_file(folder / name) as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as file,
-        ):
-            csv.writer(file, lineterminator="\n").writerows([self.header, *self.rows])
-        return name
+        write_rows(folder / f"{self.name}.csv", [self.header, *self.rows])
+        return f"{self.name}.csv"
 
 
 def spread(values: Array, digits: int = 2) -> str:
