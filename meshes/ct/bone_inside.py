@@ -16,9 +16,8 @@ from meshes.shapes.anatomy import CORTICAL_KG_M3, TRABECULAR_KG_M3, Anatomy
 from meshes.surfaces.glenoid import SURFACE_LAYERS, sampled_anatomy
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
-from meshes.tooth.layer_contact import inside_surface
 from meshes.tooth.layered_surfaces import joined
-from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
+from meshes.voxels.mesh_sampling import TriangleSampler, inside_scattered, triangle_distance
 
 __all__ = [
     "CORTICAL_ABOVE_KG_M3",
@@ -179,7 +178,7 @@ def cored_anatomy(
     whole = joined([(site.to_site(surface.vertices_m), surface.faces), inner])
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        layer = inside_surface(*inner, points).astype(np.uint8)
+        layer = inside_scattered(*inner, points).astype(np.uint8)
         return layer, np.where(layer == 0, np.float32(CORTICAL_KG_M3), np.float32(TRABECULAR_KG_M3))
 
     notes = {

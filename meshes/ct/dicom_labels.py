@@ -1,8 +1,7 @@
 """DICOM objects with labels: segmentations (SEG) and structure sets (RTSTRUCT)."""
 
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,27 +13,19 @@ from meshes.base.errors import InputError, by, is_file, is_folder
 from meshes.base.file_limits import require_memory, require_regular
 from meshes.ct.label_names import Segment, side_of
 from meshes.images.dicom_files import (
-    damaged,
+    Frame,
     files_in,
     frames_in,
     is_dicom,
     modality_of,
     read_dataset,
+    reading,
 )
-from meshes.images.dicom_slices import Slice, even_row, fit_together, normal_of, slice_of
+from meshes.images.dicom_slices import even_row, fit_together, normal_of
 from meshes.images.frame import Image, StoredImage
 
-__all__ = [
-    "LabelObject",
-    "Outlines",
-    "Segmentation",
-    "drawn",
-    "label_object",
-    "read_outlines",
-    "read_segmentation",
-]
+__all__ = ["Masks", "dicom_masks"]
 
-_KINDS = ("SEG", "RTSTRUCT")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".raw", ".tif", ".tiff", ".bmp")
 """Suffixes of files that are not DICOM. Files with these suffixes are not opened."""
 _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
@@ -56,24 +47,36 @@ _FLAT_MM = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class LabelObject:
-    """DICOM file with labels: kind (SEG or RTSTRUCT), name and dataset."""
+class Masks:
+    """Masks of segments on one grid. The masks of different segments may overlap.
 
-    kind: str
-    file: Path
-    source: str
-    dataset: Any
+    Attributes
+    ----------
+    grid
+        Image on the grid of the masks. All values are zero, in uint16.
+    segments
+        Number and name of each segment.
+    masks
+        Number of a segment, index of a plane along the last axis, and mask of the segment in this
+        plane. If the index is None, the mask has the shape of the grid.
+    """
+
+    grid: StoredImage | Image
+    segments: Sequence[Segment]
+    masks: Iterator[tuple[int, int | None, Flags]]
 
 
-def label_object(path: Path) -> LabelObject | None:
-    """Return the DICOM object with labels in a file, or the only such object in a folder.
+def dicom_masks(path: Path, image: Image | None) -> Masks | None:
+    """Read the segmentation or structure set in a file, or the only such object in a folder.
 
-    The result is None for all other files and folders.
+    The outlines of a structure set are drawn on the voxels of `image`. The result is None for all
+    other files and folders.
 
     Raises
     ------
     InputError
-        If a folder contains several DICOM objects with labels.
+        If a folder contains several of these objects, if the object is damaged, if its planes are
+        not evenly spaced, or if a structure set is read without an image.
     """
     files = [path]
     if is_folder(path):
@@ -84,8 +87,8 @@ def label_object(path: Path) -> LabelObject | None:
             continue
         dataset = read_dataset(file, path.name, (*_SEGMENT_TAGS, *_OUTLINE_TAGS))
         modality = modality_of(dataset, path.name)
-        if modality in _KINDS:
-            found.append(LabelObject(modality, file, path.name, dataset))
+        if modality in ("SEG", "RTSTRUCT"):
+            found.append((modality, file, dataset))
     if len(found) > 1:
         raise InputError(
             "labels",
@@ -93,136 +96,96 @@ def label_object(path: Path) -> LabelObject | None:
             f"{len(found)} in {path.name}",
             "give the file of one segmentation or structure set",
         )
-    return found[0] if found else None
+    if not found:
+        return None
+    modality, file, dataset = found[0]
+    with reading(path.name):
+        if modality == "SEG":
+            return _segmentation(file, dataset, path.name)
+        return _structure_set(dataset, path.name, image)
 
 
-@dataclass(frozen=True, eq=False)
-class Segmentation:
-    """Frames (image planes) of a DICOM segmentation.
+def _segmentation(file: Path, dataset: Any, source: str) -> Masks:
+    """Read a segmentation, in which a frame is one plane of one segment.
 
-    Each frame is one plane of one segment. In a label map, each frame is one plane with all
-    segments.
-
-    Attributes
-    ----------
-    object
-        DICOM file of the segmentation.
-    segments
-        Segments that the file lists.
-    frames
-        Positions of the frames.
-    planes_at
-        Index of each frame's plane along the normal.
-    step
-        Vector from a plane to the next plane [mm, LPS].
+    In a label map, a frame is one plane with all segments. Files usually omit empty frames, so
+    planes may be missing.
     """
-
-    object: LabelObject
-    segments: list[Segment]
-    frames: list[Slice]
-    planes_at: list[int]
-    step: Array
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of columns, rows and planes."""
-        return (*self.frames[0].size, max(self.planes_at) + 1)
-
-    @property
-    def numbers(self) -> list[int]:
-        """Label numbers of the segments."""
-        return [each.number for each in self.segments]
-
-    def stored(self) -> StoredImage:
-        """Return the grid of the segmentation, without values."""
-        first = self.frames[int(np.argmin(self.planes_at))]
-        spacing = float(np.linalg.norm(self.step))
-        directions = np.column_stack([first.row, first.column, self.step / spacing])
-        notes = []
-        if self.object.dataset.get("SegmentationType") == "FRACTIONAL":
-            notes.append(f"{self.object.source} holds fractions: half of a voxel or more counts.")
-        empty = np.zeros((0, 0, 0), dtype=np.uint8)
-        grid = (*first.pixel_mm, spacing)
-        return StoredImage(empty, grid, directions, first.position_mm, tuple(notes))
-
-    def planes(self) -> Iterator[tuple[int, int, Flags]]:
-        """Yield the segment number, plane index and mask of each frame.
-
-        The mask has the shape (columns, rows).
-        """
-        kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
-        full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
-        least = 0.5 * full if kind == "FRACTIONAL" else 0.5
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                pixels = self._pixels()
-                for each, plane, values in zip(self.frames, self.planes_at, pixels, strict=True):
-                    if kind == "LABELMAP":
-                        for number in np.unique(values[values > 0]).tolist():
-                            yield number, plane, number == values.T
-                        continue
-                    number = int(each.frame.header["ReferencedSegmentNumber"])
-                    yield number, plane, least <= values.T
-        except InputError:
-            raise
-        except Exception as problem:  # damaged pixels raise many types of errors
-            raise damaged(self.object.source) from problem
-
-    def _pixels(self) -> Iterator[Numbers]:
-        """Yield the values of each frame, shape (rows, columns)."""
-        from pydicom.pixels.utils import iter_pixels
-
-        header = self.frames[0].frame.header
-        is_compressed = self.object.dataset.file_meta.TransferSyntaxUID.is_compressed
-        if int(header["BitsAllocated"]) > 1 or is_compressed:
-            yield from iter_pixels(self.object.file, raw=True)
-            return
-        # Frames of packed bits may begin within a byte. pydicom 3.0 raises an error for such
-        # frames.
-        size = self.frames[0].size
-        packed = np.frombuffer(self.object.dataset.PixelData, dtype=np.uint8)
-        for start in range(0, len(self.frames) * size[0] * size[1], size[0] * size[1]):
-            end = start + size[0] * size[1]
-            bits = np.unpackbits(packed[start // 8 : -(-end // 8)], bitorder="little")
-            yield bits[start % 8 :][: end - start].reshape(size[::-1])
-
-
-def read_segmentation(found: LabelObject) -> Segmentation:
-    """Read the segments of a segmentation and the positions of its frames.
-
-    Files usually omit empty frames, so planes may be missing.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, or if its frames do not lie in evenly spaced planes.
-    """
-    frames = [
-        slice_of(frame, labels=True) for frame in frames_in(found.file, found.dataset, found.source)
-    ]
-    first = frames[0]
+    frames = frames_in(file, dataset, source)
     planes, step = _even_planes(frames)
-    if step is None or not all(fit_together(first, each) for each in frames):
+    if step is None or not all(fit_together(frames[0], each) for each in frames):
         raise InputError(
             "a DICOM segmentation",
             "have its frames in one evenly spaced stack",
-            f"other frames in {found.source}",
+            f"other frames in {source}",
             "export it again, or as .seg.nrrd",
         )
-    needed = 2 * int(np.prod(first.size, dtype=object)) * (max(planes) + 1)
-    require_memory(needed, found.source, f"{by((*first.size, max(planes) + 1))} voxels")
-    return Segmentation(found, _segments(found), frames, planes, step)
+    first = frames[int(np.argmin(planes))]
+    shape = *first.size, max(planes) + 1
+    require_memory(2 * int(np.prod(shape, dtype=object)), source, f"{by(shape)} voxels")
+    spacing = float(np.linalg.norm(step))
+    directions = np.column_stack([*first.axes, step / spacing])
+    notes = []
+    if dataset.get("SegmentationType") == "FRACTIONAL":
+        notes.append(f"{source} holds fractions: half of a voxel or more counts.")
+    across, down = first.pixel_mm.tolist()
+    grid = StoredImage(
+        np.zeros(shape, dtype=np.uint16),
+        (across, down, spacing),
+        directions,
+        first.position_mm,
+        tuple(notes),
+    )
+    segments: list[Segment] = []
+    for each in dataset.get("SegmentSequence") or ():
+        number = int(each.get("SegmentNumber", len(segments) + 1))
+        name = str(each.get("SegmentLabel") or "").strip() or f"label {number}"
+        segments.append(Segment(number, name, _side(each)))
+    return Masks(grid, segments, _frame_masks(dataset, frames, planes))
 
 
-def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
+def _frame_masks(
+    dataset: Any, frames: Sequence[Frame], planes: Sequence[int]
+) -> Iterator[tuple[int, int, Flags]]:
+    """Yield the segment number, plane index and mask, shape (columns, rows), of each frame."""
+    kind = str(dataset.get("SegmentationType", "BINARY"))
+    full = int(dataset.get("MaximumFractionalValue") or 255)
+    least = 0.5 * full if kind == "FRACTIONAL" else 0.5
+    with reading(frames[0].place):
+        for each, plane, values in zip(frames, planes, _pixels(dataset, frames), strict=True):
+            if kind == "LABELMAP":
+                for number in np.unique(values[values > 0]).tolist():
+                    yield number, plane, number == values.T
+                continue
+            yield int(each.header["ReferencedSegmentNumber"]), plane, least <= values.T
+
+
+def _pixels(dataset: Any, frames: Sequence[Frame]) -> Iterator[Numbers]:
+    """Yield the values of each frame, shape (rows, columns)."""
+    from pydicom.pixels.utils import iter_pixels
+
+    first = frames[0]
+    is_compressed = dataset.file_meta.TransferSyntaxUID.is_compressed
+    if int(first.header["BitsAllocated"]) > 1 or is_compressed:
+        yield from iter_pixels(first.file, raw=True)
+        return
+    # Frames of packed bits may begin within a byte. pydicom 3.0 raises an error for such frames.
+    packed = np.frombuffer(dataset.PixelData, dtype=np.uint8)
+    columns, rows = first.size
+    for start in range(0, len(frames) * columns * rows, columns * rows):
+        end = start + columns * rows
+        bits = np.unpackbits(packed[start // 8 : -(-end // 8)], bitorder="little")
+        yield bits[start % 8 :][: end - start].reshape(rows, columns)
+
+
+def _even_planes(frames: Sequence[Frame]) -> tuple[list[int], Array | None]:
     """Return the plane index of each frame, and the step between planes [mm, LPS].
 
     The step is None if the frames do not lie in evenly spaced planes. The step need not be normal
     to the planes: if a CT with a tilted gantry is sheared, its segmentation is sheared too.
     """
     normal = normal_of(frames[0])
-    stated = frames[0].frame.header
+    stated = frames[0].header
     positions = np.array([each.position_mm for each in frames])
     heights, plane_of = np.unique(np.round(positions @ normal, 3), return_inverse=True)
     if len(heights) == 1:
@@ -245,21 +208,8 @@ def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
     rounding = min(each.rounding_mm for each in frames)
     is_even = np.abs(along).max() <= _OFF_GRID * gap
     is_as_stated = abs(float(step @ normal) / gap - 1.0) <= _OFF_STATED
-    is_in_line = across <= max(_OFF_GRID * min(frames[0].pixel_mm), rounding)
+    is_in_line = across <= max(_OFF_GRID * frames[0].pixel_mm.min(), rounding)
     return planes.tolist(), step if is_even and is_as_stated and is_in_line else None
-
-
-def _segments(found: LabelObject) -> list[Segment]:
-    """Return the segments of a file, each with the body side that the segment's type states."""
-    segments: list[Segment] = []
-    try:
-        for each in found.dataset.get("SegmentSequence") or ():
-            number = int(each.get("SegmentNumber", len(segments) + 1))
-            name = str(each.get("SegmentLabel") or "").strip() or f"label {number}"
-            segments.append(Segment(number, name, _side(each)))
-    except Exception as problem:  # damaged headers raise many kinds
-        raise damaged(found.source) from problem
-    return segments
 
 
 def _side(segment: Any) -> str:
@@ -277,51 +227,29 @@ def _side(segment: Any) -> str:
     return ""
 
 
-@dataclass(frozen=True, eq=False)
-class Outlines:
-    """Closed outlines of a structure set.
-
-    Attributes
-    ----------
-    source
-        File name.
-    segments
-        Structures that have outlines.
-    polygons
-        Dictionary from the number of a structure to the points [mm, LPS] of each outline, shape (n,
-        3).
-    """
-
-    source: str
-    segments: list[Segment]
-    polygons: Mapping[int, Sequence[Array]]
-
-
-def read_outlines(found: LabelObject) -> Outlines:
-    """Read the closed outlines of a structure set. Points and open lines are omitted.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, or if an outline does not lie in a plane normal to z.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            names, polygons = _structures(found.dataset)
-    except Exception as problem:  # damaged headers raise many kinds
-        raise damaged(found.source) from problem
+def _structure_set(dataset: Any, source: str, image: Image | None) -> Masks:
+    """Draw the closed outlines of a structure set on an image, without points and open lines."""
+    if image is None:
+        raise InputError(
+            "labels",
+            "hold voxels",
+            f"the outlines of {source}, a structure set",
+            "also give the CT image on which the outlines were drawn",
+        )
+    names, polygons = _structures(dataset)
     if any(np.ptp(each[:, 2]) > _FLAT_MM for held in polygons.values() for each in held):
         raise InputError(
             "outlines",
             "lie in planes across the patient's long axis",
-            f"other planes in {found.source}",
+            f"other planes in {source}",
             "export them as a segmentation (SEG or .seg.nrrd)",
         )
     segments = [
         Segment(number, names.get(number) or f"label {number}") for number in sorted(polygons)
     ]
-    return Outlines(found.source, segments, polygons)
+    values = np.zeros(image.values.shape, dtype=np.uint16)
+    grid = replace(image, values=values, source=source, notes=())
+    return Masks(grid, segments, _drawn(polygons, image))
 
 
 def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
@@ -339,7 +267,9 @@ def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
     return names, polygons
 
 
-def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
+def _drawn(
+    polygons_of: Mapping[int, Sequence[Array]], image: Image
+) -> Iterator[tuple[int, int, Flags]]:
     """Yield structure number, index of an image plane, and mask of the structure, shape (nx, ny).
 
     A voxel belongs to a structure if the voxel's centre lies within an odd number of the
@@ -347,12 +277,13 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
     image uses the outlines of the nearest plane that has outlines. An image plane that is farther
     away than half the distance between planes with outlines is empty.
     """
+    from skimage.draw import polygon2mask
+
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
-    columns, rows, planes_of_image = image.values.shape
-    shape = columns, rows
-    centres = origin[2] + spacing[2] * np.arange(planes_of_image)
-    for number, polygons in outlines.polygons.items():
+    shape = image.values.shape[:2]
+    centres = origin[2] + spacing[2] * np.arange(image.values.shape[2])
+    for number, polygons in polygons_of.items():
         heights = np.array([each[:, 2].mean() for each in polygons])
         places, member = _planes_of(heights)
         gap = float(np.median(np.diff(places))) if len(places) > 1 else float(spacing[2])
@@ -363,7 +294,8 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
                 continue
             inside = np.zeros(shape, dtype=bool)
             for index in np.flatnonzero(member == nearest).tolist():
-                inside ^= _within(polygons[index][:, :2], origin[:2], spacing[:2], shape)
+                points = polygons[index][:, :2] - origin[:2]
+                inside ^= polygon2mask(shape, points / spacing[:2])
             if inside.any():
                 yield number, k, inside
 
@@ -379,11 +311,3 @@ def _planes_of(heights: Array) -> tuple[Array, NDArray[np.integer]]:
     member = np.zeros(len(heights), dtype=np.int64)
     member[order[1:]] = np.cumsum(is_next)
     return np.bincount(member, weights=heights) / np.bincount(member), member
-
-
-def _within(points: Array, origin: Array, spacing: Array, shape: tuple[int, int]) -> Flags:
-    """Return a mask of the voxels whose centres lie in a polygon of points [mm], shape (n, 2)."""
-    from skimage.draw import polygon2mask
-
-    inside: Flags = polygon2mask(shape, (points - origin) / spacing)
-    return inside

@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Flags, Numbers
 from meshes.base.errors import InputError, by, is_folder
-from meshes.ct.dicom_labels import (
-    LabelObject,
-    drawn,
-    label_object,
-    read_outlines,
-    read_segmentation,
-)
+from meshes.ct.dicom_labels import Masks, dicom_masks
 from meshes.ct.label_names import (
     MOST_LABELS,
     Segment,
@@ -158,9 +152,9 @@ def read_labels(
         a label has no name.
     """
     path = Path(path)
-    found = label_object(path)
+    found = dicom_masks(path, image)
     if found is not None:
-        labels = _of_object(found, image)
+        labels = _overlaid(found, path.name, image)
         stated = {} if names is None else given_names(names)
         named = {number: stated.get(number, name) for number, name in labels.names.items()}
         return replace(labels, names=named)
@@ -211,95 +205,63 @@ def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
     If the header lists no segments, or the segments have no voxels, an error is raised.
     """
     segments = slicer_segments(path)
-    overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])
-    for each in segments:
-        if each.layer < len(stored.values):
-            overlay.add(each.number, stored.values[each.layer] == each.value)
-    return overlay.labels(stored, segments, path.name, image)
+    layers = stored.values
+    masks = (
+        (each.number, None, layers[each.layer] == each.value)
+        for each in segments
+        if each.layer < len(layers)
+    )
+    grid = replace(stored, values=np.zeros(layers.shape[1:], dtype=np.uint16))
+    return _overlaid(Masks(grid, segments, masks), path.name, image)
 
 
-class Overlay:
-    """Label volume that is built from masks, which may overlap.
+def _overlaid(found: Masks, source: str, lattice: Image | None = None) -> Labels:
+    """Combine masks, which may overlap, in one label volume in LPS.
 
-    Each combination of labels that occurs in a voxel has its own number.
+    Each combination of labels that occurs in a voxel has its own number. The argument `lattice` is
+    described in `meshes.images.frame.along_lps`.
 
-    Parameters
-    ----------
-    shape
-        Number of voxels along each axis.
-    numbers
-        Numbers that the labels may have.
+    Raises
+    ------
+    InputError
+        If no voxel is marked, or too many combinations occur.
     """
-
-    def __init__(self, shape: tuple[int, ...], numbers: Iterable[int]) -> None:
-        self.values: NDArray[np.uint16] = np.zeros(shape, dtype=np.uint16)
-        self._next = max(numbers, default=0) + 1
-        self._of: dict[tuple[int, ...], int] = {}
-        self._members: dict[int, tuple[int, ...]] = {}
-
-    def add(self, number: int, inside: Flags, plane: int | None = None) -> None:
-        """Add a mask to a label.
-
-        If `plane` is given, the mask covers only the plane with this index along the last axis.
-        """
-        values = self.values if plane is None else self.values[..., plane]
-        held = values[inside]
+    values = found.grid.values
+    number_of = {(each.number,): each.number for each in found.segments}
+    labels_of = {number: labels for labels, number in number_of.items()}
+    for number, plane, inside in found.masks:
+        part = values if plane is None else values[..., plane]
+        held = part[inside]
         for before in np.unique(held).tolist():
-            labels = {*self._members.get(before, (before,)), number} - {0}
-            held[held == before] = self._number(tuple(sorted(labels)))
-        values[inside] = held
-
-    def _number(self, labels: tuple[int, ...]) -> int:
-        """Return the number of a combination of labels."""
-        if len(labels) == 1:
-            return labels[0]
-        if labels not in self._of:
-            if self._next > np.iinfo(self.values.dtype).max:
+            labels = tuple(sorted({*labels_of.get(before, ()), number}))
+            after = number_of.setdefault(labels, max(labels_of, default=0) + 1)
+            if after > np.iinfo(np.uint16).max:
                 raise InputError(
                     "labels",
                     "have fewer combinations of overlapping segments",
                     "too many for the type of label numbers",
                     "give fewer segments",
                 )
-            self._of[labels] = self._next
-            self._members[self._next] = labels
-            self._next += 1
-        return self._of[labels]
-
-    def labels(
-        self,
-        stored: StoredImage | Image,
-        segments: Iterable[Segment],
-        source: str,
-        lattice: Image | None = None,
-    ) -> Labels:
-        """Return the labels in LPS, with a note on overlaps.
-
-        The argument `lattice` is described in `meshes.images.frame.along_lps`.
-
-        Raises
-        ------
-        InputError
-            If no voxel is marked.
-        """
-        held = set(np.unique(self.values).tolist())
-        overlaps = {number: self._members[number] for number in held if number in self._members}
-        marked = held.union(*overlaps.values())
-        kept = [each for each in segments if each.number in marked]
-        if not kept:
-            raise InputError(
-                "labels", "mark something", f"nothing in {source}", "export the segmentation"
-            )
-        names = apart(kept)
-        notes = [*stored.notes]
-        if overlaps:
-            count = int(np.count_nonzero(np.isin(self.values, list(overlaps))))
-            notes.append(f"{count} voxels of {source} lie in several labels, and count for each.")
-        notes += shared_names(names, source)
-        placed = replace(stored, values=self.values, notes=tuple(notes))
-        if isinstance(placed, StoredImage):
-            placed = along_lps(placed, source, labels=True, lattice=lattice)
-        return Labels(placed, names, overlaps)
+            labels_of[after] = labels
+            held[held == before] = after
+        part[inside] = held
+    marked = {each: labels_of[each] for each in np.unique(values).tolist() if each}
+    held_labels = {each for labels in marked.values() for each in labels}
+    kept = [each for each in found.segments if each.number in held_labels]
+    if not kept:
+        raise InputError(
+            "labels", "mark something", f"nothing in {source}", "export the segmentation"
+        )
+    names = apart(kept)
+    overlaps = {number: labels for number, labels in marked.items() if len(labels) > 1}
+    notes = [*found.grid.notes]
+    if overlaps:
+        count = int(np.count_nonzero(np.isin(values, list(overlaps))))
+        notes.append(f"{count} voxels of {source} lie in several labels, and count for each.")
+    grid = replace(found.grid, notes=(*notes, *shared_names(names, source)))
+    if isinstance(grid, StoredImage):
+        grid = along_lps(grid, source, labels=True, lattice=lattice)
+    return Labels(grid, names, overlaps)
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
@@ -352,29 +314,6 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     return Labels(placed, names, labels.overlaps)
 
 
-def _of_object(found: LabelObject, image: Image | None) -> Labels:
-    """Read a DICOM segmentation, or draw the outlines of a structure set on an image."""
-    if found.kind == "SEG":
-        segmentation = read_segmentation(found)
-        overlay = Overlay(segmentation.shape, segmentation.numbers)
-        for number, plane, inside in segmentation.planes():
-            overlay.add(number, inside, plane)
-        return overlay.labels(segmentation.stored(), segmentation.segments, found.source, image)
-    if image is None:
-        raise InputError(
-            "labels",
-            "hold voxels",
-            f"the outlines of {found.source}, a structure set",
-            "also give the CT image on which the outlines were drawn",
-        )
-    outlines = read_outlines(found)
-    overlay = Overlay(image.values.shape, [each.number for each in outlines.segments])
-    for number, plane, inside in drawn(outlines, image):
-        overlay.add(number, inside, plane)
-    blank = replace(image, source=found.source, notes=())
-    return overlay.labels(blank, outlines.segments, found.source)
-
-
 def _of_masks(folder: Path) -> Labels:
     """Read a folder of masks, each with the name of its label."""
     masks = sorted(
@@ -389,29 +328,31 @@ def _of_masks(folder: Path) -> Labels:
             f"{folder.name} without .nii.gz or .nrrd files",
             "give the folder that TotalSegmentator wrote",
         )
-    whole: Image | None = None
-    overlay = Overlay((0, 0, 0), ())
+    first = read_image(masks[0], labels=True)
     segments = []
     for number, file in enumerate(masks, start=1):
-        image = read_image(file, labels=True)
-        if whole is None:
-            whole = replace(image, source=folder.name, notes=())
-            overlay = Overlay(image.values.shape, [len(masks)])
-        # 1e-3 mm: spacing and origin are rounded in headers.
-        if image.values.shape != whole.values.shape or not np.allclose(
-            [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
-        ):
-            raise InputError(
-                "masks",
-                "lie on one grid",
-                f"another grid in {file.name} of {folder.name}",
-                "export them together",
-            )
         ending = next(each for each in IMAGE_SUFFIXES if file.name.lower().endswith(each))
         segments.append(Segment(number, file.name[: -len(ending)].removesuffix(".seg")))
-        overlay.add(number, image.values > 0)
-    assert whole is not None
-    return overlay.labels(whole, segments, folder.name)
+    values = np.zeros(first.values.shape, dtype=np.uint16)
+    grid = replace(first, values=values, source=folder.name, notes=())
+    read = ((number, None, _mask(file, first)) for number, file in enumerate(masks, start=1))
+    return _overlaid(Masks(grid, segments, read), folder.name)
+
+
+def _mask(file: Path, first: Image) -> Flags:
+    """Read a mask, and raise an error if its grid differs from the grid of the first mask."""
+    image = read_image(file, labels=True)
+    # 1e-3 mm: spacing and origin are rounded in headers.
+    if image.values.shape != first.values.shape or not np.allclose(
+        [*image.spacing_mm, *image.origin_mm], [*first.spacing_mm, *first.origin_mm], atol=1e-3
+    ):
+        raise InputError(
+            "masks",
+            "lie on one grid",
+            f"another grid in {file.name} of {file.parent.name}",
+            "export them together",
+        )
+    return image.values > 0
 
 
 def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]]:

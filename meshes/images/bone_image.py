@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints, Numbers, Singles
 from meshes.base.errors import InputError, require_positive, require_range
@@ -13,7 +12,7 @@ from meshes.images.frame import Image
 from meshes.shapes.anatomy import CORTICAL_KG_M3
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["image_cuts", "image_triangles", "image_volume", "spread_labels"]
+__all__ = ["image_cuts", "image_triangles", "image_volume"]
 
 Density = Callable[[Numbers], Singles]
 """Function from grey values to densities [kg/m3], such as a `meshes.ct.density.DensityLaw`."""
@@ -223,30 +222,3 @@ def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
                     1e-3 * (index * np.asarray(image.spacing_mm) + np.asarray(image.origin_mm))
                 )
     return tuple(cuts)
-
-
-def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
-    """Smooth a mask (1 inside, 0 outside) with a kernel that does not shift curved surfaces.
-
-    Values outside the array are 0.
-
-    The kernel is a Gaussian minus its variance times its Laplacian. In a plane through its centre,
-    the second moment of the kernel is zero. To first order in the curvature, the smoothed value on
-    a curved surface is therefore one half, as on a plane.
-
-    Parameters
-    ----------
-    values
-        Shape (nx, ny, nz).
-    deviation_voxels
-        Standard deviation along each axis [voxel], one number or shape (3,).
-    """
-    from scipy.ndimage import correlate1d, gaussian_filter
-
-    deviations = np.broadcast_to(np.asarray(deviation_voxels, dtype=np.float64), (3,))
-    smooth = gaussian_filter(values, deviations, mode="constant")
-    result = smooth.copy()
-    for axis, deviation in enumerate(deviations):
-        second = np.array([1.0, -2.0, 1.0]) * deviation**2
-        result -= correlate1d(smooth, second, axis=axis, mode="constant")
-    return np.asarray(result, dtype=np.float32)

@@ -6,7 +6,6 @@ compressed pixels by GDCM. `meshes.images.dicom_files` reads the headers and kee
 private.
 """
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,13 +23,17 @@ from meshes.images.dicom_files import (
     frames_in,
     frames_of,
     read_dataset,
+    reading,
     refused,
 )
-from meshes.images.dicom_slices import INVERTED, Slice, number_in, slice_of, stacked
+from meshes.images.dicom_slices import stacked
 from meshes.images.frame import StoredImage
 
-__all__ = ["read_dicom", "stored_pixels"]
+__all__ = ["read_dicom"]
 
+_INVERTED = "MONOCHROME1"
+"""Photometric interpretation in which low values are displayed as white."""
+_GREY = ("MONOCHROME2", _INVERTED)
 _THICK_MM = 3.0
 """Slice thickness [mm] from which a note is written, more than the thickness of most cortices."""
 _THICKER = 1.05
@@ -59,7 +62,8 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
     frames, left_out = frames_of(files, source)
     frames, other_series = _of_one_series(frames, series, source)
     notes += [*left_out, *other_series]
-    slices = [slice_of(frame) for frame in frames]
+    for frame in frames:
+        _require_grey(frame)
     kinds = {frame.header["PhotometricInterpretation"] for frame in frames}
     if len(kinds) > 1:
         raise refused(
@@ -67,13 +71,13 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
         )
     bits = max(int(frame.header["BitsAllocated"] or 0) for frame in frames)
     require_memory(
-        sum(int(np.prod(each.size, dtype=object)) for each in slices) * bits // 8,
+        sum(int(np.prod(each.size, dtype=object)) for each in frames) * bits // 8,
         source,
-        f"{by((*slices[0].size, len(slices)))} voxels",
+        f"{by((*frames[0].size, len(frames)))} voxels",
     )
-    slices, step, remarks = stacked(slices, source)
-    stored = stored_pixels(slices)
-    if kinds == {INVERTED}:
+    slices, step, remarks = stacked(frames, source)
+    stored = _stored_pixels(slices)
+    if kinds == {_INVERTED}:
         stored, note = _upright(stored, slices, source)
         remarks.append(note)
     values, padded = _scaled(stored, slices)
@@ -87,20 +91,32 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
         )
     first = slices[0]
     spacing = float(np.linalg.norm(step))
-    thickness = number_in(first.frame, "SliceThickness", 0.0)
+    thickness = first.number("SliceThickness", 0.0)
     if thickness >= _THICK_MM and thickness > _THICKER * spacing:
         remarks.append(
             f"The slices of {source} are {thickness:g} mm thick and {spacing:.3g} mm apart: "
             "thinner parts are blurred."
         )
-    directions = np.column_stack([first.row, first.column, step / spacing])
+    directions = np.column_stack([*first.axes, step / spacing])
     return StoredImage(
         values.T,
-        (*first.pixel_mm, spacing),
+        (*first.pixel_mm.tolist(), spacing),
         directions,
         first.position_mm,
         (*notes, *remarks),
     )
+
+
+def _require_grey(frame: Frame) -> None:
+    """Raise an error for a frame without grey values, such as a colour picture."""
+    kind = frame.header["PhotometricInterpretation"]
+    if kind not in _GREY or frame.header["SamplesPerPixel"] != 1:
+        raise InputError(
+            "a DICOM slice",
+            "hold grey values (MONOCHROME2 or MONOCHROME1)",
+            f"other values in {frame.place}",
+            "leave this slice out, or export grey values",
+        )
 
 
 def _of_one_series(
@@ -146,26 +162,20 @@ def _series_number(frame: Frame) -> str:
     return str(number) if abs(number) < 1_000_000 else "?"
 
 
-def stored_pixels(slices: Sequence[Slice]) -> Numbers:
-    """Return the stored values of slices, shape (slices, rows, columns).
-
-    Raises
-    ------
-    InputError
-        If a file cannot be decoded.
-    """
+def _stored_pixels(slices: Sequence[Frame]) -> Numbers:
+    """Decode the stored values of slices, shape (slices, rows, columns)."""
     files: dict[Path, Numbers] = {}
     for each in slices:
-        frame = each.frame
-        if frame.file not in files:
-            pixels = _decoded(each)
-            if pixels.shape[1:] != each.size[::-1] or frame.number >= len(pixels):
-                raise damaged(frame.place)
-            files[frame.file] = pixels
-    return np.stack([files[each.frame.file][each.frame.number] for each in slices])
+        if each.file not in files:
+            with reading(each.place):
+                pixels = _decoded(each)
+            if pixels.shape[1:] != each.size[::-1] or each.index >= len(pixels):
+                raise damaged(each.place)
+            files[each.file] = pixels
+    return np.stack([files[each.file][each.index] for each in slices])
 
 
-def _decoded(first: Slice) -> Numbers:
+def _decoded(frame: Frame) -> Numbers:
     """Return the stored values of all frames of a file, shape (frames, rows, columns)."""
     from pydicom.uid import (
         ExplicitVRBigEndian,
@@ -173,27 +183,19 @@ def _decoded(first: Slice) -> Numbers:
         ImplicitVRLittleEndian,
     )
 
-    frame = first.frame
     dataset = read_dataset(frame.file, frame.place)
     syntax = dataset.file_meta.get("TransferSyntaxUID")
     if syntax is not None and syntax.is_compressed:
-        return _decompressed(first, dataset)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            if syntax is None:  # a file without the group that states the syntax
-                is_implicit, is_little = dataset.original_encoding
-                explicit = ExplicitVRLittleEndian if is_little else ExplicitVRBigEndian
-                dataset.file_meta.TransferSyntaxUID = (
-                    ImplicitVRLittleEndian if is_implicit else explicit
-                )
-            pixels: Numbers = np.asarray(dataset.pixel_array)
-    except Exception as problem:  # damaged pixels raise many types of errors
-        raise damaged(frame.place) from problem
+        return _decompressed(frame, dataset)
+    if syntax is None:  # a file without the group that states the syntax
+        is_implicit, is_little = dataset.original_encoding
+        explicit = ExplicitVRLittleEndian if is_little else ExplicitVRBigEndian
+        dataset.file_meta.TransferSyntaxUID = ImplicitVRLittleEndian if is_implicit else explicit
+    pixels: Numbers = np.asarray(dataset.pixel_array)
     return pixels.reshape(-1, *pixels.shape[-2:])
 
 
-def _decompressed(first: Slice, dataset: Any) -> Numbers:
+def _decompressed(frame: Frame, dataset: Any) -> Numbers:
     """Decode a compressed file with GDCM and return the stored values.
 
     GDCM inverts MONOCHROME1, then applies slope and intercept of the first frame to all frames.
@@ -201,29 +203,25 @@ def _decompressed(first: Slice, dataset: Any) -> Numbers:
     """
     import SimpleITK
 
-    frame = first.frame
-    # warnings of GDCM may contain header content, which must not be printed
+    # Warnings of GDCM may contain header content, which must not be printed.
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
-    try:
-        image = SimpleITK.ReadImage(str(frame.file), imageIO="GDCMImageIO")
-        values = SimpleITK.GetArrayFromImage(image)
-    except (RuntimeError, MemoryError) as problem:
-        raise damaged(frame.place) from problem
-    scale = slice_of(frames_in(frame.file, dataset, frame.place)[0])
+    image = SimpleITK.ReadImage(str(frame.file), imageIO="GDCMImageIO")
+    scale = frames_in(frame.file, dataset, frame.place)[0]
+    values = SimpleITK.GetArrayFromImage(image)
     stored = np.rint((values - scale.intercept) / scale.slope).astype(np.int32)
-    if frame.header["PhotometricInterpretation"] == INVERTED:
-        stored = _ends(first) - stored
+    if frame.header["PhotometricInterpretation"] == _INVERTED:
+        stored = _ends(frame) - stored
     return stored
 
 
-def _ends(each: Slice) -> int:
+def _ends(each: Frame) -> int:
     """Return the sum of the lowest and the highest value that a slice can store."""
-    bits = int(number_in(each.frame, "BitsStored", 16.0))
-    is_signed = int(number_in(each.frame, "PixelRepresentation", 0.0)) == 1
+    bits = int(each.number("BitsStored", 16.0))
+    is_signed = int(each.number("PixelRepresentation", 0.0)) == 1
     return -1 if is_signed else 2**bits - 1
 
 
-def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
+def _scaled(stored: Numbers, slices: Sequence[Frame]) -> tuple[Numbers, int]:
     """Apply the scale of each slice, and return grey values and the number of padding voxels.
 
     Voxels with the padding value get the lowest other value of their slice.
@@ -233,11 +231,10 @@ def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
     padded = 0
     for plane, found, each in zip(stored, values, slices, strict=True):
         found[:] = each.slope * plane.astype(np.float64) + each.intercept
-        frame = each.frame
-        if frame.header["PixelPaddingValue"] in (None, ""):
+        if each.header["PixelPaddingValue"] in (None, ""):
             continue
-        first = number_in(frame, "PixelPaddingValue", 0.0)
-        low, high = sorted((first, number_in(frame, "PixelPaddingRangeLimit", first)))
+        first = each.number("PixelPaddingValue", 0.0)
+        low, high = sorted((first, each.number("PixelPaddingRangeLimit", first)))
         padding = (plane >= low) & (plane <= high)
         if padding.any() and not padding.all():
             found[padding] = found[~padding].min()
@@ -245,7 +242,7 @@ def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
     return values, padded
 
 
-def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Numbers, str]:
+def _upright(stored: Numbers, slices: Sequence[Frame], source: str) -> tuple[Numbers, str]:
     """Invert MONOCHROME1 values if slope and intercept require it, and return values and a note.
 
     Slope and intercept convert stored values to Hounsfield units, independent of the display (DICOM
@@ -264,7 +261,7 @@ def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Num
             count += int(np.count_nonzero((grey > low) & (grey < high)))
         return count
 
-    has_slope = slices[0].frame.header["RescaleSlope"] not in (None, "")
+    has_slope = slices[0].header["RescaleSlope"] not in (None, "")
     as_stated = air(stored)
     as_inverted = air(inverted)
     if has_slope and (
@@ -277,7 +274,7 @@ def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Num
         return stored, f"{source} {note}"
     if has_slope and as_stated == as_inverted:
         raise InputError(
-            f"an image of type {INVERTED}",
+            f"an image of type {_INVERTED}",
             "contain air, which shows whether its values are inverted",
             f"slices without air in {source}",
             "export the image as MONOCHROME2",

@@ -9,13 +9,16 @@ into file names. The name of the folder may appear, because the user chose it.
 import os
 import warnings
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted, is_folder
 from meshes.base.file_limits import memory_limit_bytes, require_memory
 
@@ -29,6 +32,7 @@ __all__ = [
     "is_dicom",
     "modality_of",
     "read_dataset",
+    "reading",
     "refused",
 ]
 
@@ -99,6 +103,11 @@ _UNDEFINED_LENGTH = 0xFFFFFFFF
 """Length that the header states for pixels that are compressed in fragments (DICOM PS3.5, A.4)."""
 _MOST_FILES = 50_000
 """Largest number of files. The export of one examination has fewer files."""
+_COARSEST_MM = 0.1
+"""Upper limit of the unit of the last decimal of a position [mm].
+
+Positions in whole millimetres are usually exact.
+"""
 _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG", "DOC")
 """Modalities of objects without grey values, which exporters write next to an image."""
 
@@ -107,9 +116,12 @@ _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG"
 class Frame:
     """Frame (one image plane) of a DICOM file. Most files contain one frame.
 
+    The properties are read from the header when they are first used. A missing or damaged number
+    raises an `InputError`.
+
     Attributes
     ----------
-    file, number
+    file, index
         File, and index of the frame in the file.
     header
         Values of the header elements in `_READ`, by element name.
@@ -118,9 +130,74 @@ class Frame:
     """
 
     file: Path
-    number: int
+    index: int
     header: Header
     place: str
+
+    def numbers(self, key: str, count: int) -> Array:
+        """Return the finite numbers in a header element, shape (count,)."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found = np.atleast_1d(np.array(self.header[key], dtype=np.float64))
+        except (TypeError, ValueError, OverflowError):
+            found = np.empty(0)
+        if found.shape != (count,) or not np.isfinite(found).all():
+            noun = "number" if count == 1 else "numbers"
+            got = f"missing or other values in {self.place}"
+            raise refused(key, f"be {count} finite {noun}", got)
+        return found
+
+    def number(self, key: str, absent: float) -> float:
+        """Return the number in a header element, or `absent` if the element is missing or empty."""
+        missing = self.header[key] in (None, "")
+        return absent if missing else float(self.numbers(key, 1)[0])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of columns and rows."""
+        return int(self.header["Columns"]), int(self.header["Rows"])
+
+    @cached_property
+    def position_mm(self) -> Array:
+        """Centre of the first pixel [mm, LPS], shape (3,)."""
+        return self.numbers("ImagePositionPatient", 3)
+
+    @cached_property
+    def axes(self) -> Array:
+        """Unit vectors along which column and row numbers increase [LPS], shape (2, 3)."""
+        return self.numbers("ImageOrientationPatient", 6).reshape(2, 3)
+
+    @cached_property
+    def pixel_mm(self) -> Array:
+        """Distances between neighbouring pixels along `axes` [mm], shape (2,)."""
+        return self.numbers("PixelSpacing", 2)[::-1]
+
+    @cached_property
+    def slope(self) -> float:
+        """Slope of the grey values."""
+        slope = self.number("RescaleSlope", 1.0)
+        if slope == 0.0:
+            raise refused("RescaleSlope", "not be 0", f"0 in {self.place}")
+        return slope
+
+    @cached_property
+    def intercept(self) -> float:
+        """Intercept of the grey values."""
+        return self.number("RescaleIntercept", 0.0)
+
+    @cached_property
+    def rounding_mm(self) -> float:
+        """Unit of the last decimal with which the position is written [mm]."""
+        return min(_last_decimal(each) for each in self.header["ImagePositionPatient"])
+
+
+def _last_decimal(number: object) -> float:
+    """Return the unit of the last decimal of a written number, for example 0.01 for "3.14"."""
+    text = str(getattr(number, "original_string", number)).strip().lower()
+    mantissa, _, exponent = text.partition("e")
+    decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
+    return min(float(10.0**-decimals), _COARSEST_MM)
 
 
 def refused(what: str, requirement: str, found: str) -> InputError:
@@ -131,6 +208,23 @@ def refused(what: str, requirement: str, found: str) -> InputError:
 def damaged(place: str) -> InputError:
     """Return the error for a file that cannot be decoded."""
     return refused("a DICOM slice", "be whole and readable", f"a damaged slice, {place}")
+
+
+@contextmanager
+def reading(place: str) -> Iterator[None]:
+    """Raise the error of `damaged` for any error of pydicom in a ``with`` block.
+
+    pydicom raises many types of errors for a damaged file. Its warnings quote the content of the
+    header and are suppressed.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InputError:
+        raise
+    except Exception as problem:
+        raise damaged(place) from problem
 
 
 def is_dicom(file: Path) -> bool:
@@ -231,7 +325,7 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
         for frame in frames_in(file, dataset, place):
             header = frame.header
             keys = ("SeriesInstanceUID", "SeriesNumber", "SOPInstanceUID", "ImagePositionPatient")
-            identity = (*(str(header[key]) for key in keys), frame.number)
+            identity = (*(str(header[key]) for key in keys), frame.index)
             if "LOCALIZER" in (header["ImageType"] or ()):
                 localisers += 1
             elif header["SOPInstanceUID"] and identity in frames:
@@ -264,45 +358,31 @@ def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
     import pydicom
 
     tags = [*_READ, *further, _SHARED, _EACH, "PixelData"]
-    try:
-        with warnings.catch_warnings():  # warnings of pydicom quote header content
-            warnings.simplefilter("ignore")
-            _require_inflated(file)
-            # `force` reads a file without a preamble.
-            return pydicom.dcmread(file, specific_tags=tags, force=True)
-    except InputError:
-        raise
-    except Exception as problem:  # damaged headers raise many types of errors
-        raise damaged(place) from problem
+    with reading(place):
+        _require_inflated(file)
+        # `force` reads a file without a preamble.
+        return pydicom.dcmread(file, specific_tags=tags, force=True)
 
 
 def modality_of(dataset: Any, place: str) -> str:
     """Return the kind of an object, such as CT or SEG."""
-    try:
+    with reading(place):  # pydicom converts an element when it is first used
         return str(dataset.get("Modality", ""))
-    except Exception as problem:  # pydicom converts an element when it is first used
-        raise damaged(place) from problem
 
 
 def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
     """Check the length of a file's pixels and return its frames."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            whole = {key: dataset.get(key) for key in _READ}
-            shared = _flat(dataset.get(_SHARED))
-            each = [_flat([item]) for item in dataset.get(_EACH) or ()]
-            count = int(whole["NumberOfFrames"] or 1)
-            _require_pixels(dataset, whole, count, place)
-    except InputError:
-        raise
-    except Exception as problem:
-        raise damaged(place) from problem
+    with reading(place):
+        whole = {key: dataset.get(key) for key in _READ}
+        shared = _flat(dataset.get(_SHARED))
+        each = [_flat([item]) for item in dataset.get(_EACH) or ()]
+        count = int(whole["NumberOfFrames"] or 1)
+        _require_pixels(dataset, whole, count, place)
     if each and len(each) != count:
         raise damaged(place)
     return [
-        Frame(file, number, {**whole, **shared, **(each[number] if each else {})}, place)
-        for number in range(count)
+        Frame(file, index, {**whole, **shared, **(each[index] if each else {})}, place)
+        for index in range(count)
     ]
 
 

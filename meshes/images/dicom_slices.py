@@ -1,8 +1,6 @@
 """Positions of DICOM slices, and their order as an evenly spaced stack."""
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +9,8 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.images.dicom_files import Frame, refused
 
-__all__ = [
-    "INVERTED",
-    "Slice",
-    "even_row",
-    "fit_together",
-    "normal_of",
-    "number_in",
-    "slice_of",
-    "stacked",
-]
+__all__ = ["even_row", "fit_together", "normal_of", "stacked"]
 
-INVERTED = "MONOCHROME1"
-"""Photometric interpretation in which low values are displayed as white."""
-_GREY = ("MONOCHROME2", INVERTED)
 _PARALLEL = 1e-4
 """Largest difference between direction cosines of parallel slices.
 
@@ -43,11 +29,6 @@ _ROUNDED = 0.75
 Rounding moves a slice by up to half a unit, and moves the line that is fitted to all slices by less
 than a quarter of a unit.
 """
-_COARSEST_MM = 0.1
-"""Upper limit of the unit of the last decimal of a position [mm].
-
-Positions in whole millimetres are usually exact.
-"""
 _MISSING = 0.4
 """Upper limit of the position tolerance that is derived from rounding, in slice spacings.
 
@@ -65,104 +46,7 @@ A smaller shear is a rounding error of positions.
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Slice:
-    """Frame with its position and scale.
-
-    Attributes
-    ----------
-    frame
-        File and header.
-    position_mm
-        Centre of the first pixel [mm, LPS], shape (3,).
-    row, column
-        Unit vectors in the directions of increasing column and row number [LPS].
-    pixel_mm, size
-        Distance [mm] and number of pixels along `row` and `column`.
-    slope, intercept
-        Slope and intercept of the grey values.
-    rounding_mm
-        Unit of the last decimal with which the position is written [mm].
-    """
-
-    frame: Frame
-    position_mm: Array
-    row: Array
-    column: Array
-    pixel_mm: tuple[float, float]
-    size: tuple[int, int]
-    slope: float
-    intercept: float
-    rounding_mm: float
-
-
-def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
-    """Check the position, size and scale of a frame and return it as a slice.
-
-    If `labels` is set, the pixels may be indices of a colour table.
-
-    Raises
-    ------
-    InputError
-        If a number is missing, or the pixels are not grey values.
-    """
-    header = frame.header
-    is_grey = header["PhotometricInterpretation"] in _GREY or labels
-    if not is_grey or header["SamplesPerPixel"] != 1:
-        raise InputError(
-            "a DICOM slice",
-            "hold grey values (MONOCHROME2 or MONOCHROME1)",
-            f"other values in {frame.place}",
-            "leave this slice out, or export grey values",
-        )
-    both = _numbers(frame, "ImageOrientationPatient", 6)
-    down, along = _numbers(frame, "PixelSpacing", 2).tolist()
-    position = _numbers(frame, "ImagePositionPatient", 3)
-    slope = number_in(frame, "RescaleSlope", 1.0)
-    if slope == 0.0:
-        raise refused("RescaleSlope", "not be 0", f"0 in {frame.place}")
-    return Slice(
-        frame,
-        position_mm=position,
-        row=both[:3],
-        column=both[3:],
-        pixel_mm=(along, down),
-        size=(int(header["Columns"]), int(header["Rows"])),
-        slope=slope,
-        intercept=number_in(frame, "RescaleIntercept", 0.0),
-        rounding_mm=min(_last_decimal(each) for each in header["ImagePositionPatient"]),
-    )
-
-
-def _last_decimal(number: object) -> float:
-    """Return the unit of the last decimal of a written number, for example 0.01 for "3.14"."""
-    text = str(getattr(number, "original_string", number)).strip().lower()
-    mantissa, _, exponent = text.partition("e")
-    decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
-    return min(float(10.0**-decimals), _COARSEST_MM)
-
-
-def _numbers(frame: Frame, key: str, count: int) -> Array:
-    """Return the finite numbers in a header element."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = np.atleast_1d(np.array(frame.header[key], dtype=np.float64))
-    except (TypeError, ValueError, OverflowError):
-        found = np.empty(0)
-    if found.shape != (count,) or not np.isfinite(found).all():
-        noun = "number" if count == 1 else "numbers"
-        raise refused(key, f"be {count} finite {noun}", f"missing or other values in {frame.place}")
-    return found
-
-
-def number_in(frame: Frame, key: str, absent: float) -> float:
-    """Return the number in a header element, or `absent` if the element is missing or empty."""
-    missing = frame.header[key] in (None, "")
-    return absent if missing else float(_numbers(frame, key, 1)[0])
-
-
-def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, list[str]]:
+def stacked(slices: Sequence[Frame], source: str) -> tuple[list[Frame], Array, list[str]]:
     """Sort slices along the normal.
 
     Return the sorted slices, the step between slices [mm, LPS], and notes.
@@ -186,7 +70,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
             raise InputError(
                 "slices",
                 "have one size, pixel spacing and orientation",
-                f"another one in {other.frame.place}",
+                f"another one in {other.place}",
                 "take localisers and reformatted images out of the folder",
             )
     if all(np.array_equal(each.position_mm, first.position_mm) for each in slices):
@@ -205,7 +89,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
             f"positions that stray {strays:.3g} mm from it in {source}",
             "export one reconstruction",
         )
-    tilts = [number_in(each.frame, "GantryDetectorTilt", 0.0) for each in slices]
+    tilts = [each.number("GantryDetectorTilt", 0.0) for each in slices]
     tilt_deg = max(tilts, key=abs)
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - gap * normal), gap)))
     if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
@@ -225,15 +109,15 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
 
 
 def _unplaced(
-    slices: Sequence[Slice], normal: Array, source: str
-) -> tuple[list[Slice], Array, list[str]]:
+    slices: Sequence[Frame], normal: Array, source: str
+) -> tuple[list[Frame], Array, list[str]]:
     """Stack the frames of a file that only states the position of the first frame.
 
     Return the frames, the step between frames [mm, LPS], and a note.
     """
-    frame = slices[0].frame
-    gap = number_in(frame, "SpacingBetweenSlices", number_in(frame, "SliceThickness", 0.0))
-    if len({each.frame.file for each in slices}) > 1 or not gap > 0.0:
+    first = slices[0]
+    gap = first.number("SpacingBetweenSlices", first.number("SliceThickness", 0.0))
+    if len({each.file for each in slices}) > 1 or not gap > 0.0:
         _require_even(np.zeros(len(slices)), 0.0, source)
     note = (
         f"{source} states only the position of its first frame: the other frames follow "
@@ -242,9 +126,9 @@ def _unplaced(
     return list(slices), gap * normal, [note]
 
 
-def fit_together(one: Slice, other: Slice) -> bool:
+def fit_together(one: Frame, other: Frame) -> bool:
     """Return whether two slices agree in size, pixel spacing and orientation."""
-    turned = max(np.abs(one.row - other.row).max(), np.abs(one.column - other.column).max())
+    turned = np.abs(one.axes - other.axes).max()
     pixels_agree = np.allclose(other.pixel_mm, one.pixel_mm, rtol=_UNIT)
     return other.size == one.size and pixels_agree and bool(turned <= _PARALLEL)
 
@@ -261,14 +145,15 @@ def even_row(points: Array, indices: NDArray[np.integer]) -> tuple[Array, Array]
     return points.mean(axis=0) - middle * step, step
 
 
-def normal_of(first: Slice) -> Array:
+def normal_of(first: Frame) -> Array:
     """Return the unit normal of a slice with valid directions."""
-    lengths = np.linalg.norm([first.row, first.column], axis=1)
-    if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
+    row, column = first.axes
+    lengths = np.linalg.norm(first.axes, axis=1)
+    if np.abs(lengths - 1.0).max() > _UNIT or abs(float(row @ column)) > _UNIT:
         requirement = "be two unit vectors at a right angle"
         what = "the orientation of a DICOM slice"
-        raise refused(what, requirement, f"other vectors in {first.frame.place}")
-    normal: Array = np.cross(first.row, first.column)
+        raise refused(what, requirement, f"other vectors in {first.place}")
+    normal: Array = np.cross(row, column)
     return normal / np.linalg.norm(normal)
 
 

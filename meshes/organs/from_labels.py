@@ -28,12 +28,12 @@ from meshes.base.arrays import (
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.progress import Progress, silent
 from meshes.ct.labels import Labels
-from meshes.images.bone_image import spread_labels
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.stuffing import with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise, with_volume
+from meshes.voxels.label_shares import spread_labels
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 __all__ = ["LabelGrid", "LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]

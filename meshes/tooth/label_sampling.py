@@ -4,7 +4,7 @@ There are two conversions to voxels: `resampled` and `LabelShares`.
 
 `resampled` counts the labels at sub-samples of each voxel, which is fast for a whole tooth.
 `LabelShares` is a continuous function of position and does not depend on the voxel grid. For this
-function, the mask of each layer is smoothed by the kernel of `meshes.images.bone_image`, with a
+function, the mask of each layer is smoothed by the kernel of `meshes.voxels.label_shares`, with a
 standard deviation of 1.5 voxels, and then interpolated. The result is called the share of the
 layer. For labels of planes and balls, the RMS error of the surface is 0.08 voxels, without bias. A
 layer with a thickness of two voxels becomes thicker by 0.2 voxels on each side.
@@ -25,9 +25,9 @@ from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
 from meshes.base.errors import InputError
 from meshes.base.grid import Grid
 from meshes.base.placement import Placement
-from meshes.images.bone_image import spread_labels
 from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
 from meshes.voxels.distances import cube_fraction
+from meshes.voxels.label_shares import depth_of_share, spread_labels
 from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
@@ -58,11 +58,6 @@ _THREADS = 2
 """Number of threads. NumPy releases the interpreter lock in most of the work."""
 _POINTS_AT_ONCE = 1 << 18
 """Number of points at which shares are interpolated at once. Their indices take 6 MB."""
-_FARTHEST = 1.0
-"""Distance from a plane [standard deviations] up to which the share changes monotonically.
-
-Up to this value, a distance can be computed from a share.
-"""
 _SURELY = 0.49
 """Difference between a share and one half above which no surface lies within one voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
@@ -321,7 +316,7 @@ class LabelShares:
         At points farther from the surface than `deviation_m`, the standard deviation of the
         smoothing, the magnitude of the result is only a lower bound of the distance.
         """
-        return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
+        return -self.deviation_m * depth_of_share(self._solid_at(points))
 
     def fraction(self, grid: Grid) -> Singles:
         """Compute the fraction of each voxel that lies inside the surface.
@@ -387,19 +382,6 @@ class LabelShares:
     def _index(self, points: Floats) -> Array:
         """Convert points [m] to indices [voxel], shape (3, n)."""
         return np.asarray(self.start[:, None] + self.turn @ points.T)
-
-
-def _plane_share() -> tuple[Array, Array]:
-    """Tabulate the share at points behind a plane over the depth of these points below the plane.
-
-    The depth is in standard deviations.
-    """
-    from scipy.special import ndtr
-
-    # With steps of 1/400 of a standard deviation, the error of linear interpolation is 2e-6
-    # standard deviations.
-    depth = np.linspace(-_FARTHEST, _FARTHEST, 801)
-    return ndtr(depth) + depth * np.exp(-0.5 * depth**2) / np.sqrt(2.0 * np.pi), depth
 
 
 def _interpolated(values: Singles, at: Array) -> Singles:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Triangles
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Triangles
 from meshes.base.errors import InputError
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.mesh_sampling import column_crossings, inside_scattered
@@ -21,7 +21,6 @@ __all__ = [
     "PITCH_M",
     "LayerContact",
     "inside_lattice",
-    "inside_surface",
     "measure_contact",
     "require_pulp_within",
     "require_touching",
@@ -52,11 +51,6 @@ _LEAST_WITHIN = 0.6
 
 Near means at a distance of less than ``_NEAR_M``.
 """
-_LINES_A_POINT = 2
-"""Ratio of vertical lines to points above which each point is tested on its own.
-
-The lines pass through all combinations of the points' x and y.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,34 +73,6 @@ class LayerContact:
     gap_mm3: Mapping[tuple[str, str], float]
     void_mm3: float
     gap_layer: Bytes
-
-
-def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Return whether points [m], shape (n, 3), lie within a closed surface.
-
-    Each point is tested by means of the vertical line through the point.
-
-    Points of a grid lie on common lines, so the number of tested lines is much smaller than the
-    number of points.
-    """
-    x, i = np.unique(points[:, 0], return_inverse=True)
-    y, j = np.unique(points[:, 1], return_inverse=True)
-    if len(x) * len(y) > _LINES_A_POINT * len(points):
-        return inside_scattered(vertices, faces, points)
-    crossings = column_crossings(vertices, faces, x.astype(np.float64), y.astype(np.float64))
-    if len(crossings.line) == 0:
-        return np.zeros(len(points), dtype=bool)
-    # Line and height are combined to one sort key. Heights use the middle half of the interval
-    # between two lines. Points outside the range of heights are limited to 0.05 and 0.95 of the
-    # interval.
-    low = float(crossings.height.min())
-    span = max(float(crossings.height.max()) - low, 1e-9)
-    below = np.clip((points[:, 2].astype(np.float64) - low) / span, -0.4, 1.4)
-    crossed = np.searchsorted(
-        crossings.line + 0.25 + 0.5 * (crossings.height - low) / span,
-        i * len(y) + j + 0.25 + 0.5 * below,
-    )
-    return np.concatenate([[0], np.cumsum(crossings.entering)])[crossed] > 0
 
 
 def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags:
@@ -243,7 +209,7 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
         apart = {other: float(trees[other].query(tested)[0].min()) for other in others}
         nearest = min(apart, key=lambda other: apart[other])
         if apart[nearest] > _TOUCH_M and not any(
-            inside_surface(*solids[other], few).any() for other in others
+            inside_scattered(*solids[other], few).any() for other in others
         ):
             raise InputError(
                 f"{name} surface",
@@ -271,7 +237,7 @@ def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Arra
     # With 2000 points, the standard error of a share of 0.6 is 0.01.
     tested = pulp_m[:: max(len(pulp_m) // 2000, 1)]
     far = tested[cKDTree(dentin_samples_m).query(tested)[0] >= _NEAR_M]
-    within = 1.0 - float(np.count_nonzero(~inside_surface(*dentin, far))) / len(tested)
+    within = 1.0 - float(np.count_nonzero(~inside_scattered(*dentin, far))) / len(tested)
     if within < _LEAST_WITHIN:
         raise InputError(
             "pulp",

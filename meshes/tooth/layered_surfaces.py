@@ -27,7 +27,6 @@ from meshes.tooth.layer_contact import (
     PITCH_M,
     LayerContact,
     inside_lattice,
-    inside_surface,
     measure_contact,
     require_pulp_within,
     require_touching,
@@ -42,7 +41,12 @@ from meshes.tooth.layers import (
     require_tooth_size,
     tooth_axes,
 )
-from meshes.voxels.mesh_sampling import TriangleSampler, column_crossings, triangle_distance
+from meshes.voxels.mesh_sampling import (
+    TriangleSampler,
+    column_crossings,
+    inside_scattered,
+    triangle_distance,
+)
 from meshes.voxels.voxelise import voxelise
 
 if TYPE_CHECKING:
@@ -174,7 +178,7 @@ class LayeredSolid:
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
         for index, (vertices, faces) in self.solids.items():
-            held = inside_surface(vertices, faces, points[left])
+            held = inside_scattered(vertices, faces, points[left])
             layer[left[held]] = index
             left = left[~held]
         if self.gap is not None:
