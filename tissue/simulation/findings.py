@@ -21,6 +21,13 @@ from tissue.simulation.trace import Table
 
 __all__ = ["BreakThrough", "break_throughs", "path_distance_mm", "region_note", "shortfalls"]
 
+MOSTLY = 0.5
+"""Share of the caries within reach that must be removed.
+
+If less is removed, the caries counts as missed.
+
+The share was chosen by judgement.
+"""
 TOLERANCE_MM = 0.05
 """Difference between requested and reached depth of a thrust above which a note is made [mm].
 
@@ -80,12 +87,8 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         found["removed"] = (
             "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
         )
-    elif isinstance(scene.anatomy, Tooth) and _missed_caries(scene.anatomy, parts):
-        is_aimed = getattr(scene.anatomy, "site", "caries") == "caries"
-        how = "" if is_aimed else "set anatomy.site = caries, or "
-        found["removed"] = (
-            f"no caries: the tool never touched the lesion; {how}move motion.points_mm to it"
-        )
+    elif isinstance(scene.anatomy, Tooth) and (missed := _missed_caries(scene.anatomy, parts)):
+        found["removed"] = missed
     return found
 
 
@@ -118,14 +121,34 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
     }
 
 
-def _missed_caries(anatomy: Tooth, parts: Parts) -> bool:
-    """Return whether a run left all caries of a tooth."""
-    has_lesion = "caries" in anatomy.layer_files or "lesion" in parts.notes
+def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
+    """Return a note on missed caries: its place, if known, and how the tool can reach it.
+
+    The note is empty if there is no lesion or the removal is sufficient. Caries is missed if no
+    caries was removed or, in a tooth from files, if most of the caries within reach is left.
+    """
+    at = parts.notes.get("lesion")
+    has_lesion = "caries" in anatomy.layer_files or at is not None
     if isinstance(anatomy, MolarAnatomy):
         has_lesion = anatomy.caries_depth_mm > 0.0
+    if not has_lesion:
+        return ""
     tissue = parts.tissue
-    removed_m3 = dict(zip(tissue.layer_names, tissue.removed_m3, strict=True))
-    return has_lesion and removed_m3.get("caries", 0.0) == 0.0
+    volumes = zip(tissue.layer_names, tissue.removed_m3, tissue.start_m3, strict=True)
+    removed_m3, there_m3 = next((v for name, *v in volumes if name == "caries"), (0.0, 0.0))
+    missed = "no caries: the tool never touched the lesion"
+    if removed_m3 > 0.0:
+        # In a tooth from files, the place of the lesion is not known, so the path may only graze
+        # it.
+        if parts.placement is None or removed_m3 >= MOSTLY * there_m3:
+            return ""
+        missed = (
+            f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
+        )
+    place = f" ({at})" if at else ""
+    is_aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
+    how = "" if is_aimed else "set anatomy.site = caries, or "
+    return f"{missed}{place}; {how}move motion.points_mm to it"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from tissue.models.tissue_model import (
     ToolMotion,
     WaitsForBackground,
 )
-from tissue.motion.motion import Events, Motion, quaternion_of
+from tissue.motion.motion import Motion, quaternion_of
 from tissue.motion.replay import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.builders.parts import Parts
@@ -258,7 +258,7 @@ class Loop:
         clear = parts.keep_clear
         self.parts = parts
         self.ticks = 0
-        self.events: Events = []
+        self.events = list(parts.events)
         self._notices = [tissue.notices] if isinstance(tissue, HasNotices) else []
         clear_names: tuple[str, ...] = ()
         if clear is not None:

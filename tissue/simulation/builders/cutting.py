@@ -31,8 +31,10 @@ from tissue.simulation.builders.parts import (
     Parts,
     far_note,
     motion_of,
+    recorded_file,
     require_outside,
     require_touch,
+    w_first_notice,
 )
 from tissue.simulation.builders.region_end import region_end
 from tissue.simulation.builders.voxels import volume_of
@@ -100,7 +102,8 @@ def milled(
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
-    # A recorded tool may have started in contact.
+    # A recorded tool may have started in contact. A note reports such a start; see
+    # `w_first_notice`.
     if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
     if isinstance(scene.motion, PathMotion) and (far := far_note(volume, scene.motion.points_mm)):
@@ -159,6 +162,9 @@ def milled(
         keep_clear=clear,
     )
     parts.region_end = region_end(scene, parts)
+    file = recorded_file(scene)
+    if file and (notice := w_first_notice(volume, cutter, motion, file)):
+        parts.events.append((0.0, notice))
     return parts
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Bytes, Ints
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
@@ -20,14 +21,15 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
-from tissue.motion.motion import FollowPath, Motion
+from tissue.motion.drilling_recording import RECORDINGS, SHAFT_TO_X
+from tissue.motion.motion import Events, FollowPath, Motion
 from tissue.motion.quaternion import Triple
 from tissue.motion.replay import read_replay
 from tissue.motion.thrust import PushAlongAxis
 from tissue.scene.coupling import Hardware
 from tissue.scene.registry import DEVICES, MOTIONS
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, ThrustMotion
+from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
 __all__ = [
     "FILE_WORDS",
@@ -42,12 +44,14 @@ __all__ = [
     "plays_record",
     "poses_along",
     "reach",
+    "recorded_file",
     "require_device",
     "require_outside",
     "require_stated_rate",
     "require_touch",
     "require_whole",
     "swept_box",
+    "w_first_notice",
 ]
 
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
@@ -63,6 +67,15 @@ FAR_M = 0.1
 
 A robot may approach the bone from this distance. The limit is at least the size of the simulated
 bone, so larger bones have a larger limit. Chosen by judgement.
+"""
+MUCH_MORE = 2.0
+"""Ratio above which the other order of quaternion components is suggested.
+
+The ratio is the volume of the tool inside bone with the order x, y, z, w, divided by this volume
+with the order w, x, y, z.
+
+The limit is larger than 1, because a tool that starts in contact overlaps some bone with both
+orders. The value is assumed.
 """
 
 
@@ -80,6 +93,8 @@ class Parts:
         Pose of the scene in the frame of the anatomy's file; None for an anatomy without a file.
     notes
         Notes on assumptions and findings, keyed by subject.
+    events
+        Events that are reported at the start of the run, each with a time [s] and a sentence.
     keep_clear
         Measurement of the tool's distance from structures that it must not touch; None if the scene
         names no structure.
@@ -95,6 +110,7 @@ class Parts:
     notes: dict[str, str] = field(default_factory=dict)
     keep_clear: KeepClear | None = None
     region_end: RegionEnd | None = None
+    events: Events = field(default_factory=list)
 
     @property
     def fields(self) -> FieldSeries | None:
@@ -121,6 +137,16 @@ def plays_record(scene: Scene) -> bool:
         and scene.device.kind == RECORDED
         and is_file(Path(scene.held.hardware.address))
     )
+
+
+def recorded_file(scene: Scene) -> str:
+    """Return the file with recorded poses of the tool; empty for other motions.
+
+    The file belongs to a replay motion or to a recorded device.
+    """
+    if plays_record(scene):
+        return scene.held.hardware.address
+    return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""
 
 
 def motion_of(scene: Scene) -> Motion:
@@ -292,6 +318,54 @@ def _on_one_side(points: Array, region: Corners) -> bool:
     cap = points @ normal
     box = corners @ normal
     return bool(box.max() < cap.min() or box.min() > cap.max())
+
+
+def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
+    """Return a sentence if the start pose suggests that w is the first quaternion column, or None.
+
+    This is the case if the tool starts inside the bone, but would hardly overlap the bone if w were
+    the first column. A quaternion has unit length in both orders, so the order can only be
+    recognised from the position of the tool.
+
+    Parameters
+    ----------
+    volume, cutter, motion
+        Bone, tool and recorded motion.
+    file
+        File of the recorded poses. The axis of the recorded tool depends on the kind of file.
+    """
+    turn = SHAFT_TO_X if Path(file).suffix.lower() in RECORDINGS else Rotation.identity()
+    rotation = Rotation.from_matrix(motion.rotations()[0])
+    first, second, third, fourth = (rotation * turn.inv()).as_quat()
+    other = Rotation.from_quat([second, third, fourth, first]) * turn
+    inside, by_other = (
+        _inside_mm3(volume, cutter, motion.sweep_m()[0], each) for each in (rotation, other)
+    )
+    if inside <= MUCH_MORE * by_other:
+        return None
+    return (
+        f"the tool starts with {inside:.3g} mm3 inside the bone. With its quaternions read as "
+        f"(w, x, y, z) it would be {by_other:.3g} mm3: their order is (x, y, z, w), so swap the "
+        f"columns of {file} if w comes first"
+    )
+
+
+def _inside_mm3(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: Rotation) -> float:
+    """Return the volume of bone inside the cutter at a pose [mm3], from voxel centres."""
+    spacing_m = volume.spacing_m
+    far_m = np.hypot(cutter.profile.radius_m, np.abs(cutter.profile.height_range_m).max())
+    middle = (tip_m - volume.origin_m) / spacing_m
+    first = np.clip(np.floor(middle - far_m / spacing_m).astype(int), 0, volume.shape)
+    last = np.clip(np.ceil(middle + far_m / spacing_m).astype(int), 0, volume.shape)
+    held = volume.fraction[tuple(slice(start, end) for start, end in zip(first, last, strict=True))]
+    filled = np.argwhere(held)
+    if not len(filled):
+        return 0.0
+    centres_m = volume.origin_m + spacing_m * (first + filled + 0.5)
+    x, y, z = rotation.inv().apply(centres_m - tip_m).T
+    distance_m, _ = cutter.profile.distance(np.column_stack([np.hypot(x, y), z]))
+    shares = held[tuple(filled.T)] / FULL
+    return float(1e9 * spacing_m**3 * shares[distance_m < 0.0].sum())
 
 
 def opens_device(scene: Scene) -> bool:

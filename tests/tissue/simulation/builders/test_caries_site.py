@@ -50,6 +50,13 @@ def test_surfaces_are_drilled_over_their_caries_or_refused_with_the_remedy(layer
     assert missed["removed_mm3"]["enamel"] > 0.5 and missed["removed_mm3"]["caries"] == 0.0
     assert "no caries" in missed["notes"]["removed"]
     assert "set anatomy.site = caries, or move motion.points_mm" in missed["notes"]["removed"]
+    shallow = {"anatomy.site": "caries", "motion.points_mm": [[0, 0, 1.5], [0, 0, -0.7]]}
+    touched = simulate(load_scene("molar", layers | STRAIGHT_IN | shallow)).summary
+    removed, there = touched["removed_mm3"]["caries"], touched["start_mm3"]["caries"]
+    assert 0.0 < removed < 0.5 * there
+    assert touched["notes"]["removed"].startswith(
+        f"only {removed:.3g} of {there:.3g} mm3 of the caries within reach"
+    )
 
 
 def test_the_pulp_of_a_tooth_from_surfaces_is_kept_clear_of_by_name_as_by_file(layers):
