@@ -106,10 +106,11 @@ def add_slider(
     )
 
 
-def picked(plotter: Plotter, actor: object, x: int, y: int) -> Array | None:
-    """Return the point of an actor under a pixel [mm]; None if the actor is not under the pixel.
+def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array] | None:
+    """Return the index of the cell of an actor under a pixel, and the point of the cell there [mm].
 
-    `x` and `y` are counted in pixels from the lower left corner of the window.
+    `x` and `y` are counted in pixels from the lower left corner of the window. The result is None
+    if the actor is not under the pixel.
     """
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
@@ -117,12 +118,11 @@ def picked(plotter: Plotter, actor: object, x: int, y: int) -> Array | None:
     # in shares of the window's diagonal: a fraction of a pixel
     picker.SetTolerance(1e-4)
     picker.InitializePickList()
-    if actor is not None:
-        picker.AddPickList(actor)
+    picker.AddPickList(actor)
     picker.PickFromListOn()
     if not picker.Pick(float(x), float(y), 0.0, plotter.renderer) or picker.GetCellId() < 0:
         return None
-    return np.array(picker.GetPickPosition())
+    return picker.GetCellId(), np.array(picker.GetPickPosition())
 
 
 def add_colour_scale(
