@@ -183,9 +183,7 @@ class StudyFolder:
                     "run the study in a new folder: trials of two versions are not combined",
                 )
             fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
-            plan = Plan(
-                seed=held["seed"], trials=held["trials"], sensitivity=held["sensitivity"], **fields
-            )
+            plan = Plan(seed=held["seed"], trials=held["trials"], **fields)
             return plan, registered(held)
         except InputError:
             raise
@@ -227,22 +225,18 @@ class StudyFolder:
 
     def forget_failures(self) -> None:
         """Delete the files of trials in which a method failed."""
-        for trial in self.trials(variant=None):
+        for trial in self.trials():
             if trial.failed:
                 self._file(trial.key).unlink()
 
-    def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
-        """Yield the trials that have a complete file, in the order of the plan.
-
-        With an empty `variant`, only the trials of the study itself are returned. With the name of
-        a variant, only trials of this variant are returned. With None, all trials are returned.
-        """
+    def trials(self) -> Iterator[Trial]:
+        """Yield the trials that have a complete file, in the order of the plan."""
         for key in self.plan().all_trials():
-            if variant in (None, key.variant) and (trial := self.read(key)) is not None:
+            if (trial := self.read(key)) is not None:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Return the table of the trials of some tasks, without trials of variants.
+        """Return the table of the trials of some tasks.
 
         Raises
         ------

@@ -17,8 +17,6 @@ from tissue.evaluation.study.discrimination import discrimination_section
 from tissue.evaluation.study.fidelity import (
     force_section,
     latency_section,
-    reference_section,
-    sensitivity_section,
     task_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
@@ -89,6 +87,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
+    whole = None
     # without compared tasks, a study has case studies alone
     if plan.compared:
         table = folder.table(*plan.compared)
@@ -103,17 +102,12 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         # the progress follows the time of the sections: the tests take half of it
         report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]
-        report("discrimination", 0.2)
-        sections.append(discrimination_section(folder, whole, plan.seed))
-        report("tests", 0.4)
+        report("tests", 0.2)
         sections += statistics_sections(table, np.random.default_rng(plan.seed))
+    report("discrimination", 0.7)
+    sections.append(discrimination_section(folder, whole, plan.seed))
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
-    sections += [
-        each
-        for each in (sensitivity_section(folder), reference_section(folder))
-        if each is not None
-    ]
     differences = registration_section(folder, [each for each in sections if each.name == "tests"])
     found = found_section([*sections, differences])
     return [found, _overview(folder), differences, *sections]
@@ -154,8 +148,8 @@ def _agreement(sections: Sequence[Section]) -> str:
 def _overview(folder: StudyFolder) -> Section:
     """Report tasks and scenes, numbers of trials, and reasons of failures."""
     plan = folder.plan()
-    kept = list(folder.trials(variant=None))
-    counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
+    kept = list(folder.trials())
+    counts = Counter((trial.key.task, trial.key.group) for trial in kept)
     rows = [
         {
             "task": task,
@@ -214,7 +208,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
         Report sections on hypothesis tests. Empty if nothing is compared.
     """
     plan = folder.plan()
-    kept = list(folder.trials(variant=None))
+    kept = list(folder.trials())
     found = [
         *_plans(folder),
         *_trials(folder, plan, kept),
@@ -271,9 +265,7 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
         yield "trials failed and left out", what, _named(names)
     for method in plan.methods:
         without = [
-            trial.key.name
-            for trial in kept
-            if not trial.key.variant and all(row["method"] != method for row in trial.rows)
+            trial.key.name for trial in kept if all(row["method"] != method for row in trial.rows)
         ]
         if without:
             yield "method missing", method, _named(without)
