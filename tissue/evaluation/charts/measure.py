@@ -329,6 +329,5 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
 
 
 def _run(scene: Scene, setting: Setting) -> Run:
-    """Run a scene with the changes, the cores and the Warp device of a setting."""
-    at = changed(scene, setting.changes)
-    return simulate(at, compute=setting.compute, cores=setting.cores, allow_unstable=True)
+    """Run a scene with the changes of a setting."""
+    return simulate(changed(scene, setting.changes), allow_unstable=True)
