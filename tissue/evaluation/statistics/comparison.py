@@ -100,8 +100,8 @@ def compare(
     cells = table.where(task=task).cells(metric)
     groups = range(len(cells.group_names))
     # a factor: its indices within users, names and values of its levels, and whether it is a group
-    factors = [
-        ((0,), cells.factors[0][1], cells.values.T, False),
+    factors: list[tuple[tuple[int, ...], tuple[str, ...], list[Array], bool]] = [
+        ((0,), cells.factors[0][1], list(cells.values.T), False),
         (
             (),
             cells.group_names,

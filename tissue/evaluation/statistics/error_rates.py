@@ -215,8 +215,9 @@ def _rejections(
     if between and chosen:
         return found
     differences, errors, degrees = tukey(values[:, 0], groups, between=between)
-    reaches = (np.abs(differences) >= _critical_range(*degrees) * errors).any(axis=-1)
-    return found | {"Tukey HSD" if between else "Tukey HSD within users": reaches}
+    reaches = np.abs(differences) >= _critical_range(*degrees) * errors
+    test = "Tukey HSD" if between else "Tukey HSD within users"
+    return found | {test: np.asarray(reaches.any(axis=-1))}
 
 
 @lru_cache(maxsize=64)

@@ -1,5 +1,6 @@
 """Report sections on the three case studies: needle, reaming and drilling."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -41,7 +42,7 @@ TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
     """Return a report section for each case study with trials in the folder."""
-    makers = {
+    makers: dict[str, Callable[[TrialTable], Section]] = {
         "needle": needle_section,
         "reaming": partial(_reaming, seed=seed),
         "drilling": _drilling,
