@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.same_task import (
     AssessedRun,
@@ -113,7 +112,7 @@ class Quantity:
     values: Array
     limit: float
     reference: Array | None = None
-    limited: NDArray[np.bool_] | None = None
+    limited: Flags | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
         """Return the time spans in which the values are above the limit.
