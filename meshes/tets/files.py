@@ -161,7 +161,8 @@ def _read_stored(file: Path) -> StoredMesh:
             remedy="export it as .vtu, .vtk, .msh or .stl",
         )
         names = {int(number): name for number, name in facts["names"]}
-        found = StoredMesh(**arrays, names=names, notes=tuple(facts["notes"]))
+        fields: dict[str, Any] = arrays
+        found = StoredMesh(**fields, names=names, notes=tuple(facts["notes"]))
     if len(found.tets) == 0 and len(found.triangles) == 0:
         got = f"none in {file.name}"
         raise InputError("file", "hold tetrahedra or triangles", got, "mesh the solid first")
