@@ -132,12 +132,7 @@ def read_tets(
     """
     file = Path(path)
     stored = _read_stored(file)
-    used = stored.used
-    bad = int((~np.isfinite(used).all(axis=1)).sum())
-    if bad:
-        got = f"{bad} of {len(used)} nodes that are not finite in {file.name}"
-        raise InputError("nodes", "be finite", got, "export it again")
-    scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
+    scale, why = _unit(np.ptp(stored.used, axis=0), unit_mm, file.name)
     if len(stored.tets):
         mesh, sentences = stored.repaired(scale)
         return TetFile(mesh, scale, (why, *sentences))
@@ -269,17 +264,9 @@ def given_tets(
         raise InputError(
             "mesh", "hold tetrahedra", "none", "fill a surface with tetrahedra by from_surface"
         )
-    inside = 0 <= stored.tets.min() <= stored.tets.max() < len(stored.points)
-    if not inside or not np.isfinite(stored.used).all():
-        raise InputError(
-            "mesh",
-            "hold a finite point for each corner of its cells",
-            "missing points or points that are not finite",
-            "export it again",
-        )
-    scale = require_millimetres("mesh", stored.used, scale_mm)
     stored.names.update(part_names or {})
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
+        scale = require_millimetres("mesh", stored.used, scale_mm)
         return GivenTets(scale * stored.points, *stored.repaired(scale))
 
 

@@ -14,7 +14,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, visible, whole_number_in
-from meshes.tets.quality import describe, repair_tets
+from meshes.tets.quality import describe, repair_tets, require_cells
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = [
@@ -66,8 +66,13 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3)."""
-        return self.points[np.unique(self.tets if len(self.tets) else self.triangles)]
+        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3).
+
+        A missing point, or a point that is not finite, raises an `InputError`.
+        """
+        cells = self.tets if len(self.tets) else self.triangles
+        require_cells(self.points, cells)
+        return self.points[np.unique(cells)]
 
     def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
         """Return the tetrahedra in metres, repaired if necessary, and sentences on the repairs."""

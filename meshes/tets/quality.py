@@ -36,7 +36,7 @@ from meshes.tets.tetrahedra import (
     signed_volumes,
 )
 
-__all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "smooth"]
+__all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "require_cells", "smooth"]
 
 # limits from the table above
 _DEBRIS = 0.01
@@ -125,7 +125,11 @@ def repair_tets(
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
     parts = np.zeros(len(tets), np.uint8) if part is None else np.asarray(part, np.uint8)
-    _require_numbers(nodes, tets)
+    if len(tets) == 0 or tets.ndim != 2 or tets.shape[1] != 4:
+        raise InputError(
+            "cells", "be tetrahedra", f"an array of shape {tets.shape}", "mesh the solid first"
+        )
+    require_cells(nodes, tets)
     notes = []
     count = len(nodes)
     nodes, tets = _joined(nodes, tets)
@@ -255,11 +259,8 @@ def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     return inner & (lowest == highest)
 
 
-def _require_numbers(nodes: Array, cells: Ints) -> None:
-    if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
-        raise InputError(
-            "cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first"
-        )
+def require_cells(nodes: Array, cells: Ints) -> None:
+    """Raise an error if a cell refers to a node that does not exist or is not finite."""
     if cells.min() < 0 or cells.max() >= len(nodes):
         raise InputError(
             "cells",
