@@ -30,6 +30,7 @@ from meshes.tets.tetrahedra import (
     cell_faces,
     flatness,
     mean_ratio,
+    outer_faces,
     pieces,
     pinched_edges,
     place,
@@ -229,13 +230,8 @@ def _whole(cells: Ints, keep: Flags) -> bool:
     """
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
-        len(pinched_edges(_surface(left))) <= len(pinched_edges(_surface(cells)))
+        len(pinched_edges(outer_faces(left))) <= len(pinched_edges(outer_faces(cells)))
     )
-
-
-def _surface(cells: Ints) -> Ints:
-    triangles, _, shared = cell_faces(cells)
-    return triangles[shared == 1]
 
 
 def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, Array]:
@@ -250,7 +246,7 @@ def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Byte
 def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     """Return flags of the nodes that are neither on the surface nor between parts, shape (n,)."""
     inner = np.ones(count, dtype=bool)
-    inner[_surface(cells)] = False
+    inner[outer_faces(cells)] = False
     # Parts are bytes, so 255 is larger than every part.
     lowest = np.full(count, 255, dtype=np.uint8)
     highest = np.zeros(count, dtype=np.uint8)
