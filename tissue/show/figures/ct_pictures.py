@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array, Flags, Ints, lattice
 from meshes.ct.density import DensityLaw
 from meshes.ct.inspection import Histogram
-from meshes.images.frame import Image, part_of
+from meshes.images.frame import Image
 from meshes.paths.toolpath import PathDepth
 from meshes.surfaces.surface import Surface
 from meshes.tets.tetrahedra import TetMesh
@@ -228,7 +228,7 @@ def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh:
     high = np.ceil((nodes_mm.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing) + 1
     high = np.minimum(high, image.values.shape)
     part = tuple(map(slice, low.astype(int).tolist(), high.astype(int).tolist()))
-    around = part_of(image, part)
+    around = image.part(part)
     # a slice through the organ's middle might miss a small part
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
     middle = middle_of(image, masks[smallest])
