@@ -230,12 +230,8 @@ def organ_problem(
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
     measured, ticks = log.averaged()
-    with (
-        names_of_caller({"motion": "measured"}),
-        OrganRuns(
-            scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1
-        ) as runs,
-    ):
+    runs = OrganRuns(scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1)
+    with names_of_caller({"motion": "measured"}):
         found = settled(parameters, moduli, runs, measured, progress)
         finer, note = _on_finer_mesh(scene, found, runs)
     notes = (*_notes(found, runs.count), note)

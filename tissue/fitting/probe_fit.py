@@ -8,8 +8,8 @@ again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to
 error is the shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -149,9 +149,6 @@ class ProbeFit(Fitted):
     misfit
         Difference between the fitted curve and the median curve, divided by the median curve (L2
         norms).
-    noise
-        Median, 5 and 95 % quantiles of the difference between the medians of two random halves of
-        the presses, divided by one of these medians (L2 norms), shape (3,).
     notes
         Findings and assumptions, in sentences.
     """
@@ -164,8 +161,8 @@ class ProbeFit(Fitted):
     force_N: Array
     bias_N: float
     misfit: float
-    noise: Array
     notes: tuple[str, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
     source: ClassVar[str] = "table of presses"
     meaning: ClassVar[str] = (
         "value: best fit; range: 5 and 95 % of resampled presses and error of the mesh."
@@ -181,9 +178,7 @@ class ProbeFit(Fitted):
     @property
     def numbers(self) -> dict[str, Any]:
         """See `Fitted`."""
-        halves = dict(zip(("p05", "p50", "p95"), self.noise.tolist(), strict=True))
-        found = {"law": self.law, "misfit": self.misfit, "bias_N": self.bias_N}
-        return found | {"half_difference": halves}
+        return {"law": self.law, "misfit": self.misfit, "bias_N": self.bias_N}
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -239,30 +234,12 @@ class ProbeFit(Fitted):
     @property
     def sentences(self) -> tuple[str, ...]:
         """See `Fitted`."""
-        low, middle, high = (100.0 * self.noise).tolist()
         return (
             f"the fitted curve differs from the median of {len(self.table.forces_N)} presses by "
-            f"{self.misfit:.1%}; the medians of two random halves of the presses differ by "
-            f"{middle:.2g} % ({low:.2g} to {high:.2g} %)",
+            f"{self.misfit:.1%}",
             f"zero of the force sensor: {1e3 * self.bias_N:.3g} mN",
             *self.notes,
         )
-
-
-def half_differences(forces_N: Array, *, splits: int = 200, seed: int = SEED) -> Array:
-    """Return the differences between the medians of two random halves of presses, shape (splits,).
-
-    Each result is the L2 norm of the difference divided by the L2 norm of the second median.
-    """
-    random = np.random.default_rng(seed)
-    half = len(forces_N) // 2
-    found = []
-    for _ in range(splits):
-        order = random.permutation(len(forces_N))
-        first = median_curve(forces_N[order[:half]])
-        second = median_curve(forces_N[order[half:]])
-        found.append(np.linalg.norm(first - second) / np.linalg.norm(second))
-    return np.array(found)
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
@@ -390,7 +367,6 @@ def fit_probes(
         f"intervals from {RESAMPLES} draws of {len(forces)} presses and from the error of the mesh",
     )
     middle = median_curve(forces)
-    halves = half_differences(forces)
     return ProbeFit(
         scene.name,
         table.path,
@@ -400,7 +376,6 @@ def fit_probes(
         best.force_N[0],
         float(best.bias_N[0]),
         float(np.linalg.norm(best.force_N[0] - middle) / np.linalg.norm(middle)),
-        np.quantile(halves, [0.05, 0.5, 0.95]),
         notes,
     )
 
