@@ -26,14 +26,13 @@ from tissue.fitting.log_files import (
     QUATERNION,
     TIPS,
     LogColumns,
-    read_columns,
     refusal,
 )
 from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, block_ticks
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
-__all__ = ["MeasuredLog", "log_of", "read_log"]
+__all__ = ["MeasuredLog", "log_of"]
 
 
 LARGEST = {"N": 1e5, "Nm": 1e4}
@@ -114,15 +113,18 @@ class MeasuredLog:
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 
 
-def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
-    """Read a log of a tool's poses and loads.
+def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
+    """Return the log of a tool's poses and loads that the columns of a file hold.
+
+    For a run's own trace, `columns` is not needed. If a trace holds ``model_force`` (the force of
+    the tissue) and the force commanded to a device, ``model_force`` is used.
 
     Parameters
     ----------
     path
-        CSV, Parquet, HDF5, .mat or .npz file. For a run's own trace, `columns` is not needed. If a
-        trace holds ``model_force`` (the force of the tissue) and the force commanded to a device,
-        ``model_force`` is used.
+        The file, for messages.
+    found
+        Columns of the file.
     columns
         ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
         name. A minus reverses the sign. If UNIT is not given, the unit is taken from the header of
@@ -135,11 +137,6 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         If a column is missing or holds impossible values, times do not increase, or the log is too
         short.
     """
-    return log_of(path, read_columns(path), columns)
-
-
-def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
-    """Return the log in the columns of a file, see `read_log`."""
     asked = parsed(columns, tuple(QUANTITIES))
     notes = list(found.notes)
     rate_Hz = found.rate_Hz

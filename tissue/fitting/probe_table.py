@@ -13,7 +13,7 @@ from meshes.base.units import name_of
 from tissue.fitting.log_columns import TIMES, column_for, parsed, quantities
 from tissue.fitting.log_files import LogColumns, refusal
 
-__all__ = ["ProbeTable", "at_common_depths", "is_probe_table", "read_presses", "read_probes"]
+__all__ = ["ProbeTable", "at_common_depths", "is_probe_table", "read_presses"]
 
 
 DEPTH = "depth_mm"
@@ -59,15 +59,6 @@ def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
     if "time_s" in asked or any(name_of(each, "time") in TIMES for each in names):
         return False
     return DEPTH in asked or column_for(DEPTH, "length", names) is not None
-
-
-def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> ProbeTable:
-    """Read presses from the columns of a file, at common depths.
-
-    Parameters and errors are those of `read_presses` and `at_common_depths`.
-    """
-    presses, notes = read_presses(path, found, columns)
-    return at_common_depths(path, presses, notes)
 
 
 def read_presses(

@@ -16,7 +16,13 @@ from tissue.fitting.probe_fit import (
     median_curve,
 )
 from tissue.fitting.probe_laws import layer_scene, probe_curves
-from tissue.fitting.probe_table import FEWEST_PROBES, ProbeTable, is_probe_table, read_probes
+from tissue.fitting.probe_table import (
+    FEWEST_PROBES,
+    ProbeTable,
+    at_common_depths,
+    is_probe_table,
+    read_presses,
+)
 from tissue.scene.load import load_scene
 
 COARSE = 0.25
@@ -34,6 +40,11 @@ FLAT = {
     "organ.young_kPa": None,
     "organ.young_end_kPa": None,
 }
+
+
+def read_probes(path, found, columns=()):
+    """Return presses at common depths."""
+    return at_common_depths(path, *read_presses(path, found, columns))
 
 
 def slab(**organ):
