@@ -24,7 +24,13 @@ from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_labels
 from tissue.ct.request import ImportRequest
 from tissue.scene.load import load_scene
-from tissue.show.figures.ct_pictures import Marks, draw_ct_organ, draw_ct_slices, middle_of
+from tissue.show.figures.ct_pictures import (
+    Marks,
+    draw_ct_organ,
+    draw_ct_slices,
+    middle_of,
+    outline_of,
+)
 
 __all__ = ["organ_draft", "tooth_draft"]
 
@@ -165,8 +171,7 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
     masks = sorted(
         ((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum()
     )
-    # outlines are drawn at 0, halfway between inside and outside
-    outlines = {name: replace(tooth.image, values=mask - np.float32(0.5)) for name, mask in masks}
+    outlines = {name: outline_of(tooth.image, mask) for name, mask in masks}
     draw_ct_slices(
         cropped(image, (tuple(low.tolist()), tuple(high.tolist()))),
         file,
